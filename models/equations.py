@@ -80,7 +80,9 @@ class Conditions(NamedTuple):
     perturbation: np.ndarray  # (n, 7), see `perturbation.py`
     ambient: np.ndarray  # (n, AMBIENT_SIZE); `advance` moves the time on
     push: np.ndarray = STILL  # (n, 6) further acceleration [m/s2], torque [N m] in the world's axes; or STILL
-    load: np.ndarray = UNLOADED  # (n, 6) states of slung loads, see `load.py`, moved by `advance`; or UNLOADED
+    load: np.ndarray = (
+        UNLOADED  # (n, 6) states of slung loads, see `load.py`, moved by `advance`; or UNLOADED
+    )
 
 
 # One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
@@ -481,16 +483,15 @@ def _saturations(y, dy, v, limits):
 
 @numba.njit(cache=True, inline="always")
 def _swing(y, dy, mass, v):
-    """Write the slung load's motion into dy, and add its pull to the vehicle's acceleration without gravity's."""
-    length, x, y_, z = v.effects.load_length, y[_LOAD], y[_LOAD + 1], y[_LOAD + 2]
-    vx, vy, vz = y[_LOAD + 3], y[_LOAD + 4], y[_LOAD + 5]
+    """Write the slung load's motion into dy, its pull added to the acceleration there, without gravity's."""
+    qx, qy, qz, vx, vy, vz = y[_LOAD], y[_LOAD + 1], y[_LOAD + 2], y[_LOAD + 3], y[_LOAD + 4], y[_LOAD + 5]
     ax, ay, az = dy[VX], dy[VX + 1], dy[VZ]
-    share = v.effects.load_mass / (mass + v.effects.load_mass)
-    tension = pull(x, y_, z, vx, vy, vz, ax, ay, az, share, length)
+    share, length = v.effects.load_mass / (mass + v.effects.load_mass), v.effects.load_length
+    tension = pull(qx, qy, qz, vx, vy, vz, ax, ay, az, share, length)
     for k in range(3):
         dy[VX + k] += tension * y[_LOAD + k]
         dy[_LOAD + k] = y[_LOAD + 3 + k]
-    dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(x, y_, z, vx, vy, vz, ax, ay, az, length)
+    dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(qx, qy, qz, vx, vy, vz, ax, ay, az, length)
 
 
 @numba.njit(cache=True)

@@ -69,8 +69,8 @@ def build_spec(
         the plant, and textures have one pixel.
     moving: the platform has joints, and so a velocity that friction passes on, instead of being posed; its
         base is left out.
-    loaded: of a batch in which some vehicles have a slung load: whether there is a body for it, of next to no mass
-        where a vehicle has none. None: where the vehicle has one.
+    loaded: of a batch in which some vehicles have a slung load: whether there is a body for it, of next to no
+        mass where a vehicle has none. None: where the vehicle has one.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = vehicle or load_vehicle()

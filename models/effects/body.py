@@ -3,7 +3,6 @@
 from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
 
 
-
 def _slung_load(vehicle, values):
     mass = values.get("mass", 0.0)
     if mass == 0.0:
@@ -37,8 +36,8 @@ EFFECTS = (
         description="A load hangs on a string from the vehicle's centre of mass and swings. The string stays "
         "taut, and the air does not touch it. Where flights do not make the load swing against the vehicle, "
         "it is mass, and its string of any length.",
-        formula="T = m m_l/(m + m_l) (L |q'|^2 - q . f/m), on the vehicle along q; q'' = (q (q . f) - f)/(m L) - "
-        "|q'|^2 q, q the direction from vehicle to load, f the force on the vehicle but for its weight",
+        formula="T = m m_l/(m + m_l) (L |q'|^2 - q . f/m) on the vehicle along q, "
+        "q'' = (q (q . f) - f)/(m L) - |q'|^2 q; q: direction from vehicle to load, f: force on the vehicle but for its weight",
         source="Sreenath, Lee and Kumar 2013; crazyflie-data-collection, data 2024: 4.7 g on 0.52 m",
         parameters=(
             Parameter(
@@ -51,8 +50,8 @@ EFFECTS = (
         ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("mass", "thrust_scale", "thrust_bias", "battery_sag"),
-        remedy="Take the load off, or write its mass and the string's length into the vehicle file. Swings, after "
-        "quick turns at about sqrt(g/L), tell it from a mass.",
+        remedy="Take the load off, or write its mass and the string's length into the vehicle file. Quick "
+        "turns, after which it swings at about sqrt(g/L), tell it from a mass.",
         channels=("translation",),
         apply=_slung_load,
         says="a load of {mass} swings on a string of {length}",

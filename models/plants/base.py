@@ -86,7 +86,7 @@ class Plant:
     disturbance: seed of the vehicle file's disturbance, None for still air. It acts on every control period
     as acceleration and torque (`disturbance.py`); with kinematic attitude the torque has no effect.
 
-    load (n, 6): directions of the slung loads seen from their vehicles and the directions' rates [1/s], in the
+    load (n, 6): directions of the slung loads from their vehicles and the directions' rates [1/s], in the
     world's axes; without rows where no vehicle of the plant has one. A reset lets them hang straight down.
     """
 
