@@ -31,15 +31,14 @@ SCALE = np.array([0.5, 0.03, 0.1, 0.2, 0.3, 0.1])
 def vehicle_parameters(vehicle: Vehicle) -> np.ndarray:
     """Return the parameters (6,) of NAMES, float32."""
     v = vehicle
-    weight = v.body_mass * v.environment_gravity
-    drag = -v.drag_coefficients[0] * rotor_speed_sum(weight, pack(v)[0])
+    drag = -v.drag_coefficients[0] * rotor_speed_sum(v.weight, pack(v)[0])
     return np.array(
         [
             v.command_pwm_range[1] / settled_hover(v),
             1.0 / v.thrust_lag_rate,
             v.attitude_damping * (v.attitude_time_constant + 1.0 / v.attitude_bandwidth),
             v.attitude_gain,
-            drag / v.body_mass,
+            drag / (v.body_mass + v.effects_load_mass),
             v.rotor_arm + v.rotor_radius,
         ],
         np.float32,

@@ -42,6 +42,7 @@ from inclined_landing.models.attitude import (
     body_rates,
     euler_rates,
 )
+from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.perturbation import (
     DRAG_CHANGE,
@@ -54,8 +55,11 @@ from inclined_landing.models.perturbation import (
     TIME_CONSTANT_SCALE,
 )
 
-# The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only).
+# The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), and the slung
+# load's direction and its rate where there is one.
 _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
+_LOAD = _SIZE
+_LOADED_SIZE = _LOAD + LOAD_SIZE
 # Columns of a vehicle's ambient conditions: time [s], battery voltage [V] (NaN: that of the vehicle file),
 # inclination of the platform [rad], whether it is there, its azimuth about the vertical [rad].
 AMBIENT_SIZE = 5
@@ -65,7 +69,7 @@ _DERIVED = ("slab_half_length", "thrust_centre")  # properties of a vehicle that
 # Entries of [effects] that are no terms here: what other entries refer to, and what the plants do.
 _NO_TERMS = frozenset(
     "battery_reference voltage_reference voltage_open voltage_drop voltage_discharge "
-    "ground_fading yaw_imbalance thrust_delay attitude_delay mocap_tilt mocap_delay".split()
+    "ground_fading yaw_imbalance load_length thrust_delay attitude_delay mocap_tilt mocap_delay".split()
 )
 
 
@@ -76,13 +80,16 @@ class Conditions(NamedTuple):
     perturbation: np.ndarray  # (n, 7), see `perturbation.py`
     ambient: np.ndarray  # (n, AMBIENT_SIZE); `advance` moves the time on
     push: np.ndarray = STILL  # (n, 6) further acceleration [m/s2], torque [N m] in the world's axes; or STILL
+    load: np.ndarray = (
+        UNLOADED  # (n, 6) states of slung loads, see `load.py`, moved by `advance`; or UNLOADED
+    )
 
 
 # One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
 # references.
 STEP = np.dtype(
     [
-        ("y", float, _SIZE),  # integrated vector
+        ("y", float, _LOADED_SIZE),  # integrated vector
         ("command", float, 4),
         ("ambient", float, AMBIENT_SIZE),
         ("push", float, 6),  # further acceleration [m/s2] and torque [N m] in the world's axes
@@ -91,9 +98,10 @@ STEP = np.dtype(
         ("pushed", bool),  # whether there is a push
         ("limited", bool),  # whether the torques are limited
         ("rate_loop", bool),  # which attitude model
+        ("loaded", bool),  # whether there is a slung load
         # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives,
         # attitude matrix, force and torque.
-        *(("stage", float, _SIZE), ("derivative", float, _SIZE), ("total", float, _SIZE)),
+        *((name, float, _LOADED_SIZE) for name in ("stage", "derivative", "total")),
         *(("rotation", float, (3, 3)), ("wrench", float, 5)),
     ],
     align=True,
@@ -322,7 +330,7 @@ def intact(v):
 def _hover_pwm(low, high, vehicle, p):
     """Return the PWM between two bounds whose steady thrust is the weight; the upper one where none is."""
     v = vehicle[0]
-    weight = v.body.mass * v.environment.gravity
+    weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
     for _ in range(60):  # halves: to 1e-13 of what lies between
         pwm = 0.5 * (low + high)
         lag = pwm / v.thrust.lag_rate
@@ -473,9 +481,22 @@ def _saturations(y, dy, v, limits):
     )
 
 
+@numba.njit(cache=True, inline="always")
+def _swing(y, dy, mass, v):
+    """Write the slung load's motion into dy, its pull added to the acceleration there, without gravity's."""
+    qx, qy, qz, vx, vy, vz = y[_LOAD], y[_LOAD + 1], y[_LOAD + 2], y[_LOAD + 3], y[_LOAD + 4], y[_LOAD + 5]
+    ax, ay, az = dy[VX], dy[VX + 1], dy[VZ]
+    share, length = v.effects.load_mass / (mass + v.effects.load_mass), v.effects.load_length
+    tension = pull(qx, qy, qz, vx, vy, vz, ax, ay, az, share, length)
+    for k in range(3):
+        dy[VX + k] += tension * y[_LOAD + k]
+        dy[_LOAD + k] = y[_LOAD + 3 + k]
+    dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(qx, qy, qz, vx, vy, vz, ax, ay, az, length)
+
+
 @numba.njit(cache=True)
 def _derivative(y, s, v):
-    """Write dy/dt of an integrated vector y (13,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
+    """Write dy/dt of an integrated vector y (19,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
     u, p, push, dy, r, f = s.command, s.perturbation, s.push, s.derivative, s.rotation, s.wrench
     # R = Rz(psi) Rx(phi) Ry(theta)
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
@@ -492,6 +513,8 @@ def _derivative(y, s, v):
         dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
         if s.pushed:
             dy[VX + k] += push[k]
+    if s.loaded:
+        _swing(y, dy, mass, v)
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
@@ -521,6 +544,7 @@ def _derivative(y, s, v):
             dy[_RATES + 2] += d
     else:
         dy[_PHI], dy[_THETA], dy[_PSI] = roll_rate, pitch_rate, yaw_rate
+        dy[_RATES] = dy[_RATES + 1] = dy[_RATES + 2] = 0.0
 
 
 def free_air(n: int) -> np.ndarray:
@@ -553,7 +577,7 @@ def rk4(s, v, dt):
     """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
     y, z, k, total = s.y, s.stage, s.derivative, s.total
-    size = _SIZE if s.rate_loop else _RATES
+    size = _LOADED_SIZE if s.loaded else (_SIZE if s.rate_loop else _RATES)
     _derivative(y, s, v)
     for j in range(size):
         total[j] = k[j]
@@ -572,6 +596,8 @@ def rk4(s, v, dt):
     # y <- y + dt/6 (k1 + 2 k2 + 2 k3 + k4)
     for j in range(size):
         y[j] += dt / 6.0 * (total[j] + k[j])
+    if s.loaded:
+        rectify(y[_LOAD:])
 
 
 @numba.njit(cache=True, inline="always")
@@ -584,10 +610,29 @@ def disturb(s, perturbation, push, i):
         s.push[k] = push[i, k]
 
 
+@numba.njit(cache=True, inline="always")
+def take_load(s, load, i, v):
+    """Write the slung load of vehicle i, with the record v, into a STEP; load (n, 6) or UNLOADED."""
+    s.loaded = len(load) > 0 and v.effects.load_mass != 0.0
+    for k in range(LOAD_SIZE if s.loaded else 0):
+        s.y[_LOAD + k] = load[i, k]
+
+
+@numba.njit(cache=True, inline="always")
+def give_load(s, load, i):
+    """Write the slung load of a STEP, if it has one, as that of vehicle i."""
+    for k in range(LOAD_SIZE if s.loaded else 0):
+        load[i, k] = s.y[_LOAD + k]
+
+
 @numba.njit(cache=True)
-def _begin(s, state, command, conditions, i, rate_loop):
-    """Write state (13,), command (4,) and conditions of vehicle i into a STEP, with unlimited torques."""
+def _begin(s, state, command, conditions, i, rate_loop, v):
+    """Write state (13,), command (4,) and conditions of vehicle i into a STEP, with unlimited torques.
+
+    v: the vehicle's record.
+    """
     pack_state(state, s.y)
+    take_load(s, conditions.load, i, v)
     for k in range(4):
         s.command[k] = command[k]
     for k in range(AMBIENT_SIZE):
@@ -607,7 +652,7 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
     steps = np.zeros(1, STEP)
     for i in range(state.shape[0]):
         s, v = steps[0], conditions.vehicle[i if len(conditions.vehicle) > 1 else 0]
-        _begin(s, state[i], commands[i], conditions, i, rate_loop)
+        _begin(s, state[i], commands[i], conditions, i, rate_loop, v)
         for _ in range(substeps):
             rk4(s, v, dt)
         y = s.y
@@ -615,28 +660,29 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
             roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
             y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, s.command, v, s.perturbation)
         unpack_state(y, state[i])
+        give_load(s, conditions.load, i)
         conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
 @numba.njit(cache=True)
 def _derivatives(state, command, conditions, rate_loop):
-    """Return dy/dt (13,) of the integrated vector of one vehicle."""
+    """Return dy/dt (19,) of the integrated vector of one vehicle."""
     steps = np.zeros(1, STEP)
-    s = steps[0]
-    _begin(s, state, command, conditions, 0, rate_loop)
-    _derivative(s.y, s, conditions.vehicle[0])
+    s, v = steps[0], conditions.vehicle[0]
+    _begin(s, state, command, conditions, 0, rate_loop, v)
+    _derivative(s.y, s, v)
     return steps[0].derivative.copy()
 
 
 def derivative(
     state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop: bool = False
 ) -> dict[str, Any]:
-    """Return the time derivative of one state, for model comparison.
+    """Return the time derivative of one state, for model comparison; a slung load hangs straight down.
 
     state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
     `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
     """
-    conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1))
+    conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1), load=hanging(1))
     dy = _derivatives(np.asarray(state, float), np.asarray(command, float), conditions, bool(rate_loop))
     result: dict[str, Any] = {
         "acceleration": dy[VX : VZ + 1].copy(),
@@ -644,5 +690,5 @@ def derivative(
         "lag_rate": float(dy[_OMEGA]),
     }
     if rate_loop:
-        result["euler_accelerations"] = dy[_RATES:].copy()
+        result["euler_accelerations"] = dy[_RATES:_SIZE].copy()
     return result

@@ -133,6 +133,8 @@ class Vehicle:
     effects_rotor_loss: tuple[float, float, float, float]
     effects_yaw_imbalance: float
     effects_com_offset: tuple[float, float]
+    effects_load_mass: float
+    effects_load_length: float
     effects_thrust_delay: float
     effects_attitude_delay: float
     effects_attitude_trim: tuple[float, float]
@@ -155,9 +157,14 @@ class Vehicle:
         return self.thrust_state_gain / self.thrust_lag_rate + self.thrust_direct_gain
 
     @property
+    def weight(self) -> float:
+        """Return what the rotors carry in hover [N]: the vehicle and its slung load."""
+        return (self.body_mass + self.effects_load_mass) * self.environment_gravity
+
+    @property
     def hover_pwm(self) -> float:
         """Return the PWM at which the transfer function carries the weight (about 34 100)."""
-        return self.body_mass * self.environment_gravity / self.thrust_per_pwm
+        return self.weight / self.thrust_per_pwm
 
     def without_thrust_lag(self) -> Vehicle:
         """Return the vehicle with the same steady thrust, all of it at once."""
@@ -180,7 +187,7 @@ class Vehicle:
     def static_hover_pwm(self) -> float:
         """Return the PWM at which the *static* map carries the weight (the paper quotes 42 000)."""
         a, b, c = self.motor_pwm_to_force
-        force = self.body_mass * self.environment_gravity / self.motor_count
+        force = self.weight / self.motor_count
         return (-b + math.sqrt(b * b - 4 * a * (c - force))) / (2 * a)
 
     @property

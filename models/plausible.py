@@ -89,7 +89,7 @@ def _body(v: Vehicle) -> Iterator[str]:
 
 
 def _thrust(v: Vehicle) -> Iterator[str]:
-    weight, most = v.body_mass * v.environment_gravity, v.command_pwm_range[1]
+    weight, most = v.weight, v.command_pwm_range[1]
     if v.thrust_per_pwm * _HOVER * most < weight:
         full = v.thrust_per_pwm * most
         yield (
@@ -175,11 +175,14 @@ def _steps(v: Vehicle) -> Iterator[str]:
     speeds = v.motor_pwm_to_speed[0] * v.hover_pwm + v.motor_pwm_to_speed[1]
     drag = max(map(abs, v.drag_coefficients)) * v.motor_count * speeds / mass
     air = math.hypot(*v.effects_wind) + 2.0  # m/s, with some of the vehicle's own
+    # sqrt(|f|/(m L)) of the slung load's swing, under four times the thrust of hover
+    stretched = 4.0 * v.weight / (mass * v.effects_load_length) if v.effects_load_mass > 0.0 else 0.0
     for name, rate, step, most in (
         ("thrust.lag_rate", v.thrust_lag_rate, period, _STABLE),
         ("1/attitude.time_constant", 1.0 / v.attitude_time_constant, period, _STABLE),
         ("drag.coefficients slow the vehicle; their rate", drag, period, _SMOOTH),
         ("effects.body_drag slows the vehicle; its rate", v.effects_body_drag * air / mass, period, _SMOOTH),
+        ("the swing of a load on effects.load_length", math.sqrt(stretched), period, _STABLE),
         ("attitude.bandwidth", v.attitude_bandwidth, ENGINE_STEP, _STABLE),
         (
             "attitude.damping times the rates of both loops",

@@ -34,6 +34,11 @@ _WALL_HALF_THICKNESS = 0.01  # m
 # control period. The contact solver's tolerance is relative to the scene's inertia, and so as much smaller.
 _DECK_INERTIA = 1e5
 _DECK_TOLERANCE = 1e-15
+# Of a slung load: share of its moment of inertia that its own size adds, least moment that the engine takes
+# [kg m2], mass [kg] that stands for none (of a Crazyflie's weight 3e-9); drawn as wide as steel of its mass.
+_POINT, _LEAST_INERTIA, _NO_LOAD = 1e-7, 1e-13, 1e-10
+_LOAD_DENSITY = 7800.0  # kg/m3
+_STRING_RADIUS = 0.0006  # m, drawn
 _DECK_SLIDES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 _DECK_HINGES = {
     "yaw": (0, 0, 1),
@@ -52,6 +57,7 @@ def build_spec(
     torque_limit: bool = True,
     pooled: float | None = None,
     moving: bool = False,
+    loaded: bool | None = None,
 ) -> mujoco.MjSpec:
     """The scene as an MjSpec.
 
@@ -63,6 +69,8 @@ def build_spec(
         the plant, and textures have one pixel.
     moving: the platform has joints, and so a velocity that friction passes on, instead of being posed; its
         base is left out.
+    loaded: of a batch in which some vehicles have a slung load: whether there is a body for it, of next to no
+        mass where a vehicle has none. None: where the vehicle has one.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = vehicle or load_vehicle()
@@ -82,6 +90,8 @@ def build_spec(
     spec.option.wind = [*v.effects_wind, 0]
     _fill_vehicle(spec, v, torque_limit)
     _place_rotors(spec, v)
+    if loaded if loaded is not None else v.effects_load_mass > 0.0:
+        _hang_load(spec, v, visuals)
     _fill_delays(spec, v, pooled)
     if pooled is not None:
         _add_numbers(spec, v)
@@ -177,6 +187,37 @@ def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
         element.pos += shift
         if at["kind"] == "disc" or (at["kind"] == "rotor" and isinstance(element, mujoco.MjsGeom)):
             element.size[0] = v.rotor_radius
+
+
+def _hang_load(spec: mujoco.MjSpec, v: Vehicle, visuals: bool) -> None:
+    """Hang a body for the slung load below the centre of mass, on a ball joint; it meets nothing."""
+    mass, length = max(v.effects_load_mass, _NO_LOAD), v.effects_load_length
+    body = spec.body("crazyflie").add_body(name="load")
+    body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_BALL)
+    body.explicitinertial = True
+    body.mass, body.ipos = mass, [0, 0, -length]
+    # As good as a point: adds this share to the moment of inertia m_l L^2 about the joint.
+    body.inertia = [max(_POINT * mass * length**2, _LEAST_INERTIA)] * 3
+    if not visuals:
+        return
+    radius = (0.75 * mass / (math.pi * _LOAD_DENSITY)) ** (1.0 / 3.0)
+    shown: dict = {"contype": 0, "conaffinity": 0, "group": _VISUAL_GROUPS[1], "mass": 0.0}
+    body.add_geom(
+        name="string",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0, 0, 0, 0, 0, radius - length],
+        size=[_STRING_RADIUS, 0, 0],
+        material="header",
+        **shown,
+    )
+    body.add_geom(
+        name="load",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        pos=[0, 0, -length],
+        size=[radius, 0, 0],
+        material="motor",
+        **shown,
+    )
 
 
 def _add_numbers(spec: mujoco.MjSpec, v: Vehicle) -> None:
@@ -281,6 +322,7 @@ def compile_scene(
     torque_limit: bool = True,
     pooled: float | None = None,
     moving: bool = False,
+    loaded: bool | None = None,
 ) -> mujoco.MjModel:
     """The compiled scene for simulation, without visual geoms; one model per set of arguments."""
     return build_spec(
@@ -292,4 +334,5 @@ def compile_scene(
         torque_limit=torque_limit,
         pooled=pooled,
         moving=moving,
+        loaded=loaded,
     ).compile()

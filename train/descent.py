@@ -31,7 +31,7 @@ class Descent:
         self._hover, self._gravity = settled_hover(v), v.environment_gravity
         slope, least = v.motor_pwm_to_speed
         turning = v.motor_count * (slope * self._hover + least)  # rad/s, of all rotors
-        self._drag = -v.drag_coefficients[0] * turning / v.body_mass  # 1/s
+        self._drag = -v.drag_coefficients[0] * turning / (v.body_mass + v.effects_load_mass)  # 1/s
 
     def __call__(self, context: StepContext, idle: float) -> np.ndarray:
         """Return actions (n, a) in n states over their platforms; idle: that of stopped motors."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay
 from inclined_landing.envs.rendering.camera import View, camera_view
-from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.pose import Ghost, Pose, hang_load
 from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -187,6 +187,7 @@ class GLRenderer(SceneRenderer):
 
     def _place(self, data: mujoco.MjData, qpos: np.ndarray) -> None:
         data.qpos[:7] = qpos
+        hang_load(self.model, data)
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_comPos(self.model, data)
         mujoco.mj_camlight(self.model, data)

@@ -58,6 +58,16 @@ def qpos_of_state(state) -> np.ndarray:
     return np.concatenate([state[..., :3], turned], axis=-1)
 
 
+def hang_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let the slung load of the vehicle in `data`, if it has one, hang straight down.
+
+    States do not say where a load swings.
+    """
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load") >= 0:
+        vehicle, load = data.joint("crazyflie").qpos, data.joint("load").qpos
+        load[:] = vehicle[3:] * [1.0, -1.0, -1.0, -1.0]
+
+
 def pose_from_state(state, platform, has_base: bool = True) -> Pose:
     """Return the pose of a state (13,) and its platform's state (12,), see `Plant.platform`, or None."""
     if platform is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import FAR, View, camera_view, dot
-from inclined_landing.envs.rendering.pose import Ghost, Pose
+from inclined_landing.envs.rendering.pose import Ghost, Pose, hang_load
 from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 
 # Light in display units: what a white surface receives from above, below, the sun and +x.
@@ -118,6 +118,7 @@ class _Scene:
 
     def place(self, qpos: np.ndarray) -> None:
         self.data.qpos[self.qpos : self.qpos + 7] = qpos
+        hang_load(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
 
     def view(self, camera, width: int, height: int) -> View:

@@ -16,7 +16,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.camera import look_at
-from inclined_landing.envs.rendering.pose import pose_from_state
+from inclined_landing.envs.rendering.pose import hang_load, pose_from_state
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Y
 from inclined_landing.models.errors import UserError
@@ -123,6 +123,7 @@ class Window:
         with self._viewer.lock():
             data = self.data
             data.qpos[:7] = pose.qpos
+            hang_load(self.model, data)
             data.qvel[:3], data.qvel[3:6] = state[VX : VX + 3], state[WX : WX + 3]
             data.act[0] = state[LAG]
             data.ctrl[:] = commands

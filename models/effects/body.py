@@ -2,6 +2,17 @@
 
 from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
 
+
+def _slung_load(vehicle, values):
+    mass = values.get("mass", 0.0)
+    if mass == 0.0:
+        return vehicle
+    own, length = vehicle.effects_load_mass, vehicle.effects_load_length
+    if mass > 0.0:  # two loads are none of one string: what lies between, by their masses
+        length = (own * length + mass * values.get("length", length)) / (own + mass)
+    return vehicle.changed(effects_load_mass=max(0.0, own + mass), effects_load_length=length)
+
+
 EFFECTS = (
     Effect(
         name="mass",
@@ -11,7 +22,7 @@ EFFECTS = (
         source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
         parameters=(Parameter("scale", "1", 1.0, (0.6, 1.8), 1.08, 0.005),),
         regimes=("hover", "climb", "lateral"),
-        confused_with=("thrust_scale", "thrust_bias", "battery_sag"),
+        confused_with=("thrust_scale", "thrust_bias", "battery_sag", "slung_load"),
         remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
         "thrust over mass can be seen, so that no flight tells mass from thrust.",
         channels=("translation",),
@@ -19,6 +30,32 @@ EFFECTS = (
         says="the vehicle has {scale} times the modelled mass",
         scales_thrust=True,
         told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",
+    ),
+    Effect(
+        name="slung_load",
+        description="A load hangs on a string from the vehicle's centre of mass and swings. The string stays "
+        "taut, and the air does not touch it. Where flights do not make the load swing against the vehicle, "
+        "it is mass, and its string of any length.",
+        formula="T = m m_l/(m + m_l) (L |q'|^2 - q . f/m) on the vehicle along q, "
+        "q'' = (q (q . f) - f)/(m L) - |q'|^2 q; q: direction from vehicle to load, f: force on the vehicle "
+        "but for its weight",
+        source="Sreenath, Lee and Kumar 2013; crazyflie-data-collection, data 2024: 4.7 g on 0.52 m",
+        parameters=(
+            Parameter(
+                *("mass", "kg", 0.0, (0.0, 0.03), 0.004, 0.0003),
+                one_signed=True,
+                adds_to="effects_load_mass",
+            ),
+            Parameter("length", "m", 0.5, (0.05, 1.5), 0.3, 0.05, is_reference=True, linear=False),
+        ),
+        regimes=("hover", "climb", "lateral"),
+        confused_with=("mass", "thrust_scale", "thrust_bias", "battery_sag"),
+        remedy="Take the load off, or write its mass and the string's length into the vehicle file. Quick "
+        "turns, after which it swings at about sqrt(g/L), tell it from a mass.",
+        channels=("translation",),
+        apply=_slung_load,
+        says="a load of {mass} swings on a string of {length}",
+        told_by="Weigh the load and measure its string.",
     ),
     Effect(
         name="com_offset",

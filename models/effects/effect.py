@@ -54,14 +54,16 @@ class Parameter:
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
     one_signed: bool = False  # below neutral lies no physical cause, only room for the noise of a fit
-    # Field of Vehicle, or `field.k` for its number k: one-signed, there may be less of it where there is some.
+    # Field of Vehicle, or `field.k` for its number k: one-signed, it may shrink by what is there.
     adds_to: str = ""
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
+    # A reference about both ends of which two sizes together do what one does about a value between.
+    linear: bool = True
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
-    # By how much [unit] it differs between flights of one vehicle, where the requests of the motors show it: a
-    # battery never sits twice in one place.
+    # By how much [unit] it differs between flights of one vehicle, where the motors' requests show it: a battery
+    # never sits twice in one place.
     placement: float = 0.0
     step: float = 0.0  # over which a fit takes slopes; 0: negligible
 
@@ -210,8 +212,8 @@ class Effect:
 
     @property
     def reference(self) -> Parameter | None:
-        """The parameter that the others act about, if there is one."""
-        return next((p for p in self.parameters if p.is_reference), None)
+        """The parameter that the others act about, if there is one in which the effect is linear."""
+        return next((p for p in self.parameters if p.is_reference and p.linear), None)
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
         """Return sizes about the lowest and the highest reference that together equal this one."""

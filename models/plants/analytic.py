@@ -48,7 +48,9 @@ class AnalyticPlant(Plant):
         self._ambient = equations.free_air(n)
         self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
         push = equations.STILL if self.disturbance is None else self.disturbance.held
-        self._conditions = equations.Conditions(self._constants, self.perturbation, self._ambient, push)
+        self._conditions = equations.Conditions(
+            self._constants, self.perturbation, self._ambient, push, self.load
+        )
         self.reset(np.arange(n), self.state)
 
     def _arrays(self):

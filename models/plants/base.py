@@ -14,6 +14,7 @@ from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
 
@@ -84,6 +85,9 @@ class Plant:
 
     disturbance: seed of the vehicle file's disturbance, None for still air. It acts on every control period
     as acceleration and torque (`disturbance.py`); with kinematic attitude the torque has no effect.
+
+    load (n, 6): directions of the slung loads from their vehicles and the directions' rates [1/s], in the
+    world's axes; without rows where no vehicle of the plant has one. A reset lets them hang straight down.
     """
 
     def __init__(
@@ -126,6 +130,7 @@ class Plant:
             self.vehicle.platform_inclination,
         )
         self.present = np.ones(n, bool)
+        self.load = hanging(n) if any(v.effects_load_mass > 0.0 for v in self._vehicles) else UNLOADED
         self.perturbation = perturbation.neutral(n)
         self.delays = Delays(n, self._vehicles, self.control_period)
         self._alike = np.zeros(n, int)
@@ -153,9 +158,28 @@ class Plant:
             "present": self.present,
             "perturbation": self.perturbation,
             **({"choice": self.choice} if self.pool else {}),
+            **({"load": self.load} if len(self.load) else {}),
             **self.delays.arrays(),
             **(self.disturbance.arrays() if self.disturbance else {}),
         }
+
+    def set_load(self, ids, direction, rate=0.0) -> None:
+        """Put the slung loads of the vehicles `ids` (k,) elsewhere than a reset does.
+
+        direction: from the vehicle in the world's axes, (3,) or (k, 3), of any length. rate: its derivative
+        [1/s], of which what is along the direction does not count.
+        Raises UserError in a plant without loads and for a direction of no length.
+        """
+        if not len(self.load):
+            raise UserError("no vehicle of this plant has a slung load: effects.load_mass is 0")
+        rows = np.zeros((len(self.load[ids]), LOAD_SIZE))
+        rows[:, :3], rows[:, 3:] = direction, rate
+        size = np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
+        if not (np.isfinite(rows).all() and (size > 0.0).all()):
+            raise UserError("the direction of a slung load must be finite numbers, not all of them 0")
+        rows[:, :3] /= size
+        rows[:, 3:] -= (rows[:, :3] * rows[:, 3:]).sum(axis=1, keepdims=True) * rows[:, :3]
+        self.load[ids] = rows
 
     @property
     def measurement(self) -> np.ndarray:
@@ -288,6 +312,8 @@ class Plant:
     def _begin(self, ids, state: np.ndarray) -> None:
         """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
         self.state[ids] = state
+        if len(self.load):
+            self.load[ids] = HANGING
         self.delays.reset(ids, state)
         if self.disturbance:
             self.disturbance.reset(ids)

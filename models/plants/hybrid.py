@@ -34,7 +34,7 @@ import numpy as np
 
 from inclined_landing.models import equations, geometry
 from inclined_landing.models.attitude import PITCH, PWM, ROLL, VX, VZ, YAW, X, Y, Z, quaternion
-from inclined_landing.models.plants.mujoco import MujocoPlant
+from inclined_landing.models.plants.mujoco import MujocoPlant, write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm.
@@ -94,6 +94,7 @@ class _Engine(NamedTuple):
     history: np.ndarray  # (n, h)
     samples: np.ndarray  # (actuators,) length of each one's history
     addresses: np.ndarray  # (actuators,) where it begins
+    load_joint: np.ndarray  # (2,) of `mujoco.load_joint`
 
 
 class _Results(NamedTuple):
@@ -103,6 +104,7 @@ class _Results(NamedTuple):
     near: np.ndarray  # (n, 3, 3) bool, see `Contacts`
     touch: np.ndarray  # (n, 3, 3) bool
     force: np.ndarray  # (n, 3, 3) N
+    load: np.ndarray  # (n, 6) or UNLOADED, see `Plant.load`
     in_engine: np.ndarray  # (n,) bool
     left: np.ndarray  # (n,) numbers of the vehicles that are left to the engine, first ones
 
@@ -122,13 +124,14 @@ class HybridPlant(MujocoPlant):
         self._acting = np.empty((self.substeps, self.n, 4))
         c, model = self.contacts, self.model
         left = np.empty(self.n, int)
-        self._results = _Results(self.state, c.near, c.touch, c.force, self.in_engine, left)
+        self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, left)
         self._engine = _Engine(
             *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
             # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
             np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
             model.actuator_history[:, 0],
             model.actuator_historyadr,
+            self._load_joint,
         )
         self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, np.array(self._mocap))
         self._kernel_vehicles = _Vehicles(
@@ -208,6 +211,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height)
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(results.state[i], y)
+        equations.take_load(s, results.load, i, v)
         out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):
             if step == 0 or not held:
@@ -237,8 +241,11 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         if abs(y[YAW]) > math.pi:
             y[YAW] -= 2.0 * math.pi * round(y[YAW] / (2.0 * math.pi))
         equations.unpack_state(y, results.state[i])
+        equations.give_load(s, results.load, i)
         results.near[i], results.touch[i], results.force[i] = False, False, 0.0
         _write(i, results.state[i], substeps, dt, engine)
+        if len(results.load) > 0:
+            write_load(results.load[i], engine.load_joint, engine.qpos[i], engine.qvel[i])
     return count
 
 

@@ -90,6 +90,7 @@ class MujocoPlant(Plant):
             "keep_out": keep_out,
             "torque_limit": torque_limit,
             "moving": moving,
+            "loaded": len(self.load) > 0,
         }
         if self.pool:
             options["pooled"] = max(
@@ -105,6 +106,7 @@ class MujocoPlant(Plant):
         bind = self.batch.bind
         self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self._load_joint = load_joint(self.model)
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
         self.platforms = None  # of a moving plant
@@ -247,6 +249,17 @@ class MujocoPlant(Plant):
         self._warning[ids] = 0
         self._place_platforms(ids)
         self._begin(ids, state)
+        self._write_loads(ids)
+
+    def set_load(self, ids, direction, rate=0.0) -> None:
+        """See `Plant.set_load`."""
+        super().set_load(ids, direction, rate)
+        self._write_loads(self._everyone[ids])
+
+    def _write_loads(self, ids) -> None:
+        """Write `load` of the vehicles `ids` into the engine's joints, beside their attitudes and rates."""
+        if len(self.load):
+            _write_loads(ids, self.load, self._load_joint, self._qpos, self._qvel)
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
@@ -313,6 +326,7 @@ class MujocoPlant(Plant):
         if self.delays.of_commands:
             wanted = self.delays.acting(0.0, self.control_period / self.substeps)
         _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
+        self._write_loads(self._everyone[own])  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
         """The engine's steps of one control period of the vehicles `ids`, read back; see `advance`."""
@@ -328,6 +342,8 @@ class MujocoPlant(Plant):
         c, zone = self.contacts, self.keep_out > 0.0
         _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
         _read_state(stepped, self._qpos, self._qvel, self._act, self.state)
+        if len(self.load):
+            _read_loads(stepped, self.load, self._load_joint, self._qpos, self._qvel)
         return seen if record else {}
 
     def _disturb(self, disturbance: Disturbance, own) -> np.ndarray:
@@ -387,6 +403,12 @@ def _differing(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
     return fields
 
 
+def load_joint(model: mujoco.MjModel) -> np.ndarray:
+    """Return the first columns (2,) of the slung load's joint in qpos and qvel; -1 where there is none."""
+    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load")
+    return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
+
+
 def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
     data = mujoco.MjData(model)
@@ -418,6 +440,64 @@ def _read_state(ids, qpos, qvel, act, state):
             s[j], s[VX + j], s[WX + j] = q[j], qvel[i, j], qvel[i, 3 + j]
         s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
         s[LAG] = act[i, 0]
+
+
+@numba.njit(cache=True)
+def write_load(load, joint, qpos, qvel):
+    """Write a slung load (6,), see `Plant.load`, into a vehicle's rows qpos and qvel; see `load_joint`.
+
+    The joint has the load's attitude and rates in those of the vehicle. About the string it does not turn.
+    """
+    q, w = np.array((load[0], load[1], load[2])), np.array((load[3], load[4], load[5]))
+    # Shortest turn from straight down to q: (1 - q_z, (0, 0, -1) x q), normalised; upside down any half turn.
+    turn = np.array((1.0 - q[2], q[1], -q[0], 0.0))
+    size = math.sqrt((turn**2).sum())
+    turn = turn / size if size > 1e-9 else np.array((0.0, 1.0, 0.0, 0.0))
+    # q_joint = conj(q_vehicle) q_load
+    a, b, c, d = qpos[3], -qpos[4], -qpos[5], -qpos[6]
+    at, dof = joint[0], joint[1]
+    qpos[at] = a * turn[0] - b * turn[1] - c * turn[2] - d * turn[3]
+    qpos[at + 1] = a * turn[1] + b * turn[0] + c * turn[3] - d * turn[2]
+    qpos[at + 2] = a * turn[2] - b * turn[3] + c * turn[0] + d * turn[1]
+    qpos[at + 3] = a * turn[3] + b * turn[2] - c * turn[1] + d * turn[0]
+    # In the load's axes: R_load' (q x q') - R_joint' w_vehicle
+    own = matrix(turn).T @ np.cross(q, w)
+    carried = matrix(qpos[at : at + 4]).T @ np.array((qvel[3], qvel[4], qvel[5]))
+    for k in range(3):
+        qvel[dof + k] = own[k] - carried[k]
+
+
+@numba.njit(cache=True)
+def matrix(q):
+    """Return the rotation matrix (3, 3) of a quaternion (4,), here of any length."""
+    w, x, y, z = q / math.sqrt((q**2).sum())
+    return np.array(
+        (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        )
+    )
+
+
+@numba.njit(cache=True)
+def _write_loads(ids, load, joint, qpos, qvel):
+    for i in ids:
+        write_load(load[i], joint, qpos[i], qvel[i])
+
+
+@numba.njit(cache=True)
+def _read_loads(ids, load, joint, qpos, qvel):
+    """Write the slung loads (n, 6) of the vehicles `ids` from the engine's arrays."""
+    for i in ids:
+        at, dof = joint[0], joint[1]
+        turned = matrix(qpos[i, at : at + 4])
+        world = matrix(qpos[i, 3:7]) @ turned
+        # q = -R_load e_z; q' = w x q with w = R_load (w_joint + R_joint' w_vehicle)
+        carried = turned.T @ np.array((qvel[i, 3], qvel[i, 4], qvel[i, 5]))
+        w = world @ np.array((qvel[i, dof], qvel[i, dof + 1], qvel[i, dof + 2])) + world @ carried
+        q = -world[:, 2]
+        load[i, :3], load[i, 3:] = q, np.cross(w, q)
 
 
 @numba.njit(cache=True)

@@ -20,6 +20,7 @@ from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
+from inclined_landing.models.load import advance
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -151,17 +152,24 @@ def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
     """Write positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
     position, velocity, rotation, attitude = measured
     v, f = vehicle[0], np.zeros(5)
+    share, load = v.effects.load_mass / (v.body.mass + v.effects.load_mass), np.zeros(6)
+    load[2] = -1.0  # hanging at rest
     lag = pwm[0] / v.thrust.lag_rate
-    moved, speed = np.zeros(3), np.zeros(3)
+    moved, speed, force = np.zeros(3), np.zeros(3), np.zeros(3)
     out[0, 0] = out[0, 1] = out[0, 2] = 0.0
     for k in range(pwm.shape[0]):
         u = pwm[k]
         lag, mean = lag_step(lag, u, dt, v)
         r = rotation[k]
         wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
-        # a = R f/m - (0, 0, g); x += dt (v + dt/2 a), v += dt a
+        # a = R f/m - (0, 0, g), and the pull of a load; x += dt (v + dt/2 a), v += dt a
         for i in range(3):
-            a = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
+            force[i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
+        if share != 0.0:
+            length = v.effects.load_length
+            force[0], force[1], force[2] = advance(load, force[0], force[1], force[2], share, length, dt)
+        for i in range(3):
+            a = force[i]
             if i == 2:
                 a -= v.environment.gravity
             moved[i] += dt * (speed[i] + 0.5 * dt * a)

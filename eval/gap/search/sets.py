@@ -30,6 +30,8 @@ from inclined_landing.eval.gap.search.posterior import (
     slab_deviations,
 )
 
+SAME_RATIO = frozenset(("mass", "thrust_scale"))
+LEFT_OUT = 30.0  # nat
 PRIOR_EMPTY = 0.5  # prior probability of the empty set
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
@@ -195,10 +197,14 @@ def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
 
 
 def log_prior(problem: Problem, names: EffectSet) -> float:
-    """Return the log prior of a set, up to a constant: independent Bernoulli effects of equal odds."""
+    """Return the log prior of a set, up to a constant: independent Bernoulli effects of equal odds.
+
+    Not both of SAME_RATIO: free flight shows the ratio of thrust to mass alone.
+    """
     # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
     share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
-    return len(names) * math.log(share / (1.0 - share))
+    both = len(SAME_RATIO) if names >= SAME_RATIO else 0
+    return len(names) * math.log(share / (1.0 - share)) - both * LEFT_OUT
 
 
 def _fit_set(

@@ -1,4 +1,4 @@
-"""`causes`: known causes in real flights of five laboratories against the names that the gap workflow gives."""
+"""`causes`: known causes in real flights of five laboratories against what the gap workflow names."""
 
 from __future__ import annotations
 
