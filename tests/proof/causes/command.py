@@ -53,7 +53,7 @@ def command(
         for job in as_completed(jobs):
             row, result = jobs[job], job.result()
             storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
-            print(page.line(result), file=sys.stderr)
+            print(page.line(result), file=sys.stderr, flush=True)
     results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
     page.write(out, results)
     print(page.summary_text(results))

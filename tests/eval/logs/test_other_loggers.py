@@ -1,0 +1,185 @@
+"""Logs of others: the older micro-SD format, rotor speeds, requests of the motors, lists."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from inclined_landing.eval.logs import read_log, sd_card
+from inclined_landing.eval.logs.read import write_log
+from inclined_landing.models.errors import UserError
+
+
+def old_log(rows: list[tuple], names: str) -> bytes:
+    """A log of the micro-SD deck before 2020, in blocks of at most three rows."""
+    listed = names.split()
+    data = bytes([len(listed)]) + "".join(f"{name}," for name in listed).encode() + b"\0\0\0\0"
+    row = "<" + "".join(name[-2] for name in listed)
+    for k in range(0, len(rows), 3):
+        block = bytes([len(rows[k : k + 3])]) + b"".join(struct.pack(row, *r) for r in rows[k : k + 3])
+        data += block + struct.pack("<I", ~zlib.crc32(block) & 0xFFFFFFFF)
+    return data
+
+
+NAMES = "tick(I) stateEstimateZ.x(h) stateEstimateZ.quat(I) motor.f1(f)"
+
+
+def compressed(q: np.ndarray) -> int:
+    """A quaternion x, y, z, w in 32 bits: index of the largest, then sign and nine bits of the others."""
+    largest = int(np.argmax(np.abs(q)))
+    q = q * np.sign(q[largest])
+    bits = largest
+    for k in range(4):
+        if k != largest:
+            bits = bits << 10 | (q[k] < 0) << 9 | round(abs(q[k]) * 511 * np.sqrt(2))
+    return bits
+
+
+def test_the_older_micro_sd_format_is_read(tmp_path):
+    q = np.array([0.1, -0.2, 0.05, 0.0])
+    q[3] = np.sqrt(1 - q @ q)
+    path = tmp_path / "cf50_04"
+    rows = [(1_000_000 + 10_000 * k, 100 + k, compressed(q), 0.08) for k in range(7)]
+    path.write_bytes(old_log(rows, NAMES))
+    record = sd_card.read(path)
+    assert sd_card.is_sd_card_log(path) and not record.notes
+    np.testing.assert_array_equal(record.columns["stateEstimateZ.x"], 100 + np.arange(7))
+    np.testing.assert_allclose(record.times["stateEstimateZ.x"], 1.0 + 0.01 * np.arange(7))
+    # Nine bits of 1/sqrt(2): half a step is 0.7e-3, and the largest number follows from the others.
+    found = [record.columns[f"stateEstimateZ.q{k}"][0] for k in "xyzw"]
+    np.testing.assert_allclose(found, q, atol=1e-3)
+
+
+@pytest.mark.parametrize("lost", [1, 6, 60])
+def test_what_is_cut_off_costs_its_block(tmp_path, lost):
+    path = tmp_path / "cf50_04"
+    rows = [(10 * k, k, 0, 0.0) for k in range(9)]
+    path.write_bytes(old_log(rows, NAMES)[:-lost])
+    record = sd_card.read(path)
+    assert len(record.columns["motor.f1"]) == (6 if lost < 47 else 3)  # 47 bytes a block
+    assert "cut short" in record.notes[0]
+    path.write_bytes(old_log(rows[:2], NAMES)[: -min(lost, 20)])
+    with pytest.raises(UserError, match="without a single whole block"):
+        sd_card.read(path)
+
+
+def sd_log(columns: dict[str, np.ndarray], step_us: int = 4000) -> bytes:
+    """A log of the current micro-SD format with one event."""
+    names = list(columns)
+    head = struct.pack("<BHHH", 0xBC, 2, 1, 7) + b"fixedFrequency\0" + struct.pack("<H", len(names))
+    head += b"".join(f"{name}(f)".encode() + b"\0" for name in names)
+    for k, row in enumerate(zip(*columns.values())):
+        head += struct.pack(f"<HQ{len(names)}f", 7, step_us * k, *row)
+    return head + struct.pack("<I", zlib.crc32(head))
+
+
+def motion(n: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) and a sideways swing (n,) of 0.3 m."""
+    t = dt * np.arange(n)
+    return t, 0.3 * np.sin(3.0 * t)
+
+
+def test_newtons_and_repeated_positions_of_the_lee_controller(tmp_path):
+    t, x = motion(2000, 0.004)
+    held = np.repeat(x[::2], 2)  # measured every second row
+    tilt = np.arctan(-9.0 * x / 9.81)
+    columns = {f"stateEstimateZ.{a}": 1000.0 * v for a, v in zip("xyz", (held, 0 * t, 0 * t + 1.0))}
+    columns |= {f"ctrlLee.rpy{a}": v for a, v in zip("xyz", (0 * t + 1e-3 * x, tilt, 0 * t))}
+    columns |= {f"ctrlLee.rpyd{a}": v for a, v in zip("xyz", (1e-3 * x, tilt, 0 * t))}
+    columns["ctrlLee.thrustSi"] = 0.311 / np.cos(tilt)
+    path = tmp_path / "log158"
+    path.write_bytes(sd_log(columns))
+    log = read_log(path)
+    assert len(log) == 1000 and any("measured less often than written" in note for note in log.notes)
+    np.testing.assert_allclose(log.command[0, 0], 65535 * 0.311 / 0.62278, rtol=1e-4)
+    np.testing.assert_allclose(log.attitude[:, 1], tilt[::2], atol=1e-4)
+    assert not log.thrust_is_measured
+
+
+def test_thrust_by_measured_rotor_speeds(tmp_path):
+    t, x = motion(1500, 0.004)
+    tilt = np.arctan(-9.0 * x / 9.81)
+    columns = {f"locSrv.{a}": v for a, v in zip("xyz", (x, 0 * t, 0 * t + 1.0))}
+    columns |= {
+        f"stateEstimate.q{a}": v for a, v in zip("xyzw", (0 * t, np.sin(tilt / 2), 0 * t, np.cos(tilt / 2)))
+    }
+    columns |= {f"rpm.m{k}": (14000.0 + 500.0 * k) / np.sqrt(np.cos(tilt)) for k in (1, 2, 3, 4)}
+    columns |= {"acc.z": 1.0 / np.cos(tilt), "pm.vbatMV": 3700.0 - t}
+    path = tmp_path / "eckart00"
+    path.write_bytes(sd_log(columns))
+    log = read_log(path)
+    assert log.thrust_is_measured and np.isnan(log.command[:, 1:]).all()
+    speeds = 14000.0 + 500.0 * np.arange(1, 5)
+    middle = np.argmin(np.abs(tilt))
+    np.testing.assert_allclose(log.rotor_speed[middle], speeds * np.pi / 30, rtol=1e-5)
+    np.testing.assert_allclose(log.command[middle, 0], 65535 * np.mean(speeds**2) / 21219.0**2, rtol=1e-5)
+    write_log(tmp_path / "tidy.csv", log)
+    again = read_log(tmp_path / "tidy.csv")
+    assert again.thrust_is_measured
+    np.testing.assert_allclose(again.command[:, 0], log.command[:, 0])
+    np.testing.assert_allclose(again.rotor_speed, log.rotor_speed)
+
+
+def test_attitude_and_requests_from_the_controllers(tmp_path):
+    """The attitude that makes the commanded rates of the firmware's PID, and its power distribution."""
+    dt = 0.01
+    t, x = motion(1000, dt)
+    pitch = np.degrees(np.arctan(-9.0 * x / 9.81))
+    roll, wanted = 0.2 * pitch, 1.1 * pitch
+    rates = {}
+    for name, angle in (("roll", roll), ("pitch", pitch)):
+        error = wanted - angle
+        rates[name] = 6.0 * error + 3.0 * dt * np.r_[0.0, np.cumsum(error)[:-1]]
+    columns = {f"stateEstimate.{a}": v for a, v in zip("xyz", (x, 0 * t, 0 * t + 1.0))}
+    columns |= {"controller.roll": wanted, "controller.pitch": -wanted}
+    columns |= {"controller.rollRate": rates["roll"], "controller.pitchRate": -rates["pitch"]}
+    columns |= {f"controller.r_{a}": 0 * t for a in ("roll", "pitch", "yaw")}
+    columns |= {"controller.cmd_thrust": 40000.0 + 100.0 * x}
+    columns |= {"controller.cmd_roll": 0 * t + 2000.0, "controller.cmd_pitch": 0 * t + 600.0}
+    columns |= {"controller.cmd_yaw": 0 * t + 50.0}
+    path = tmp_path / "E8_log00"
+    path.write_bytes(sd_log(columns, 10_000))
+    log = read_log(path, check=False)
+    # Convention ZYX to ZXY at angles of 0.05 rad: second order.
+    np.testing.assert_allclose(log.attitude[:, :2], np.radians(np.c_[roll, pitch]), atol=5e-3)
+    by_hand = 40000.0 + np.array([-1000 + 300 + 50, -1000 - 300 - 50, 1000 - 300 + 50, 1000 + 300 - 50])
+    np.testing.assert_allclose(log.requests[0], by_hand, atol=0.1)
+
+
+def test_columns_of_lists(tmp_path):
+    t, x = motion(400, 0.02)
+    tilt = np.arctan(-9.0 * x / 9.81)
+    path = tmp_path / "custom_figure8_baseline_nowind.csv"
+    rows = [",t,p,v,q,T_sp,q_sp,hover_throttle"]
+    for k in range(len(t)):
+        half = 0.5 * tilt[k]
+        q = f'"[0.0, {np.sin(half):.6f}, 0.0, {np.cos(half):.6f}]"'
+        thrust = 0.48 / np.cos(tilt[k])
+        rows.append(
+            f'{k},{t[k]:.3f},"[{x[k]:.5f}, {1e-4 * x[k]:.7f}, 2.0]","[0, 0, 0]",{q},[{thrust:.5f}],{q},[0.48]'
+        )
+    path.write_text("\n".join(rows) + "\n")
+    log = read_log(path, check=False)
+    np.testing.assert_allclose(log.command[:, 0], 65535 * 0.48 / np.cos(tilt) / 1.25, rtol=1e-4)
+    np.testing.assert_allclose(log.command[:, 2], tilt, atol=1e-5)
+    np.testing.assert_allclose(log.position[:, 0], x, atol=1e-5)
+    path.write_text(path.read_text().replace('"[0, 0, 0]"', '"[0, 0]"', 1))
+    with pytest.raises(UserError, match="the lists in column v are not all of one length"):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ('cmd_thrust_pwm = { mean_square = ["a", "b"] }', "mean_square needs full"),
+        ('x = { column = "x", full = 2.0 }', "full is for a thrust command or a request"),
+        ('cmd_thrust_pwm = { column = "a", full = 2.0, unit = "PWM" }', "in place of a unit"),
+        ('cmd_thrust_pwm = { column = "a", full = 0.0 }', "full"),
+    ],
+)
+def test_wrong_mappings_are_one_sentence(tmp_path, line, sentence):
+    (tmp_path / "map.toml").write_text(f"[columns]\n{line}\n")
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
+    with pytest.raises(UserError, match=sentence):
+        read_log(tmp_path / "a.csv", mapping=tmp_path / "map.toml")
