@@ -62,8 +62,8 @@ class Parameter:
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
-    # By how much [unit] it differs between flights of one vehicle, where the motors' requests show it: a battery
-    # never sits twice in one place.
+    # By how much [unit] it differs between flights of one vehicle, where requests of the motors show it: a
+    # battery never sits twice in one place.
     placement: float = 0.0
     step: float = 0.0  # over which a fit takes slopes; 0: negligible
 
