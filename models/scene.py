@@ -35,10 +35,10 @@ _WALL_HALF_THICKNESS = 0.01  # m
 _DECK_INERTIA = 1e5
 _DECK_TOLERANCE = 1e-15
 # Of a slung load: share of its moment of inertia that its own size adds, least moment that the engine takes
-# [kg m2], mass [kg] that stands for none (of a Crazyflie's weight 3e-9); drawn as wide as steel of its mass.
+# [kg m2], mass [kg] that stands for none (of a Crazyflie's weight 3e-9); drawn as large as sand of its mass.
 _POINT, _LEAST_INERTIA, _NO_LOAD = 1e-7, 1e-13, 1e-10
-_LOAD_DENSITY = 7800.0  # kg/m3
-_STRING_RADIUS = 0.0006  # m, drawn
+_LOAD_DENSITY = 2000.0  # kg/m3, drawn
+_STRING_RADIUS = 0.0015  # m, drawn
 _DECK_SLIDES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 _DECK_HINGES = {
     "yaw": (0, 0, 1),

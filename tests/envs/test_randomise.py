@@ -68,7 +68,7 @@ def test_a_file_of_ranges(tmp_path):
     ("", r"has no range, like \[effects.thrust_scale\] with scale = \[0.8, 1.1\]"),
     ("nominal = 0.5", "has no range"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
-    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; known are 33, such as thrust_"),
+    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; known are 39, such as thrust_"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; it has scale"),
     ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),
     ("[effects]\nthrust = [1, 2]", "effects.thrust is neither an effect with parameters, .* nor an entry"),
@@ -184,10 +184,15 @@ def test_policies_fly_the_assigned_vehicles():
 
 
 def test_robust_spans_the_library():
-    """Every effect at its plausible size lies in its ranges, thrust from 0.78 to 1.12; seeds can be drawn."""
+    """Every effect at its plausible size lies in its ranges, thrust from 0.78 to 1.12; seeds can be drawn.
+
+    The shipped policies were trained with these ranges: later effects of the library are not in them.
+    """
     ranges = read_ranges("robust")
-    assert list(ranges.effects) == list(LIBRARY) and "robust" in randomise.shipped()
-    for name, effect in LIBRARY.items():
+    later = {*(f"weak_rotor_{k}" for k in range(1, 5)), "yaw_imbalance", "slung_load"}
+    library = {name: effect for name, effect in LIBRARY.items() if name not in later}
+    assert list(ranges.effects) == list(library) and "robust" in randomise.shipped()
+    for name, effect in library.items():
         for parameter in effect.parameters:
             low, high = ranges.effects[name][parameter.name]
             assert low <= parameter.plausible <= high, (name, parameter.name)

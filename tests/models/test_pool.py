@@ -12,7 +12,9 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
-EFFECTS = {name: effect.apply(V, effect.plausible) for name, effect in LIBRARY.items()}
+# Without loads: scenes with one have a body more, see `test_vehicles_with_and_without_loads_share_a_plant`.
+UNLOADED = [effect for effect in LIBRARY.values() if effect.name != "slung_load"]
+EFFECTS = {effect.name: effect.apply(V, effect.plausible) for effect in UNLOADED}
 FIELDS = {
     "mass": V.changed(body_mass=0.028),
     "inertia": V.changed(body_inertia=(2e-5, 1.5e-5, 3e-5)),
@@ -27,7 +29,12 @@ FIELDS = {
         disturbance_acceleration=(0.5, 0.1, 0.2), disturbance_acceleration_time=(0.3, 0.3, 0.3)
     ),
     "two delays": V.changed(effects_thrust_delay=0.013, effects_attitude_delay=0.047),
-    "all at once": functools.reduce(lambda v, e: e.apply(v, e.plausible), LIBRARY.values(), V),
+    "all at once": functools.reduce(lambda v, e: e.apply(v, e.plausible), UNLOADED, V),
+}
+LOADED = {
+    "light": V.changed(effects_load_mass=0.002, effects_load_length=0.3),
+    "heavy": V.changed(effects_load_mass=0.02, effects_load_length=1.2),
+    "all at once": LIBRARY["slung_load"].apply(FIELDS["all at once"], {"mass": 0.004, "length": 0.2}),
 }
 POOL = {**EFFECTS, **FIELDS}
 STEPS = 50
@@ -69,19 +76,34 @@ def commands(steps=STEPS, seed=0):
 
 
 @pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC, HYBRID])
-def test_each_flies_as_in_a_plant_of_its_own(kind, options):
+@pytest.mark.parametrize("members", [POOL, LOADED], ids=["pool", "loaded"])
+def test_each_flies_as_in_a_plant_of_its_own(kind, options, members):
     """Bit for bit: equations, engine's model and command histories are the same numbers."""
-    pool = list(POOL.values())
-    together = begin(make_plant(kind, len(pool), V, pool=pool, **options), np.arange(1, len(pool) + 1))
+    pool = list(members.values())
+    own = V if members is POOL else LOADED["light"]
+    together = begin(make_plant(kind, len(pool), own, pool=pool, **options), np.arange(1, len(pool) + 1))
     found = flight(together, commands())
     for k, vehicle in enumerate(pool):
         alone = make_plant(kind, 1, vehicle, **options)
         alone.set_platform(np.arange(1), alone.inclination)
         alone.reset(np.arange(1), starts(1))
         expected = flight(alone, commands())[0]
-        np.testing.assert_array_equal(found[k], expected, err_msg=list(POOL)[k])
+        np.testing.assert_array_equal(found[k], expected, err_msg=list(members)[k])
     touched = found[:, :, 26 : 26 + 9].any(axis=(1, 2))
     assert touched.mean() > 0.25
+
+
+@pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC, HYBRID])
+def test_vehicles_with_and_without_loads_share_a_plant(kind, options):
+    """In the engine whoever has none carries 1e-10 kg: in the air 3e-8 m/s2, for 0.2 s."""
+    pool = [LOADED["heavy"], FIELDS["mass"]]
+    together = begin(make_plant(kind, 3, V, pool=pool, **options), [0, 1, 2])
+    found = flight(together, commands(10))[..., :13]
+    for k, vehicle in enumerate((V, *pool)):
+        alone = make_plant(kind, 1, vehicle, **options)
+        alone.set_platform(np.arange(1), alone.inclination)
+        alone.reset(np.arange(1), starts(1))
+        np.testing.assert_allclose(found[k], flight(alone, commands(10))[0, :, :13], rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])

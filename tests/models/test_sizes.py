@@ -44,7 +44,7 @@ def test_each_size_flies_and_touches_as_in_a_plant_of_its_own(kind):
     touched = together[:, :, 13:22].any(axis=2)
     assert touched.any(axis=1).all()
     height = [rows[first, Z] for rows, first in zip(together, touched.argmax(axis=1))]
-    big = NAMES.index("hummingbird")
+    big = int(np.argmax([vehicle.rotor_arm + vehicle.rotor_radius for vehicle in FLEET]))
     assert height[big] > max(np.delete(height, big)) + 0.02  # its rotors reach the slab first
 
 

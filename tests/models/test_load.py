@@ -1,0 +1,265 @@
+"""The slung load: a pendulum under a moving vehicle, in equations and engine."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from inclined_landing.envs.rendering import make_renderer
+from inclined_landing.eval.truth.equivalence.flying import largest_gaps
+from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
+from inclined_landing.eval.truth.equivalence.sequences import full_steps
+from inclined_landing.models import equations, load
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Z
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import MujocoPlant, make_plant
+from inclined_landing.models.scene import build_spec
+
+SHIPPED = load_vehicle()
+MASS, LENGTH = 0.005, 0.4
+V = SHIPPED.changed(effects_load_mass=MASS, effects_load_length=LENGTH)
+AIRLESS = V.changed(drag_coefficients=(0.0, 0.0, 0.0))
+G, M = V.environment_gravity, V.body_mass
+SHARE = MASS / (M + MASS)
+SWING = math.sqrt(G / LENGTH * (1.0 + MASS / M))  # rad/s, of a small swing under a hovering vehicle
+STEP = 0.004  # s, of engine and equations
+PLANTS = [
+    pytest.param("analytic", {"attitude": "rate_loop", "substeps": 5}, id="analytic"),
+    pytest.param("analytic", {"substeps": 5}, id="analytic kinematic"),
+    pytest.param("mujoco", {}, id="mujoco"),
+    pytest.param("mujoco", {"attitude": "kinematic"}, id="mujoco kinematic"),
+    pytest.param("hybrid", {}, id="hybrid"),
+]
+
+
+def aloft(kind, options, vehicle=AIRLESS, n=1):
+    """A plant whose vehicles hover 50 m above the floor, without a platform."""
+    plant, state = make_plant(kind, n, vehicle, **options), np.zeros((n, 13))
+    plant.set_platform(np.arange(n), 0.0, False)
+    state[:, Z], state[:, LAG] = 50.0, vehicle.hover_lag
+    plant.reset(np.arange(n), state)
+    return plant
+
+
+def flown(plant, steps, pwm):
+    """States and loads (steps + 1, 19) of one vehicle held level at a PWM."""
+    rows = [np.concatenate([plant.state[0], plant.load[0]])]
+    for _ in range(steps):
+        plant.step(np.array([[pwm, 0.0, 0.0, 0.0]]))
+        rows.append(np.concatenate([plant.state[0], plant.load[0]]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("kind, options", PLANTS)
+def test_the_rotors_carry_both(kind, options):
+    plant = aloft(kind, options)
+    assert equations.settled_hover(AIRLESS) == pytest.approx(AIRLESS.hover_pwm, rel=1e-12)
+    assert AIRLESS.hover_pwm == pytest.approx(SHIPPED.hover_pwm * (1.0 + MASS / M), rel=1e-12)
+    rows = flown(plant, 100, AIRLESS.hover_pwm)
+    # Forces cancel to roundings of g, 2e-15 m/s2, over 2 s.
+    np.testing.assert_allclose(rows[-1, VX : VZ + 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(rows[-1, 13:], load.HANGING, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind, options", PLANTS)
+def test_a_small_swing_has_its_frequency(kind, options):
+    """q_x = e cos(w t), w^2 = g/L (1 + m_l/m), and the vehicle moves against it about the common centre."""
+    e, steps = 0.01, 150
+    plant = aloft(kind, options)
+    plant.set_load([0], [math.sin(e), 0.0, -math.cos(e)])
+    rows = flown(plant, steps, AIRLESS.hover_pwm)
+    wanted = e * np.cos(SWING * 0.02 * np.arange(steps + 1))
+    # An amplitude e slows it by a share of e^2/4 at most: over 3 s, 16 rad, by 4e-4 e.
+    np.testing.assert_allclose(rows[:, 13], wanted, atol=4e-4 * e)
+    centre = rows[:, X] + SHARE * LENGTH * rows[:, 13]
+    assert np.ptp(centre) < 1e-9 and np.ptp(rows[:, X]) > 1.9 * SHARE * LENGTH * e
+
+
+def energy(rows, thrust):
+    """Energy (k,) [J] of vehicle and load, that of a constant upward thrust [N] included."""
+    q, rate = rows[:, 13:16], rows[:, 16:]
+    loads = rows[:, VX : VZ + 1] + LENGTH * rate
+    moving = M * (rows[:, VX : VZ + 1] ** 2).sum(axis=1) + MASS * (loads**2).sum(axis=1)
+    return 0.5 * moving + (M * G - thrust) * rows[:, Z] + MASS * G * (rows[:, Z] + LENGTH * q[:, 2])
+
+
+@pytest.mark.parametrize("kind, options", PLANTS)
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_energy_is_conserved(kind, options, share):
+    """A wide swing on all sides, under a vehicle in hover and one that falls; the string stays taut."""
+    plant, pwm = aloft(kind, options), share * AIRLESS.hover_pwm
+    state = plant.state.copy()
+    state[:, LAG] *= share
+    plant.reset([0], state)
+    plant.set_load([0], [math.sin(1.0), 0.0, -math.cos(1.0)], [0.0, 3.0, 0.0])
+    rows = flown(plant, 100, pwm)
+    total = energy(rows, share * (M + MASS) * G)
+    # An RK4 step is off by (w h)^5/120, 5.3 rad/s at most, in 500 steps by 2e-8. In the engine the load's own
+    # moment of inertia, 1e-7 of that about the joint, turns with it.
+    scale = MASS * G * LENGTH
+    assert np.abs(total - total[0]).max() < (2e-8 if kind == "analytic" else 1e-7) * scale
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 13:16], axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose((rows[:, 13:16] * rows[:, 16:]).sum(axis=1), 0.0, atol=1e-9)
+    upward = share * (M + MASS) * G / M
+    tension = [M * load.pull(*row[13:], 0.0, 0.0, upward, SHARE, LENGTH) for row in rows]
+    assert min(tension) > 0.0
+
+
+def test_a_load_at_rest_pulls_with_its_weight():
+    """At L q'^2 = 0 under a hovering vehicle; and turning with it, with the force of the circle."""
+    assert M * load.pull(*load.HANGING, 0.0, 0.0, G / (1.0 - SHARE), SHARE, LENGTH) == pytest.approx(MASS * G)
+    reduced = M * MASS / (M + MASS)
+    whirl = load.pull(0.0, 0.0, -1.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0, SHARE, LENGTH)
+    assert M * whirl == pytest.approx(reduced * LENGTH * 100.0)
+
+
+def test_both_plants_fly_it_alike():
+    """Full commands for 3 s, from swings of all directions, motors and masses that differ, in moving air."""
+    n, rng = 8, np.random.default_rng(2)
+    vehicle = V.changed(
+        disturbance_acceleration=(0.5, 0.3, 0.4), disturbance_acceleration_time=(0.2, 0.3, 0.1)
+    )
+    commands = full_steps(SHIPPED, n, np.random.default_rng(4))[:150]
+    direction, rate = rng.normal(size=(n, 3)) - [0.0, 0.0, 2.0], rng.normal(size=(n, 3)) * 3.0
+    flights = []
+    for kind, options in (
+        ("analytic", {"attitude": "rate_loop", "substeps": 5}),
+        ("mujoco", {"torque_limit": False}),
+        ("hybrid", {"torque_limit": False}),
+    ):
+        plant = aloft(kind, options | {"disturbance": 5}, vehicle, n)
+        plant.perturb(mass_scale=np.linspace(0.8, 1.2, n), thrust_scale=np.linspace(1.1, 0.9, n))
+        plant.set_load(np.arange(n), direction, rate)
+        rows = []
+        for row in commands:
+            plant.step(row)
+            rows.append(np.concatenate([plant.state, plant.load], axis=1))
+        flights.append(np.array(rows))
+    metres, degrees = FLIGHT_LIMITS["rate_loop"]
+    for other in flights[1:]:
+        position, angle = largest_gaps(flights[0][..., :13], other[..., :13])
+        assert position < metres and angle < degrees
+        # The load's way is the vehicle's and LENGTH times its direction's.
+        np.testing.assert_allclose(flights[0][..., 13:16], other[..., 13:16], atol=metres / LENGTH)
+    assert plant.in_engine.sum() == 0 and np.abs(flights[0][..., 16:]).max() > 5.0
+
+
+@pytest.mark.parametrize("length", [0.1, 0.5])
+def test_a_step_along_a_measured_attitude_follows_the_equations(length):
+    """`advance` at 10 ms with forces held over each step, against 100 steps of 0.1 ms."""
+    rng = np.random.default_rng(3)
+    force = np.cumsum(rng.normal(size=(300, 3)), axis=0) * 0.3
+    force = np.clip(force, -6.0, 6.0) + [0.0, 0.0, G]  # m/s2, of up to 17 m/s2
+    coarse, fine = (np.array([0.6, 0.0, -0.8, 0.0, 1.0, 0.0]) for _ in range(2))
+    speed, wanted = np.zeros(3), np.zeros(3)
+    for a in force:
+        speed += 0.01 * np.array(load.advance(coarse, *a, SHARE, length, 0.01))
+        for _ in range(100):
+            wanted += 1e-4 * np.array(load.advance(fine, *a, SHARE, length, 1e-4))
+    # A phase of sqrt(17/0.1) 0.01 = 0.13 a step: 0.13^5/120 = 3e-7 in each of 300; speed: SHARE L w of it.
+    error = 300 * (math.sqrt(17.0 / length) * 0.01) ** 5 / 120
+    assert np.abs(coarse[:3] - fine[:3]).max() < error
+    assert np.abs(speed - wanted).max() < error * SHARE * math.sqrt(17.0 * length)
+
+
+def test_a_step_without_load_is_the_force_itself():
+    free = np.array(load.HANGING)
+    assert load.advance(free, 1.0, -2.0, 9.0, 0.0, 0.3, 0.01) == (1.0, -2.0, 9.0)
+    assert abs(free[0]) > 1e-5  # and the string swings, so that slopes in the mass at none are right
+
+
+@pytest.mark.parametrize("kind, options", PLANTS)
+def test_resets_and_snapshots_have_the_load(kind, options):
+    plant, commands = aloft(kind, options, V, 3), full_steps(V, 3, np.random.default_rng(1))[:30]
+
+    def history(begin=0):
+        rows = []
+        for row in commands[begin:]:
+            plant.step(row)
+            rows.append(np.concatenate([plant.state, plant.load], axis=1))
+        return np.array(rows)
+
+    start = plant.state.copy()
+    plant.set_load([1], [1.0, 1.0, -1.0], [2.0, 0.0, 0.0])
+    np.testing.assert_allclose(plant.load[1, :3], np.array([1, 1, -1]) / math.sqrt(3.0))
+    np.testing.assert_allclose(plant.load[1, 3:], np.array([2.0, 0, 0]) - 2.0 / 3.0 * np.array([1, 1, -1]))
+    first = history()
+    np.testing.assert_array_equal(first[:, 0, 13:] == first[:, 1, 13:], False)
+    plant.reset(np.arange(3), start)
+    np.testing.assert_array_equal(plant.load, load.hanging(3))
+    plant.set_load(np.array([False, True, False]), [1.0, 1.0, -1.0], [2.0, 0.0, 0.0])
+    np.testing.assert_array_equal(history(), first)
+    plant.reset(np.arange(3), start)
+    plant.set_load([1], [1.0, 1.0, -1.0], [2.0, 0.0, 0.0])
+    for row in commands[:10]:
+        plant.step(row)
+    snapshot = plant.save()
+    history(20)
+    plant.restore(snapshot)
+    np.testing.assert_array_equal(history(10), first[10:])
+
+
+@pytest.mark.parametrize("kind, options", PLANTS)
+def test_a_load_that_is_not_there_cannot_be_put_anywhere(kind, options):
+    with pytest.raises(UserError, match="no vehicle of this plant has a slung load"):
+        aloft(kind, options, SHIPPED).set_load([0], [0.0, 0.0, -1.0])
+    plant = aloft(kind, options)
+    for direction in ([0.0, 0.0, 0.0], [math.nan, 0.0, 1.0]):
+        with pytest.raises(UserError, match="direction of a slung load must be finite numbers"):
+            plant.set_load([0], direction)
+    np.testing.assert_array_equal(plant.load, load.hanging(1))
+
+
+def test_strings_that_steps_cannot_follow_are_refused():
+    with pytest.raises(
+        UserError, match=r"the swing of a load on effects\.load_length of 130 1/s is too fast"
+    ):
+        make_plant("analytic", 1, V.changed(effects_load_length=0.02, effects_load_mass=0.25))
+    with pytest.raises(UserError, match=r"effects\.load_mass is -0\.001 kg; it must be from 0"):
+        make_plant("analytic", 1, V.changed(effects_load_mass=-0.001))
+
+
+def test_the_effect_adds_loads_and_goes_with_the_vehicles_mass():
+    effect = LIBRARY["slung_load"]
+    mass, length = effect.parameters
+    twice = effect.apply(
+        effect.apply(SHIPPED, {"mass": 0.002, "length": 0.3}), {"mass": 0.004, "length": 0.6}
+    )
+    assert (twice.effects_load_mass, twice.effects_load_length) == pytest.approx((0.006, 0.5))
+    less = effect.apply(V, {"mass": -MASS, "length": 1.0})
+    assert less == V.changed(effects_load_mass=0.0) and less.hover_pwm == SHIPPED.hover_pwm
+    heavier = mass.beside(SHIPPED.changed(body_mass=2.0 * M))
+    assert heavier.plausible == pytest.approx(2.0 * mass.plausible)
+    assert heavier.bounds == pytest.approx((0.0, 2.0 * mass.bounds[1]))
+    assert mass.beside(V).possible == (-MASS, mass.bounds[1])
+    # The length alone says nothing: it has no size, and is no end of two columns.
+    assert length.size(1.2) == 0.0 and effect.reference is None
+    assert effect.apply(SHIPPED, {"length": 1.2}) == SHIPPED
+
+
+def test_the_engine_has_a_body_only_for_a_load():
+    assert MujocoPlant(1, SHIPPED).model.nq == 7
+    model = MujocoPlant(1, V).model
+    assert model.nq == 11 and model.body("load").mass[0] == MASS
+    np.testing.assert_array_equal(model.body("load").ipos, [0.0, 0.0, -LENGTH])
+
+
+def test_pictures_show_string_and_load():
+    """Hanging straight down from a tilted vehicle; the string's lower end is in the load."""
+    model = build_spec(V).compile()
+    string, ball = model.geom("string"), model.geom("load")
+    assert string.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE and ball.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE
+    assert string.pos[2] - string.size[1] == pytest.approx(ball.pos[2] + ball.size[0])
+    assert not (string.contype[0] or string.conaffinity[0] or ball.contype[0] or ball.conaffinity[0])
+    state = np.zeros(13)
+    state[Z], state[ROLL], state[PITCH] = 1.9, 0.4, -0.3
+    frames = []
+    for vehicle in (V, SHIPPED):
+        with make_renderer(320, 240, "track", "ray", vehicle=vehicle) as renderer:
+            frames.append(renderer.render(state).astype(int))
+    rows, columns = np.nonzero(np.abs(frames[0] - frames[1]).sum(axis=2) > 30)
+    line = (rows > 130) & (rows < 185)  # below the vehicle, above the load and its shadow
+    assert len(np.unique(rows[line])) == 54 and np.ptp(columns[line]) <= 2
