@@ -34,7 +34,8 @@ class FittedConstant:
         return 1.0
 
 
-_WITH_THE_MASS = ("N", "kg", "kg/m")  # units of parameters whose sizes go with the vehicle's mass
+# Units of parameters whose sizes go with this power of the vehicle's mass: drag with the cross-section.
+_WITH_THE_MASS = {"N": 1.0, "kg": 1.0, "kg/m": 2.0 / 3.0}
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
 
 
@@ -103,7 +104,8 @@ class Parameter:
         coefficients grow with the vehicle's mass.
         """
         if self.unit in _WITH_THE_MASS:
-            return self._scaled(vehicle.body_mass / _shipped().body_mass)._beside(vehicle)
+            times = (vehicle.body_mass / _shipped().body_mass) ** _WITH_THE_MASS[self.unit]
+            return self._scaled(times)._beside(vehicle)
         return self._beside(vehicle)
 
     def _scaled(self, times: float) -> Parameter:

@@ -155,13 +155,15 @@ class MeasuredFlight:
 
 @dataclasses.dataclass(frozen=True)
 class MotorRequests:
-    """What was requested of the motors M1 to M4 along a flight, and how the vehicle turned."""
+    """What was requested of the motors M1 to M4 along a flight, and what the vehicle's motion needs."""
 
     differences: np.ndarray  # (m, 3) in roll, pitch and yaw, over the sum of all four: see `REQUEST_SIGNS`
-    angular_acceleration: np.ndarray  # (m, 3) rad/s2 about the body's axes, smoothed
+    torques: np.ndarray  # (m, 3) about body x and y over arm and weight, for the smoothed motion; z: 0
 
     @staticmethod
-    def of(log: FlightLog, attitude: np.ndarray, dt: float, half: int) -> MotorRequests | None:
+    def of(
+        log: FlightLog, attitude: np.ndarray, dt: float, half: int, vehicle: Vehicle
+    ) -> MotorRequests | None:
         """Return the requests of a log on an even grid; None where they were not logged, or all zero.
 
         attitude (m, 3), yaw continuous; half: rows to either side of a sample, for accelerations.
@@ -175,7 +177,11 @@ class MotorRequests:
         turning = np.empty_like(attitude)
         for k, (angles, rate, acceleration) in enumerate(zip(attitude, rates, second)):
             turning[k] = body_accelerations(angles[0], angles[1], tuple(rate), tuple(acceleration))
-        return MotorRequests(differences, turning)
+        # t = J dw/dt / (arm m g)
+        weight = vehicle.body_mass * vehicle.environment_gravity
+        torques = turning * np.array(vehicle.body_inertia) / (vehicle.rotor_arm * weight)
+        torques[:, 2] = 0.0
+        return MotorRequests(differences, torques)
 
 
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
@@ -213,7 +219,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     velocity = savgol_filter(log.position, 2 * half + 1, 2, deriv=1, delta=dt, axis=0)
     commanded = ~np.isnan(log.command).any(axis=0)
     command = np.where(np.isnan(log.command), 0.0, log.command)
-    requests = MotorRequests.of(log, attitude, dt, half)
+    requests = MotorRequests.of(log, attitude, dt, half, vehicle)
     seen, least = [log.position, attitude], [LEAST_POSITION_NOISE] * 3 + [LEAST_ANGLE_NOISE] * 3
     # Without one tilt angle the thrust's horizontal part is unknown; its vertical part hardly differs.
     logged = [*[angle_known[:2].all()] * 2, True, *(angle_known & commanded[1:])]

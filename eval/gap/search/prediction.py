@@ -34,7 +34,6 @@ UNITS_OF = {
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
-LEAST_LOAD = 0.3  # share of the weight that the motors carry at least while requests are compared
 
 
 # Fields of a vehicle that leave translation and moments as they are.
@@ -107,19 +106,11 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
 
     They are relative to the sum of all four; see `REQUEST_SIGNS`.
     """
-    # With the centre of mass at (x, y), the torques over arm times thrust F that the rotors must give:
-    #   t_roll = J_x p'/(arm F) + y/arm,  t_pitch = J_y q'/(arm F) - x/arm,  t_yaw = imbalance
+    # With the centre of mass at (x, y), the torques over arm and weight that the rotors must give:
+    #   t_roll = J_x p'/(arm m g) + y/arm,  t_pitch = J_y q'/(arm m g) - x/arm,  t_yaw = imbalance
     # and the request of a motor that has lost the share l_i:  r_i ~ (1 + sum_k s_ki t_k) / (1 - l_i)
-    thrust = np.maximum(
-        vehicle.thrust_per_pwm * flight.command[:, PWM],
-        LEAST_LOAD * vehicle.body_mass * vehicle.environment_gravity,
-    )
-    lever, turning = vehicle.rotor_arm * thrust, flight.requests.angular_acceleration
-    offset = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
-    wanted = np.zeros((flight.samples, 3))
-    wanted[:, 0] = vehicle.body_inertia[0] * turning[:, 0] / lever + offset[1]
-    wanted[:, 1] = vehicle.body_inertia[1] * turning[:, 1] / lever - offset[0]
-    wanted[:, 2] = vehicle.effects_yaw_imbalance
+    x, y = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
+    wanted = flight.requests.torques + [y, -x, vehicle.effects_yaw_imbalance]
     requested = (1.0 + wanted @ REQUEST_SIGNS) / (1.0 - np.array(vehicle.effects_rotor_loss))
     return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
 

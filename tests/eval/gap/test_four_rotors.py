@@ -21,12 +21,16 @@ DT = 0.02
 
 
 def flown(vehicle, seed: int, seconds: float = 16.0) -> FlightLog:
-    """A flight of random commands about hover in the equations, with the requests of its motors."""
+    """A flight of random commands about hover in the equations, with the requests of its motors.
+
+    Its controller has an integrator: thrust beside the centre of mass tilts it no more.
+    """
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
-    plant = AnalyticPlant(1, vehicle, attitude="rate_loop", control_period=DT, substeps=5)
+    balanced = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
+    plant = AnalyticPlant(1, balanced, attitude="rate_loop", control_period=DT, substeps=5)
     start = np.zeros((1, 13))
-    start[0, 2], start[0, 12] = 30.0, vehicle.hover_lag
+    start[0, 2], start[0, 12] = 60.0, vehicle.hover_lag
     plant.reset(np.arange(1), start)
     slow = np.repeat(rng.standard_normal((n // 20 + 1, 3)), 20, axis=0)[:n]
     commands = np.c_[vehicle.hover_pwm * (1.0 + 0.08 * slow[:, 0]), 0.15 * slow[:, 1:], np.zeros(n)]
@@ -44,13 +48,11 @@ def flown(vehicle, seed: int, seconds: float = 16.0) -> FlightLog:
     )
     # r_i ~ (1 + relative torques)/(1 - loss): here by the definition, motor by motor.
     loss, offset = np.array(vehicle.effects_rotor_loss), np.array(vehicle.effects_com_offset)
-    torques = np.array([offset[1], -offset[0], 0.0]) / vehicle.rotor_arm
-    shares = [
-        (1.0 + sum(s * t for s, t in zip(REQUEST_SIGNS[:, i], torques))) / (1.0 - loss[i]) for i in range(4)
-    ]
-    requests = (
-        commands[:, :1] * (np.array(shares) / np.mean(shares)) * (1.0 + 0.02 * rng.standard_normal((n, 4)))
-    )
+    turning = np.gradient(states[:, 9:12], DT, axis=0) * vehicle.body_inertia / (vehicle.body_mass * 9.81)
+    torques = (turning * [1.0, 1.0, 0.0] + [offset[1], -offset[0], 0.0]) / vehicle.rotor_arm
+    shares = (1.0 + torques @ REQUEST_SIGNS) / (1.0 - loss)
+    uneven = 1.0 + 0.02 * rng.standard_normal((n, 4))
+    requests = commands[:, :1] * shares / shares.mean(axis=1, keepdims=True) * uneven
     return dataclasses.replace(log, requests=requests)
 
 
@@ -77,7 +79,7 @@ def test_requests_balance_force_and_torque(change):
     flight = prepare(flown(V, 3), vehicle)
     still = dataclasses.replace(
         flight,
-        requests=dataclasses.replace(flight.requests, angular_acceleration=np.zeros((flight.samples, 3))),
+        requests=dataclasses.replace(flight.requests, torques=np.zeros((flight.samples, 3))),
     )
     wanted = requested_differences(still, vehicle)[0]
     # Requests with these differences, of mean 1; forces f_i = r_i (1 - loss_i); torque sum s_i f_i / sum f_i.
