@@ -76,8 +76,8 @@ EFFECTS = (
         formula="v_air = v - (x, y, 0)",
         source="definition",
         parameters=(
-            Parameter("x", "m/s", 0.0, (-20.0, 20.0), 0.5, 0.05),
-            Parameter("y", "m/s", 0.0, (-20.0, 20.0), -0.3, 0.05),
+            Parameter("x", "m/s", 0.0, (-20.0, 20.0), 1.0, 0.05),
+            Parameter("y", "m/s", 0.0, (-20.0, 20.0), -0.6, 0.05),
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("attitude_trim", "com_offset"),
