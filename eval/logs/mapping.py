@@ -22,6 +22,8 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.schema import Table
 
 FULL_COMMAND = 65535.0  # PWM
+# A share of rows beyond the full command that is saturation, and how far they may be; more is another unit.
+MOST_OVER, MOST_COMMAND = 0.1, 2.0
 DEEPEST = 20  # mapping files that inherit one another
 
 
@@ -285,6 +287,12 @@ def _channel(
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
         value = source.sign * scale * value + source.add
+        if source.full is not None:
+            # Controllers ask for more than there is; the motors give no more than the full command.
+            over = value > FULL_COMMAND
+            if 0.0 < over.mean() <= MOST_OVER and value[over].max() <= MOST_COMMAND * FULL_COMMAND:
+                value = np.where(over, FULL_COMMAND, value)
+                notes.append(f"{canonical} is beyond the full command in {over.sum()} rows: taken as full")
         if canonical != "t" and not (np.abs(value) < limits.LARGEST_VALUE).any():
             raise UserError(
                 f"{record.path}: column {'+'.join(found)} ({canonical}) holds no number of a flight"

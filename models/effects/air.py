@@ -76,8 +76,8 @@ EFFECTS = (
         formula="v_air = v - (x, y, 0)",
         source="definition",
         parameters=(
-            Parameter("x", "m/s", 0.0, (-20.0, 20.0), 0.5, 0.05),
-            Parameter("y", "m/s", 0.0, (-20.0, 20.0), -0.3, 0.05),
+            Parameter("x", "m/s", 0.0, (-20.0, 20.0), 1.0, 0.05),
+            Parameter("y", "m/s", 0.0, (-20.0, 20.0), -0.6, 0.05),
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("attitude_trim", "com_offset"),
@@ -129,7 +129,7 @@ EFFECTS = (
             Parameter(
                 "strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True, adds_to="effects_ground_effect"
             ),
-            Parameter("fading", "1/m", 0.0, (-1.5, 30.0), 3.0, 0.5, is_reference=True),
+            Parameter("fading", "1/m", 0.0, (0.0, 40.0), 12.0, 2.5, is_reference=True),
         ),
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),

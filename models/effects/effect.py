@@ -34,14 +34,44 @@ class FittedConstant:
         return 1.0
 
 
-# Units of parameters whose sizes go with this power of the vehicle's mass: drag with the cross-section.
-_WITH_THE_MASS = {"N": 1.0, "kg": 1.0, "kg/m": 2.0 / 3.0}
+AIR_DENSITY = 1.2  # kg/m3
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
 
 
 @functools.cache
 def _shipped() -> Vehicle:
     return load_vehicle()
+
+
+def mass(vehicle: Vehicle) -> float:
+    """Return a vehicle's mass [kg]."""
+    return vehicle.body_mass
+
+
+def hover_inflow(vehicle: Vehicle) -> float:
+    """Return the velocity [m/s] that the rotors give the air in hover, by momentum theory."""
+    # v_h = sqrt(m g / (2 rho A)),  A = 4 pi r^2
+    weight = vehicle.body_mass * vehicle.environment_gravity
+    return math.sqrt(weight / (8.0 * math.pi * AIR_DENSITY)) / vehicle.rotor_radius
+
+
+def heavy_rotor_drag(vehicle: Vehicle) -> float:
+    """Return the drag coefficient [kg/rad] at which the drag at the hover inflow would be the weight."""
+    # k = m g / (v_h n w),  w = d P + e of each motor at a P^2 + b P + c = m g / n
+    weight, n = vehicle.body_mass * vehicle.environment_gravity, vehicle.motor_count
+    a, b, c = vehicle.motor_pwm_to_force
+    d, e = vehicle.motor_pwm_to_speed
+    pwm = (math.sqrt(b * b + 4.0 * a * max(0.0, weight / n - c)) - b) / (2.0 * a)
+    return weight / (hover_inflow(vehicle) * n * (d * pwm + e))
+
+
+# Units of parameters whose sizes are those of the shipped vehicle times a power of a quantity of the vehicle.
+_SCALED_UNITS: dict[str, tuple[Callable[[Vehicle], float], float]] = {
+    **dict.fromkeys(("N", "kg"), (mass, 1.0)),
+    "kg/m": (mass, 2.0 / 3.0),  # drag goes with the cross-section
+    **{"m/s": (hover_inflow, 1.0), "s/m": (hover_inflow, -1.0), "s2/m2": (hover_inflow, -2.0)},
+    "1/m": (lambda vehicle: vehicle.rotor_radius, -1.0),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,9 +93,10 @@ class Parameter:
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
-    # By how much [unit] it differs between flights of one vehicle, where requests of the motors show it: a
+    # By how much [unit] it differs between flights of one vehicle, where the motors' requests show it: a
     # battery never sits twice in one place.
     placement: float = 0.0
+    along_the_arm: bool = False  # a length that goes with the vehicle's arms
     step: float = 0.0  # over which a fit takes slopes; 0: negligible
 
     @property
@@ -99,14 +130,16 @@ class Parameter:
     def beside(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
-        An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time or a
-        drag are absolute: as many ms as for the shipped vehicle, not the same share. Forces, masses and drag
-        coefficients grow with the vehicle's mass.
+        An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time are
+        absolute: as many ms as for the shipped vehicle, not the same share. Forces, masses and drag
+        coefficients grow with the vehicle's mass, air speeds with what its rotors give the air in hover.
         """
-        if self.unit in _WITH_THE_MASS:
-            times = (vehicle.body_mass / _shipped().body_mass) ** _WITH_THE_MASS[self.unit]
-            return self._scaled(times)._beside(vehicle)
-        return self._beside(vehicle)
+        scale, power = (
+            (lambda v: v.rotor_arm, 1.0) if self.along_the_arm else _SCALED_UNITS.get(self.unit, (None, 1.0))
+        )
+        if scale is None:
+            return self._beside(vehicle)
+        return self._scaled((scale(vehicle) / scale(_shipped())) ** power)._beside(vehicle)
 
     def _scaled(self, times: float) -> Parameter:
         """Return the parameter with all sizes `times` as large."""
@@ -117,6 +150,7 @@ class Parameter:
             negligible=self.negligible * times,
             manoeuvre=self.manoeuvre * times,
             placement=self.placement * times,
+            step=self.step * times,
         )
 
     def _beside(self, vehicle: Vehicle) -> Parameter:
@@ -128,7 +162,10 @@ class Parameter:
             return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
         if not self.is_factor or self.constant is None:
             return self
-        times = float(np.clip(self.constant.unit_of(_shipped()) / self.constant.unit_of(vehicle), 0.1, 20.0))
+        times = self.constant.unit_of(_shipped()) / self.constant.unit_of(vehicle)
+        if self.constant.field == "drag_coefficients":
+            times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(_shipped())
+        times = float(np.clip(times, 0.1, 20.0))
         plausible = 1.0 + (self.plausible - 1.0) * times
         return dataclasses.replace(
             self,

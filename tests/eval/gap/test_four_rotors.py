@@ -30,7 +30,7 @@ def flown(vehicle, seed: int, seconds: float = 16.0) -> FlightLog:
     balanced = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
     plant = AnalyticPlant(1, balanced, attitude="rate_loop", control_period=DT, substeps=5)
     start = np.zeros((1, 13))
-    start[0, 2], start[0, 12] = 60.0, vehicle.hover_lag
+    start[0, 2], start[0, 12] = 30.0, vehicle.hover_lag
     plant.reset(np.arange(1), start)
     slow = np.repeat(rng.standard_normal((n // 20 + 1, 3)), 20, axis=0)[:n]
     commands = np.c_[vehicle.hover_pwm * (1.0 + 0.08 * slow[:, 0]), 0.15 * slow[:, 1:], np.zeros(n)]

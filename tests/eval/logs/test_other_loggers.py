@@ -161,7 +161,7 @@ def test_columns_of_lists(tmp_path):
         )
     path.write_text("\n".join(rows) + "\n")
     log = read_log(path, check=False)
-    np.testing.assert_allclose(log.command[:, 0], 65535 * 0.48 / np.cos(tilt) / 1.25, rtol=1e-4)
+    np.testing.assert_allclose(log.command[:, 0], 65535 * 0.48 / np.cos(tilt), rtol=1e-4)
     np.testing.assert_allclose(log.command[:, 2], tilt, atol=1e-5)
     np.testing.assert_allclose(log.position[:, 0], x, atol=1e-5)
     path.write_text(path.read_text().replace('"[0, 0, 0]"', '"[0, 0]"', 1))
