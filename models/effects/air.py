@@ -129,7 +129,7 @@ EFFECTS = (
             Parameter(
                 "strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True, adds_to="effects_ground_effect"
             ),
-            Parameter("fading", "1/m", 0.0, (0.0, 40.0), 12.0, 2.5, is_reference=True),
+            Parameter("fading", "1/m", 0.0, (0.0, 40.0), 3.0, 2.5, is_reference=True),
         ),
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),

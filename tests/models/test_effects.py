@@ -174,7 +174,7 @@ ABOUT = [name for name, effect in LIBRARY.items() if effect.reference]
 def test_a_size_about_a_reference_is_two_sizes_about_both_of_its_sides(name):
     effect = LIBRARY[name]
     low, high = effect.reference.either_side()
-    assert effect.reference.bounds[0] <= low < effect.reference.neutral < high <= effect.reference.bounds[1]
+    assert effect.reference.bounds[0] <= low <= effect.reference.neutral < high <= effect.reference.bounds[1]
     for value in (0.12, -0.3):
         for about in (low, high, 0.3 * low + 0.7 * high, high + 0.2 * (high - low)):
             assert effect.from_ends(*effect.at_ends(value, about)) == pytest.approx((value, about), rel=1e-12)
