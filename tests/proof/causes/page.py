@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.models import storage
@@ -21,7 +22,18 @@ BARS = {
     "unknown": ("causes outside the library that are flagged", 1.0),
 }
 HEADER = (
-    *("set", "told", "flights", "verdict", "sure", "possible", "told size", "found", "error after 1 s, cm"),
+    *(
+        "set",
+        "told",
+        "flights",
+        "verdict",
+        "sure",
+        "possible",
+        "told size",
+        "found",
+        "rough",
+        "error after 1 s, cm",
+    ),
     *("tuning", "sparse regression"),
 )
 
@@ -89,7 +101,7 @@ def cells(results: Sequence[dict]) -> list[list[str]]:
     lines = []
     for r in results:
         if "error" in r:
-            lines.append([r["set"], r["name"], "", "not read: " + r["error"], *[""] * 7])
+            lines.append([r["set"], r["name"], "", "not read: " + r["error"], *[""] * 8])
             continue
         told = f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else ""
         found = ""
@@ -103,7 +115,10 @@ def cells(results: Sequence[dict]) -> list[list[str]]:
         others = [_baseline(r["baselines"].get(method)) for method in ("tuning", "sparse")]
         sure, possible = "; ".join(_names(r, True)), ", ".join(_names(r, False))
         flights = f"{r['flights'][0]} and {r['flights'][1]}"
-        lines.append([r["set"], r["name"], flights, verdict, sure, possible, told, found, error, *others])
+        rough = "" if r["rough"] is None else f"{r['rough']:.3g}"
+        lines.append(
+            [r["set"], r["name"], flights, verdict, sure, possible, told, found, rough, error, *others]
+        )
     return lines
 
 
@@ -187,5 +202,6 @@ def write(out: Path, results: Sequence[dict]) -> None:
         lines=cells(results),
         summary=summary_text(results).splitlines(),
         figure=embedded(png(figure)),
+        versions=runs.versions(),
     )
     storage.write_text(out / "report.html", page)

@@ -16,12 +16,12 @@ from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
 from inclined_landing.eval.logs import FlightLog, read_log
-from inclined_landing.eval.logs.checks import hover_command
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 from ..gap_blind import baselines
+from . import rough
 
 HALVES = ("development", "heldout")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
@@ -156,7 +156,7 @@ def answer(data: Path, row: Row) -> dict:
         "after": gap.after if gap else None,
         "seconds": time.perf_counter() - began,
         "baselines": _baselines(row, flights, known.vehicle),
-        "rough": _rough(reference, flights) if row.size and row.size["of"] == "thrust" else None,
+        "rough": _rough(row, reference, flights),
         **judged(row, d),
     }
 
@@ -176,11 +176,13 @@ def _baselines(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict
     return result
 
 
-def _rough(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
-    """Return the ratio of the hover commands of two groups: what a rough regression says of the thrust."""
-    commands = [np.array([hover_command(log) for log in logs]) for logs in (reference, flights)]
-    levels = [np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else np.nan for c in commands]
-    return float(levels[0] / levels[1]) if np.isfinite(levels).all() else None
+def _rough(row: Row, reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
+    """Return what a rough regression says of the told size, or of the dose of rotor M3."""
+    if row.dose is not None:
+        return rough.request(reference, flights, 2)
+    if row.size is None:
+        return None
+    return {"thrust": rough.thrust, "wind": rough.wind}[row.size["of"]](reference, flights)
 
 
 def _inconsistent(d: Diagnosis) -> list[str]:

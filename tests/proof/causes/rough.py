@@ -1,0 +1,89 @@
+"""What a rough regression says of a told size: minutes of work, which the workflow has to do better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from inclined_landing.eval.logs import FlightLog, motion
+from inclined_landing.eval.logs.values import MOTORS_OFF
+
+CLEARANCE = 0.1  # m above the lowest row, from which a flight that climbs is in the air
+
+
+def thrust(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
+    """Return the specific thrust per command of flights over that of the reference; None without either."""
+    levels = [
+        [x for log in logs if (x := _specific_thrust(log)) is not None] for logs in (reference, flights)
+    ]
+    return float(np.median(levels[1]) / np.median(levels[0])) if all(levels) else None
+
+
+def _specific_thrust(log: FlightLog) -> float | None:
+    parts = motion.motion(log)
+    if not parts:
+        return None
+    pwm, force, height = (np.concatenate([getattr(p, k) for p in parts]) for k in ("pwm", "force", "height"))
+    if np.ptp(height) > 2 * CLEARANCE:  # otherwise the log begins and ends in the air
+        pwm, force = (x[height > height.min() + CLEARANCE] for x in (pwm, force))
+    good = np.isfinite(pwm) & np.isfinite(force)
+    # f = slope PWM, least squares
+    return float(pwm[good] @ force[good] / (pwm[good] @ pwm[good])) if good.sum() >= motion.RATE else None
+
+
+def wind(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
+    """Return the wind along -x (m/s) of flights, the reference in still air; None without motion.
+
+    One drag, linear and quadratic in the speed through the air, explains both groups.
+    """
+    groups = [_unexplained(logs) for logs in (reference, flights)]
+    if any(len(a) < motion.RATE for a, _ in groups):
+        return None
+    a, v = (np.concatenate([group[k] for group in groups]) for k in (0, 1))
+    windy = np.arange(len(a)) >= len(groups[0][0])
+
+    # a = c - (k1 + k2 |v - w|) (v - w), w = 0 in the reference; c is what levels and trims are off
+    def error(x: np.ndarray) -> np.ndarray:
+        through = v - windy * complex(x[4], x[5])
+        e = complex(x[0], x[1]) - (x[2] + x[3] * abs(through)) * through - a
+        return np.concatenate([e.real, e.imag])
+
+    low, high = [-9.0, -9.0, 0.0, 0.0, -40.0, -40.0], [9.0, 9.0, 5.0, 5.0, 40.0, 40.0]
+    fit = least_squares(
+        error, [0.0, 0.0, 0.2, 0.01, 0.1, 0.0], bounds=(low, high), x_scale=np.array(high) / 9
+    )
+    return -float(fit.x[4])
+
+
+def _unexplained(logs: Sequence[FlightLog]) -> tuple[np.ndarray, np.ndarray]:
+    """Return horizontal acceleration that the tilt does not explain, and velocity, as x + iy in the world."""
+    found = []
+    for p in (p for log in logs for p in motion.motion(log)):
+        upward = np.maximum(p.vertical_acceleration + motion.GRAVITY, 2.0)
+        # horizontal acceleration = thrust_tilt upward exp(i yaw): the turn is had back from the two
+        turn = p.horizontal_acceleration / np.where(p.thrust_tilt == 0, 1.0, p.thrust_tilt * upward)
+        tilt = np.tan(p.tilt.real) + 1j * np.tan(p.tilt.imag)
+        a = p.horizontal_acceleration - tilt * upward * turn
+        good = np.isfinite(a) & (abs(turn) > 0.5)
+        found.append(np.stack([a[good], p.horizontal_velocity[good]]))
+    return tuple(np.concatenate(found, axis=1)) if found else (np.empty(0), np.empty(0))
+
+
+def request(reference: Sequence[FlightLog], flights: Sequence[FlightLog], rotor: int) -> float | None:
+    """Return by which share more is requested of a rotor (0 to 3) than of the others, less the reference's.
+
+    None where requests are not logged.
+    """
+    levels = [
+        [_request(log, rotor) for log in logs if log.requests is not None] for logs in (reference, flights)
+    ]
+    return float(np.median(levels[1]) / np.median(levels[0]) - 1.0) if all(levels) else None
+
+
+def _request(log: FlightLog, rotor: int) -> float:
+    """Return the request of a rotor over the mean of the others, in flight."""
+    assert log.requests is not None
+    on = log.requests[(log.requests > MOTORS_OFF).all(axis=1)]
+    return float(np.median(on[:, rotor] / np.delete(on, rotor, axis=1).mean(axis=1)))
