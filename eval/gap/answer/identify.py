@@ -223,11 +223,12 @@ def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     reference = Reference.of(around, size, inflation)
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))
-    correlation = np.abs(reference.covariance / np.outer(error, error))
+    scale = np.where(error > 0.0, error, 1.0)
+    correlation = np.abs(reference.covariance / np.outer(scale, scale))
     columns = {n: [k for k, c in enumerate(reference.columns) if c.effect == n] for n in around.library}
     result = []
     for name, own in columns.items():
-        share = float(max(error[own] / wide[own]))
+        share = float(max(np.where(error[own] > 0.0, error[own] / wide[own], 1.0)))
         others = [
             n for n, its in columns.items() if n != name and correlation[np.ix_(own, its)].max() > CONFOUNDED
         ]

@@ -29,6 +29,7 @@ from inclined_landing.models.parameters import Constant, Vehicle, constants
 
 SUFFIX = ".posterior.json"
 VERSION = 2
+UNMET = 0.95  # posterior over prior standard deviation from which flights say nothing of an effect
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 
 
@@ -66,9 +67,13 @@ class Reference:
         change, covariance = local.posterior(frozenset(problem.library))
         left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
-        return Reference(
-            tuple(columns), (local.at + change) * local.unit, known, ReferenceResidual.of(problem, left)
-        )
+        mean = (local.at + change) * local.unit
+        # What its flights never met, as the ground by flights high up, is missing from the vehicle rather than
+        # an error of its identification: theta = 0, and flights that meet it name it.
+        prior = local.slab.diagonal() * local.unit**2
+        met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
+        known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
+        return Reference(tuple(columns), mean, known, ReferenceResidual.of(problem, left))
 
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
