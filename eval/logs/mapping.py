@@ -235,22 +235,23 @@ def _attitude(pid: AttitudePid, record: Record, names: list[str], notes: list[st
     """
     result = {}
     for angle, (setpoint, rate) in (("roll", pid.roll), ("pitch", pid.pitch)):
-        values = []
+        values, column = [], ""
         for source, canonical in ((setpoint, angle), (rate, "cmd_yaw_rate")):
             name = find(names, source.columns[0], record.path)
             if name is None:
                 raise UserError(f"{record.path}: no column {source.columns[0]}")
             unit = source.unit or next(iter(units.UNITS[units.COLUMNS[canonical]]))
             values.append(source.sign * units.factor(canonical, unit, record.path) * record.columns[name])
-            time = record.times[name]
+            column, time = name, record.times[name]
         # r = kp e + ki I,  dI/dt = e:  the error is e = (r - ki I)/kp, the angle set-point - e
         wanted, commanded = values
-        error, integral = np.zeros(len(time)), 0.0
+        error = np.zeros(len(time))
+        integral = 0.0
         step = np.diff(time, append=time[-1])
         for k in range(len(time)):
             error[k] = (commanded[k] - pid.ki * integral) / pid.kp
             integral += error[k] * step[k]
-        result[angle] = Channel(time, wanted - error, name)
+        result[angle] = Channel(time, wanted - error, column)
     notes.append("roll and pitch are derived: from set-point and output of the attitude controller")
     return result
 

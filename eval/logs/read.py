@@ -63,9 +63,9 @@ def log_table(log: FlightLog) -> pandas.DataFrame:
         table |= dict(zip(("vx", "vy", "vz"), log.velocity.T))
     if log.voltage is not None:
         table["vbat"] = log.voltage
-    for names, values in ((REQUESTS, log.requests), (ROTOR_SPEEDS, log.rotor_speed)):
+    for columns, values in ((REQUESTS, log.requests), (ROTOR_SPEEDS, log.rotor_speed)):
         if values is not None:
-            table |= dict(zip(names, values.T))
+            table |= dict(zip(columns, values.T))
     if log.contact is not None:
         table["contact"] = log.contact.astype(int)
     return pandas.DataFrame(table)

@@ -53,10 +53,11 @@ class ErrorResponses:
         tilt = np.stack(modes(t), axis=1)
         turn = np.stack([np.ones(rows), np.exp(-turn_bandwidth * t)], axis=1)
         line, tilt, turn = (null_space(x.T) for x in (line, tilt, turn))
-        free, fed = (line,) * 3 + (tilt,) * 2 + (turn,), (moved,) * 3 + (tilted,) * 2 + (turned,)
+        free, fed = [line] * 3 + [tilt] * 2 + [turn], [moved] * 3 + [tilted] * 2 + [turned]
         if requests:  # no start state; two rows fewer, as many numbers as the other channels have
-            free, fed = free + (np.eye(rows, rows - 2),) * 3, fed + (np.eye(rows),) * 3
-        return ErrorResponses(free, fed, dt)
+            free += [np.eye(rows, rows - 2)] * 3
+            fed += [np.eye(rows)] * 3
+        return ErrorResponses(tuple(free), tuple(fed), dt)
 
     def noise(self, channel: int, noise: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Return the covariance (q, q) of a channel's error by measurement noise (see `Whitening.of`)."""

@@ -17,10 +17,10 @@ import numba
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
+from inclined_landing.eval.gap.search.swing import pulled
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
-from inclined_landing.models.load import advance
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
 
@@ -125,7 +125,11 @@ def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
         attitude, rotation, _ = flight.without_tilt(tilt)
     out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
     measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
-    _translate(measured, pwm, flight.ambient, pack(vehicle), dt, out, twist)
+    acceleration = np.empty_like(twist)
+    _accelerate(measured, pwm, flight.ambient, pack(vehicle), dt, acceleration, twist)
+    if vehicle.effects_load_mass != 0.0:
+        acceleration = pulled(flight, vehicle, acceleration)
+    _translate(acceleration, vehicle.environment_gravity, dt, out)
     return out, twist
 
 
@@ -139,34 +143,35 @@ class _Measured(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def _translate(measured, pwm, ambient, vehicle, dt, out, twist):
-    """Write positions from rest at zero into out, angular accelerations (roll, pitch, yaw) into twist."""
+def _accelerate(measured, pwm, ambient, vehicle, dt, out, twist):
+    """Write accelerations without gravity's and a load's into out, of roll, pitch and yaw into twist."""
     position, velocity, rotation, attitude = measured
     v, f = vehicle[0], np.zeros(5)
-    share, load = v.effects.load_mass / (v.body.mass + v.effects.load_mass), np.zeros(6)
-    load[2] = -1.0  # hanging at rest
     lag = pwm[0] / v.thrust.lag_rate
-    moved, speed, force = np.zeros(3), np.zeros(3), np.zeros(3)
-    out[0, 0] = out[0, 1] = out[0, 2] = 0.0
     for k in range(pwm.shape[0]):
         u = pwm[k]
         lag, mean = lag_step(lag, u, dt, v)
         r = rotation[k]
         wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
-        # a = R f/m - (0, 0, g), and the pull of a load; x += dt (v + dt/2 a), v += dt a
         for i in range(3):
-            force[i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
-        if share != 0.0:
-            length = v.effects.load_length
-            force[0], force[1], force[2] = advance(load, force[0], force[1], force[2], share, length, dt)
-        for i in range(3):
-            a = force[i]
-            if i == 2:
-                a -= v.environment.gravity
-            moved[i] += dt * (speed[i] + 0.5 * dt * a)
-            speed[i] += dt * a
-            out[k + 1, i] = moved[i]
+            out[k, i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
         if f[3] != 0.0 or f[4] != 0.0:
             twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
                 attitude[k, 0], attitude[k, 1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
             )
+
+
+@numba.njit(cache=True, nogil=True)
+def _translate(acceleration, gravity, dt, out):
+    """Write positions (m, 3) from rest at zero under accelerations (m - 1, 3) without gravity's into out."""
+    moved, speed = np.zeros(3), np.zeros(3)
+    out[0, 0] = out[0, 1] = out[0, 2] = 0.0
+    for k in range(len(acceleration)):
+        # x += dt (v + dt/2 a), v += dt a,  a = R f/m - (0, 0, g)
+        for i in range(3):
+            a = acceleration[k, i]
+            if i == 2:
+                a -= gravity
+            moved[i] += dt * (speed[i] + 0.5 * dt * a)
+            speed[i] += dt * a
+            out[k + 1, i] = moved[i]

@@ -68,8 +68,8 @@ class Reference:
         left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
         known = covariance * np.outer(local.unit, local.unit)
         mean = (local.at + change) * local.unit
-        # What its flights never met, as the ground by flights high up, is missing from the vehicle rather than
-        # an error of its identification: theta = 0, and flights that meet it name it.
+        # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
+        # identification: theta = 0, and flights that meet it name it.
         prior = local.slab.diagonal() * local.unit**2
         met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
         known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)

@@ -21,6 +21,7 @@ from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import PLANTS, MujocoPlant
@@ -169,7 +170,8 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     substeps = max(1, math.ceil(starts.dt / LARGEST_STEP))
     step_ambient = ambient[:, 0].copy()
     step_ambient[:, 0] -= 0.5 * starts.dt
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), step_ambient)
+    load = hanging(n) if vehicle.effects_load_mass else UNLOADED
+    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), step_ambient, load=load)
     for k in range(starts.rows):
         step_ambient[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps

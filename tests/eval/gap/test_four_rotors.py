@@ -106,7 +106,7 @@ def test_a_weak_rotor_is_named_and_not_a_weight():
 
 def test_without_requests_these_effects_are_no_candidates():
     flights = prepare_all([dataclasses.replace(flown(V, 1), requests=None)], V, False, [])
-    library, notes = identifiable_effects(LIBRARY, flights)
+    library, _ = identifiable_effects(LIBRARY, flights)
     assert not any(name.startswith("weak_rotor") or name == "yaw_imbalance" for name in library)
     assert flights[0].channels == 6 and flights[0].measured.shape[1] == 6
 
