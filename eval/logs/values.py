@@ -27,8 +27,8 @@ LARGEST_ACCELERATION = 40.0  # m/s2
 LARGEST_SPEED = 15.0  # m/s
 LARGEST_DISTANCE = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
-# Of a rotor's speed to the median of the other three, in lasting flight. Thrust goes with its square: beyond, one
-# rotor would give less than 4/9 or more than 9/4 of what the others give, which leaves no torque in balance.
+# Of a rotor's speed to the median of the other three, in lasting flight. Thrust goes with its square: beyond,
+# one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
