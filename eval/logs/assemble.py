@@ -136,11 +136,30 @@ def _without_repeats(channels: Mapping[str, Channel], notes: list[str]) -> dict[
     if share <= REPEATED:
         return {}
     new = np.r_[True, (np.diff(position, axis=0) != 0.0).any(axis=1)]
+    new[_at_rest(t, position, new)] = True
     notes.append(
         f"position repeats its last value in {100 * share:.0f} % of the rows in motion: it was measured less "
         "often than written, and only new values are used"
     )
     return {key: dataclasses.replace(c, t=t[new], value=c.value[new]) for key, c in zip(_POSITION, axes)}
+
+
+def _at_rest(t: np.ndarray, position: np.ndarray, new: np.ndarray) -> list[int]:
+    """Return the repeated rows (k,) to keep, one in 0.05 s, while the vehicle stands."""
+    # The value that follows is one step of the log's resolution away; after a loss of tracking it is not.
+    moved = np.abs(np.diff(position, axis=0))
+    resolution = moved[moved > 0.0].min()
+    following = np.append(np.flatnonzero(new), len(t))
+    rows, last = [], t[0]
+    for k in range(len(t)):
+        after = following[np.searchsorted(following, k)]
+        if new[k]:
+            last = t[k]
+        elif after < len(t) and t[k] - last >= 0.5 * GAP_SECONDS:
+            if np.abs(position[after] - position[k]).max() < 1.5 * resolution:
+                rows.append(k)
+                last = t[k]
+    return rows
 
 
 def _hold_all(

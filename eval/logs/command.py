@@ -38,7 +38,7 @@ def command(
 
     Args:
         public: measured flights of others instead: where every set is, under which licence; with a SET
-            (utias_fmpc, nanobench, crazypad or arp_sysid) and its FILEs, these are converted.
+            and its FILEs, these are converted.
         out: new folder for the converted flights, one .csv.gz each, and source.txt.
         json: print JSON, and nothing else, on standard output.
     """

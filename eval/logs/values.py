@@ -27,6 +27,10 @@ LARGEST_ACCELERATION = 40.0  # m/s2
 LARGEST_SPEED = 15.0  # m/s
 LARGEST_DISTANCE = 200.0  # m
 MOTORS_OFF = 10_000.0  # PWM
+# Of a rotor's speed to the median of the other three, in lasting flight. Thrust goes with its square: beyond,
+# one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
+SPEED_RATIO = 1.5
+FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -43,6 +47,7 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _check_thrust(log)
     yield from _check_attitude_commands(log)
     yield from _check_voltage(log)
+    yield from _check_rotor_speeds(log)
 
 
 def _check_time(log: FlightLog) -> Iterator[Finding]:
@@ -225,3 +230,21 @@ def _check_voltage(log: FlightLog) -> Iterator[Finding]:
         yield limit("vbat", text, without="voltage")
     elif low < 2.5 or high > 4.5:
         yield limit("vbat", f"battery voltage runs from {low:.3g} to {high:.3g} V: not a single-cell battery")
+
+
+def _check_rotor_speeds(log: FlightLog) -> Iterator[Finding]:
+    if log.rotor_speed is None or not log.rotor_speed.any():
+        return
+    middle = np.median(log.rotor_speed, axis=1)
+    speed = log.rotor_speed[middle > 0.5 * middle.max()]  # in flight
+    for k in range(speed.shape[1]):
+        ratio = speed[:, k] / np.median(np.delete(speed, k, axis=1), axis=1)
+        share = ((ratio < 1 / SPEED_RATIO) | (ratio > SPEED_RATIO)).mean()
+        if share > FAILED_SHARE:
+            text = (
+                f"rotor speed of M{k + 1} is {np.median(ratio):.2f} times that of the other rotors (median), "
+            )
+            text += f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
+            if log.thrust_is_measured:
+                text += " Thrust by rotor speeds is wrong then"
+            yield limit(f"m{k + 1}_speed", text)

@@ -228,6 +228,38 @@ def test_a_stretch_far_away_was_not_measured_and_says_nothing_about_the_unit():
     assert "(t = 3.0" in refused[0] and "unit" not in refused[0]
 
 
+def with_rotor_speeds(log: FlightLog) -> FlightLog:
+    """The flight with four rotors that turn 1000 rad/s at the mean thrust command, M2 by 8 % faster."""
+    speed = 1000.0 * np.sqrt(log.command[:, 0] / log.command[:, 0].mean())
+    return dataclasses.replace(log, rotor_speed=speed[:, None] * [1.0, 1.08, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(("rotor", "factor", "since"), [(2, 0.54, 0.0), (0, 0.0, 9.0), (3, 2.0, 5.0)])
+def test_a_rotor_speed_sensor_that_fails_is_named(rotor, factor, since):
+    log = with_rotor_speeds(flight())
+    log.rotor_speed[log.t >= since, rotor] *= factor
+    (text,) = [text for text in found(log, "limit") if "rotor speed" in text]
+    # 12 s of flight: the sensor contradicts the others from `since` on, to the percent that is printed.
+    assert f"M{rotor + 1}" in text and f"in {100 * (1 - since / 12):.0f} % of the rows" in text
+    assert "wrong then" not in text
+    (text,) = [
+        text for text in found(dataclasses.replace(log, thrust_is_measured=True), "limit") if "M" in text
+    ]
+    assert text.endswith("Thrust by rotor speeds is wrong then")
+    assert any(text in note for note in enforce(dataclasses.replace(log, thrust_is_measured=True)).notes)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_rotors_that_differ_as_much_as_vehicles_fly_are_believed(factor):
+    # 1.4: a rotor that gives half the thrust of the others per speed squared. 0.5 s: a manoeuvre.
+    log = with_rotor_speeds(flight())
+    log.rotor_speed[:, 2] *= factor
+    log.rotor_speed[log.t < 0.5, 0] *= 0.1
+    standing = dataclasses.replace(log, rotor_speed=np.where(log.t[:, None] < 2.0, 0.0, log.rotor_speed))
+    for each in (log, standing):
+        assert not [text for text in found(each, "limit") if "rotor speed" in text]
+
+
 def test_jumps_of_the_position():
     log = flight()
     position = log.position.copy()

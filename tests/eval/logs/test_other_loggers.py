@@ -97,6 +97,27 @@ def test_newtons_and_repeated_positions_of_the_lee_controller(tmp_path):
     assert not log.thrust_is_measured
 
 
+def test_a_vehicle_that_stands_was_measured_and_a_frozen_position_was_not(tmp_path):
+    t, x = motion(2000, 0.004)
+    x = np.where(t < 1.0, 0.0, 0.3 - 0.3 * np.cos(3.0 * (t - 1.0)))
+    frozen = (t >= 4.0) & (t < 4.4)
+    x[frozen] = x[np.argmax(frozen)]
+    tilt = np.arctan(-9.0 * x / 9.81)
+    millimetres = np.round(1000.0 * np.repeat(x[::2], 2))  # as the firmware logs it
+    columns = {f"stateEstimateZ.{a}": v for a, v in zip("xyz", (millimetres, 0 * t, 0 * t + 1000.0))}
+    columns |= {f"ctrlLee.rpy{a}": v for a, v in zip("xyz", (0 * t, tilt, 0 * t))}
+    columns |= {f"ctrlLee.rpyd{a}": v for a, v in zip("xy", (0 * t, tilt))}
+    columns["ctrlLee.thrustSi"] = 0.311 / np.cos(tilt)
+    path = tmp_path / "log158"
+    path.write_bytes(sd_log(columns))
+    log = read_log(path, check=False)
+    # The vehicle stands for 1 s and turns three times; only where it is frozen in motion is there a gap.
+    (gap,) = log.gap_starts
+    np.testing.assert_allclose(log.t[[gap, gap + 1]], [4.0, 4.4], atol=0.01)
+    # Whatever is kept lies within the rounding and what it moves in one measurement (0.9 m/s in 8 ms).
+    np.testing.assert_allclose(log.position[:, 0], np.interp(log.t, t, x), atol=5e-4 + 0.9 * 0.008)
+
+
 def test_thrust_by_measured_rotor_speeds(tmp_path):
     t, x = motion(1500, 0.004)
     tilt = np.arctan(-9.0 * x / 9.81)
