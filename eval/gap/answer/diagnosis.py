@@ -86,12 +86,12 @@ def diagnose(
     notes += [*_data_notes(problem), *unidentifiable]
     clock("prepare")
     found = sets.search(problem)
-    if problem.logged[:, 3:5].any() and _wind_drag(problem, found.values) > STRONG_WIND:
+    if problem.logged[:, 3:5].any() and _steady_force(problem, found.values) > STRONG_WIND:
         # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that
         # no formula of the library has: they would be named as changes of the loops.
         notes.append(
-            "wind turns a vehicle against its attitude loops too: these were not judged, and translation is "
-            "predicted along the measured attitude"
+            "a strong steady force, as of wind, turns a vehicle against its attitude loops too: these were "
+            "not judged, and translation is predicted along the measured attitude"
         )
         fitted = prepare_all([_without_angle_commands(log) for log in flights], vehicle, platform, [])
         if heldout:
@@ -180,15 +180,20 @@ def diagnose(
     )
 
 
-def _wind_drag(problem: Problem, values: Values) -> float:
-    """Return the drag of a hovering vehicle in the wind of `values`, over its weight; 0 without wind."""
+def _steady_force(problem: Problem, values: Values) -> float:
+    """Return the largest steady sideways force of `values` on a hovering vehicle, over its weight.
+
+    The drag of a wind, or what a tilt of the measured attitude, which may stand for it, amounts to.
+    """
+    tilts = [np.hypot(*values[n].values()) for n in ("mocap_tilt", "level_calibration") if n in values]
+    tilt = float(max(tilts, default=0.0))
     if "wind" not in values:
-        return 0.0
+        return tilt
     rest = {name: of for name, of in values.items() if name != "wind"}
     state, command = np.zeros(STATE_SIZE), np.array([problem.vehicle.hover_pwm, 0.0, 0.0, 0.0])
     state[LAG] = problem.vehicle.hover_lag
     windy, calm = (derivative(state, command, problem.corrected(v))["acceleration"] for v in (values, rest))
-    return float(np.hypot(*(windy - calm)[:2])) / problem.vehicle.environment_gravity
+    return max(tilt, float(np.hypot(*(windy - calm)[:2])) / problem.vehicle.environment_gravity)
 
 
 def _without_angle_commands(log: FlightLog) -> FlightLog:
