@@ -24,6 +24,8 @@ from inclined_landing.models.schema import Table
 FULL_COMMAND = 65535.0  # PWM
 # A share of rows beyond the full command that is saturation, and how far they may be; more is another unit.
 MOST_OVER, MOST_COMMAND = 0.1, 2.0
+# s, over which derived angles and the gyro are compared, and the least correlation of what may be used.
+GYRO_SPAN, LEAST_AGREEMENT = 0.1, 0.7
 DEEPEST = 20  # mapping files that inherit one another
 
 
@@ -58,6 +60,7 @@ class AttitudePid(Table, frozen=True):
     ki: Annotated[float, Meta(ge=0.0, le=1000.0)]  # 1/s2
     roll: tuple[Source, Source]  # set-point [angle] and commanded rate [angular rate]
     pitch: tuple[Source, Source]
+    gyro: tuple[Source, Source] | None = None  # rates of roll and pitch, against which the angles are checked
 
 
 class Mixer(Table, frozen=True):
@@ -231,29 +234,57 @@ def apply(
 def _attitude(pid: AttitudePid, record: Record, names: list[str], notes: list[str]) -> dict[str, Channel]:
     """Return roll and pitch from what an attitude controller was given and what it commanded.
 
-    Raises UserError where these are not in the record.
+    An angle that the gyro contradicts is left out. Raises UserError where what it takes is not in the record,
+    or both angles are left out.
     """
     result = {}
-    for angle, (setpoint, rate) in (("roll", pid.roll), ("pitch", pid.pitch)):
-        values, column = [], ""
-        for source, canonical in ((setpoint, angle), (rate, "cmd_yaw_rate")):
-            name = find(names, source.columns[0], record.path)
-            if name is None:
-                raise UserError(f"{record.path}: no column {source.columns[0]}")
-            unit = source.unit or next(iter(units.UNITS[units.COLUMNS[canonical]]))
-            values.append(source.sign * units.factor(canonical, unit, record.path) * record.columns[name])
-            column, time = name, record.times[name]
+    for k, (angle, sources) in enumerate((("roll", pid.roll), ("pitch", pid.pitch))):
+        time, wanted = _values(record, names, sources[0], angle)
+        _, commanded = _values(record, names, sources[1], "cmd_yaw_rate")
         # r = kp e + ki I,  dI/dt = e:  the error is e = (r - ki I)/kp, the angle set-point - e
-        wanted, commanded = values
-        error = np.zeros(len(time))
-        integral = 0.0
+        error, integral = np.zeros(len(time)), 0.0
         step = np.diff(time, append=time[-1])
-        for k in range(len(time)):
-            error[k] = (commanded[k] - pid.ki * integral) / pid.kp
-            integral += error[k] * step[k]
-        result[angle] = Channel(time, wanted - error, column)
-    notes.append("roll and pitch are derived: from set-point and output of the attitude controller")
+        for i in range(len(time)):
+            error[i] = (commanded[i] - pid.ki * integral) / pid.kp
+            integral += error[i] * step[i]
+        derived = wanted - error
+        notes.append(f"{angle} is derived: from set-point and output of the attitude controller")
+        if pid.gyro is not None:
+            correlation, off = _gyro_agreement(
+                time, derived, _values(record, names, pid.gyro[k], "cmd_yaw_rate")[1]
+            )
+            notes[-1] += (
+                f"; its turning within {GYRO_SPAN:g} s agrees with the gyro to {np.degrees(off):.2f} deg "
+                f"(correlation {correlation:.2f})"
+            )
+            if correlation < LEAST_AGREEMENT:
+                notes[-1] += ": left out"
+                continue
+        result[angle] = Channel(time, derived, sources[0].columns[0])
+    if not result:
+        raise UserError(f"{record.path}: roll and pitch cannot be derived: {notes[-2]}, {notes[-1]}")
     return result
+
+
+def _values(
+    record: Record, names: list[str], source: Source, canonical: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and SI values of a source that the mapping needs. Raises UserError where it is missing."""
+    name = find(names, source.columns[0], record.path)
+    if name is None:
+        raise UserError(f"{record.path}: no column {source.columns[0]}")
+    unit = source.unit or next(iter(units.UNITS[units.COLUMNS[canonical]]))
+    return record.times[name], source.sign * units.factor(canonical, unit, record.path) * record.columns[name]
+
+
+def _gyro_agreement(time: np.ndarray, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
+    """Return correlation and root mean square difference [rad] of the turning by angles and rates (m,)."""
+    rows = max(1, round(GYRO_SPAN / float(np.median(np.diff(time)))))
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    by_angle, by_gyro = (x[rows:] - x[:-rows] for x in (angle, turned))
+    if min(np.ptp(by_angle), np.ptp(by_gyro)) == 0.0:
+        return 0.0, float(np.sqrt(np.mean((by_angle - by_gyro) ** 2)))
+    return float(np.corrcoef(by_angle, by_gyro)[0, 1]), float(np.sqrt(np.mean((by_angle - by_gyro) ** 2)))
 
 
 def _channel(

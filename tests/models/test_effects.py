@@ -220,6 +220,36 @@ def test_sizes_of_times_and_drags_are_those_of_the_quantity(name):
 # --- both plants -------------------------------------------------------------------------------------
 
 
+def test_sizes_go_with_the_vehicle():
+    """Forces by weight, air speeds by the hover inflow sqrt(m)/r, lengths by arm or rotor."""
+    heavy = V.changed(body_mass=4.0 * V.body_mass, rotor_arm=3.0 * V.rotor_arm)
+    wide = V.changed(rotor_radius=2.0 * V.rotor_radius)
+    for name, parameter, by_mass, by_radius in [
+        ("thrust_bias", "force", 4.0, 1.0),
+        ("slung_load", "mass", 4.0, 1.0),
+        ("body_drag", "coefficient", 4.0 ** (2.0 / 3.0), 1.0),
+        ("wind", "x", 2.0, 0.5),
+        ("axial_inflow", "coefficient", 0.5, 2.0),
+        ("translational_lift", "coefficient", 0.25, 4.0),
+        ("ground_effect", "fading", 1.0, 0.5),
+        ("ground_effect", "strength", 1.0, 1.0),
+        ("com_offset", "x", 3.0, 1.0),  # by the arm
+    ]:
+        own = LIBRARY[name].parameter(parameter)
+        for vehicle, times in ((heavy, by_mass), (wide, by_radius)):
+            there = own.beside(vehicle)
+            sizes = [(p.plausible, p.negligible, *p.bounds) for p in (there, own)]
+            np.testing.assert_allclose(sizes[0], np.multiply(times, sizes[1]), rtol=1e-12)
+
+
+def test_a_drag_is_sized_by_the_weight():
+    """Rotor drag at the hover inflow over the weight: twice the coefficient needed, twice the share."""
+    drag, quiet = LIBRARY["rotor_drag"].parameter("lateral"), V.changed(motor_pwm_to_speed=(0.02, 190.0))
+    # Rotors at half the speed, 0.0200 P + 190 for 0.0408 P + 381, with the same coefficient: half the drag.
+    share = (drag.beside(quiet).plausible - 1.0) / (drag.plausible - 1.0)
+    assert share == pytest.approx(2.0, rel=0.02)  # 0.0408/0.02 is 2.04
+
+
 @pytest.mark.parametrize("name", FREE)
 def test_both_plants_fly_the_effect_alike(name):
     vehicle = changed(name)

@@ -38,7 +38,7 @@ from inclined_landing.eval.gap.search import (
     sets,
     touchdown_simulation,
 )
-from inclined_landing.eval.gap.search.evidence import Problem, Values, identifiable_effects
+from inclined_landing.eval.gap.search.evidence import Candidates, Problem, Values, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import EffectSet, slab_deviations
 from inclined_landing.eval.gap.search.prediction import channels_of
@@ -180,7 +180,7 @@ def diagnose(
     )
 
 
-def _steady_force(problem: Problem, values: Values) -> float:
+def _steady_force(problem: Candidates, values: Values) -> float:
     """Return the largest steady sideways force of `values` on a hovering vehicle, over its weight.
 
     The drag of a wind, or what a tilt of the measured attitude, which may stand for it, amounts to.

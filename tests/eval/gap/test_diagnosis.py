@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose, measure_gap
+from inclined_landing.eval.gap.answer.diagnosis import _steady_force
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
-from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.evidence import Candidates, Problem
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations
@@ -285,6 +286,36 @@ def flown_alike():
         generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=16, seconds=8.0), voltage=True
     )
     return logs, identify(logs[:8], VEHICLE)
+
+
+def test_what_the_reference_never_met_is_no_error_of_it():
+    """All its flights are high up: ground effect is missing from the vehicle, not uncertain in it."""
+    known = identify(flights(count=2, seconds=6.0), VEHICLE)
+    for name, met in (("ground_effect", False), ("thrust_scale", True)):
+        columns = [c for c in known.reference.columns if c.effect == name]
+        mean, covariance = known.reference.along(columns[-1:])  # of ground effect the one that fades sooner
+        assert (covariance[0, 0] > 0.0) == met and (mean[0] != 0.0) == met
+    shares = {one.effect: one.share for one in known.identifiable}
+    assert shares["ground_effect"] == 1.0 > shares["thrust_scale"] > 0.0
+
+
+def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
+    """A loop that answers otherwise in a wind whose drag is 14 % of the weight: only wind is named."""
+    hidden = {"wind": {"x": -6.0}}
+    # Rotor drag of the shipped vehicle in hover: k w_sum w/(m g)
+    w_sum = equations.rotor_speed_sum(
+        VEHICLE.body_mass * VEHICLE.environment_gravity, equations.pack(VEHICLE)[0]
+    )
+    drag = 6.0 * w_sum * -VEHICLE.drag_coefficients[0] / (VEHICLE.body_mass * VEHICLE.environment_gravity)
+    windy = {"wind": {"x": -6.0, "y": 0.0}}
+    candidates = Candidates.of(VEHICLE, LIBRARY)
+    assert _steady_force(candidates, windy) == pytest.approx(drag, rel=1e-3)  # 0.14; hover PWM to 0.1 %
+    assert _steady_force(candidates, {"mass": {"scale": 1.1}}) == 0.0
+    d = quick(flights({**hidden, "attitude_gain": {"scale": 1.3}}, count=4))
+    assert any("attitude loops too" in note for note in d.notes)
+    (wind,) = (e for e in d.effects if e.name == "wind")
+    assert wind.sure and wind.parameters["x"].value == pytest.approx(-6.0, rel=0.25)
+    assert not any(LIBRARY[e.name].channels == ("attitude",) for e in d.effects)
 
 
 @pytest.mark.parametrize("part", [slice(0, 8), slice(8, 16)], ids=["the same flights", "other flights"])

@@ -155,7 +155,8 @@ def test_attitude_and_requests_from_the_controllers(tmp_path):
     columns = {f"stateEstimate.{a}": v for a, v in zip("xyz", (x, 0 * t, 0 * t + 1.0))}
     columns |= {"controller.roll": wanted, "controller.pitch": -wanted}
     columns |= {"controller.rollRate": rates["roll"], "controller.pitchRate": -rates["pitch"]}
-    columns |= {f"controller.r_{a}": 0 * t for a in ("roll", "pitch", "yaw")}
+    turning = {"roll": np.radians(roll), "pitch": -np.radians(pitch), "yaw": 0 * t}
+    columns |= {f"controller.r_{a}": np.gradient(angle, dt) for a, angle in turning.items()}
     columns |= {"controller.cmd_thrust": 40000.0 + 100.0 * x}
     columns |= {"controller.cmd_roll": 0 * t + 2000.0, "controller.cmd_pitch": 0 * t + 600.0}
     columns |= {"controller.cmd_yaw": 0 * t + 50.0}
@@ -166,6 +167,59 @@ def test_attitude_and_requests_from_the_controllers(tmp_path):
     np.testing.assert_allclose(log.attitude[:, :2], np.radians(np.c_[roll, pitch]), atol=5e-3)
     by_hand = 40000.0 + np.array([-1000 + 300 + 50, -1000 - 300 - 50, 1000 - 300 + 50, 1000 + 300 - 50])
     np.testing.assert_allclose(log.requests[0], by_hand, atol=0.1)
+
+
+def test_derived_angles_that_the_gyro_contradicts_are_left_out(tmp_path):
+    t = np.arange(0.0, 6.0, 0.01)
+    roll, pitch = 3.0 * np.sin(2.0 * t), 2.0 * np.sin(3.0 * t)  # deg; set-points 0, gains kp 6, ki 3
+    # r = -kp angle - ki integral of the angle
+    rates = {
+        "roll": -6.0 * roll - 3.0 * 1.5 * (1.0 - np.cos(2.0 * t)),
+        "pitch": -6.0 * pitch - 3.0 * 2.0 / 3.0 * (1.0 - np.cos(3.0 * t)),
+    }
+    turning = {"roll": 6.0 * np.cos(2.0 * t), "pitch": 6.0 * np.cos(3.0 * t)}  # deg/s
+    columns = {f"stateEstimate.{axis}": 0.01 * t + 0.5 for axis in "xyz"}
+    columns |= {"controller.cmd_thrust": 40000.0 + 500 * np.sin(t)}
+    columns |= {f"controller.cmd_{name}": 0 * t for name in ("roll", "pitch", "yaw")}
+    for name, rate in rates.items():
+        columns |= {f"controller.{name}": 0 * t, f"controller.{name}Rate": rate}
+        columns |= {f"controller.r_{name}": np.radians(turning[name])}
+    path = tmp_path / "E8_log00"
+    path.write_bytes(sd_log(columns, 10_000))
+    log = read_log(path, check=False)
+    # An integral of rows of 10 ms: 3/6 of 3 deg 2 rad/s (0.01 s)/2 at most.
+    np.testing.assert_allclose(log.attitude[:, 0], np.radians(roll), atol=np.radians(0.1))
+    notes = [note for note in log.notes if "gyro" in note]
+    assert len(notes) == 2 and all("correlation 1.00" in note for note in notes)
+
+    path.write_bytes(sd_log(columns | {"controller.r_roll": columns["controller.r_pitch"]}, 10_000))
+    log = read_log(path, check=False)
+    assert "roll" in log.missing and "pitch" not in log.missing
+    assert any(note.startswith("roll is derived") and note.endswith("left out") for note in log.notes)
+
+    wrong = {f"controller.r_{name}": -columns[f"controller.r_{name}"] for name in rates}
+    path.write_bytes(sd_log(columns | wrong, 10_000))
+    with pytest.raises(UserError, match="roll and pitch cannot be derived"):
+        read_log(path, check=False)
+
+
+def test_a_thrust_command_beyond_the_full_one_is_the_full_one(tmp_path):
+    (tmp_path / "map.toml").write_text(
+        '[columns]\nt = "t"\nx = "x"\ny = "x"\nz = "x"\nroll = "r"\n'
+        'cmd_thrust_pwm = { column = "u", full = 2.0 }\n'
+    )
+    t = np.arange(200) * 0.02
+    u = np.where(np.arange(200) % 40 == 5, 2.2, 1.0 + 0.1 * np.sin(t))  # 5 of 200 rows beyond full
+    rows = [f"{a},{b},{c},{d}" for a, b, c, d in zip(t, np.sin(t), 0.1 * np.cos(t), u)]
+    (tmp_path / "a.csv").write_text("t,x,r,u\n" + "\n".join(rows))
+    log = read_log(tmp_path / "a.csv", mapping=tmp_path / "map.toml", check=False)
+    np.testing.assert_allclose(log.command[:, 0], 65535 * np.minimum(u, 2.0) / 2.0)
+    assert any("beyond the full command in 5 rows" in note for note in log.notes)
+    # Twice as much in every row is another unit, not saturation.
+    rows = [f"{a},{b},{c},{3 * d}" for a, b, c, d in zip(t, np.sin(t), 0.1 * np.cos(t), u)]
+    (tmp_path / "a.csv").write_text("t,x,r,u\n" + "\n".join(rows))
+    with pytest.raises(UserError, match="PWM is 0 to 65535"):
+        read_log(tmp_path / "a.csv", mapping=tmp_path / "map.toml")
 
 
 def test_columns_of_lists(tmp_path):
