@@ -224,6 +224,8 @@ def apply(
         channel = _channel(canonical, column_map, record, names, given, time, notes)
         if channel is not None:
             channels[canonical] = channel
+    if clock is not None:
+        record = dataclasses.replace(record, times=dict.fromkeys(names, clock.value))
     if column_map.attitude_pid is not None:
         channels |= _attitude(column_map.attitude_pid, record, names, notes)
     if column_map.mixer is not None:

@@ -2,10 +2,13 @@
 
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 
+from inclined_landing.eval import logs
 from inclined_landing.eval.logs import read_log, sd_card
 from inclined_landing.eval.logs.read import write_log
 from inclined_landing.models.errors import UserError
@@ -167,6 +170,15 @@ def test_attitude_and_requests_from_the_controllers(tmp_path):
     np.testing.assert_allclose(log.attitude[:, :2], np.radians(np.c_[roll, pitch]), atol=5e-3)
     by_hand = 40000.0 + np.array([-1000 + 300 + 50, -1000 - 300 - 50, 1000 - 300 + 50, 1000 + 300 - 50])
     np.testing.assert_allclose(log.requests[0], by_hand, atol=0.1)
+    # The same columns in a table, whose one clock is a column.
+    pandas.DataFrame({"t": t} | columns).to_csv(tmp_path / "table.csv", index=False)
+    shipped = (Path(logs.__file__).parent / "mappings" / "crazypad_controller.toml").read_text()
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text(shipped.replace("[columns]\n", '[columns]\nt = "t"\n'))
+    again = read_log(tmp_path / "table.csv", mapping=mapping, check=False)
+    # 24 bits of a float32: angles of a radian, requests of 40 000 PWM.
+    np.testing.assert_allclose(again.attitude, log.attitude, atol=1e-5)
+    np.testing.assert_allclose(again.requests, log.requests, atol=0.01)
 
 
 def test_derived_angles_that_the_gyro_contradicts_are_left_out(tmp_path):
