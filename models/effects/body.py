@@ -66,8 +66,8 @@ EFFECTS = (
         formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
         source="rigid-body mechanics",
         parameters=(
-            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 1e-4, placement=1e-3, along_the_arm=True),
-            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4, placement=1e-3, along_the_arm=True),
+            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 1e-4, placement=6e-4, along_the_arm=True),
+            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4, placement=6e-4, along_the_arm=True),
         ),
         regimes=("climb", "hover", "attitude_step"),
         confused_with=(

@@ -31,7 +31,6 @@ def _weak_rotor(k: int) -> Effect:
                 *("loss", "1", 0.0, (-0.03, 0.6), 0.12, 0.01),
                 one_signed=True,
                 adds_to=f"effects_rotor_loss.{k}",
-                placement=0.02,
             ),
         ),
         regimes=("hover", "climb", "lateral"),

@@ -28,6 +28,7 @@ SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
 BOOTSTRAP_SAMPLES = 24
 MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
+MOST_SPIKE_ABOUT = 0.3  # the same of the two columns of an effect about a reference
 EM_ROUNDS = 10
 ACTIVE_SET_ROUNDS = 4
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
@@ -47,7 +48,10 @@ def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
         SPIKE * _shared_negligible_sizes(problem, columns),
         between_flight_deviations(problem, columns) / np.sqrt(count),
     )
-    return np.minimum(spike, MOST_SPIKE * slab_deviations(problem, columns))
+    # The slab less the spike is a covariance: of two columns about a reference, whose smallest eigenvalue is
+    # 0.125 of the slab's variance, below sqrt(0.125) = 0.35 of the slab.
+    most = np.array([MOST_SPIKE_ABOUT if c.fixed else MOST_SPIKE for c in columns])
+    return np.minimum(spike, most * slab_deviations(problem, columns))
 
 
 def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:

@@ -9,6 +9,7 @@ from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS, prepare, prepare_all
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
+from inclined_landing.eval.gap.search.posterior import slab_covariance, spike_deviations
 from inclined_landing.eval.gap.search.prediction import predict, requested_differences
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
@@ -151,3 +152,14 @@ def test_measured_rotor_speeds_lag_behind_nothing():
     np.testing.assert_allclose(predict(flight, slow)[:, 2], predict(flight, V)[:, 2], atol=1e-9)
     with pytest.raises(UserError, match="thrust by measured rotor speeds, others by command"):
         prepare_all([log, flown(V, 8)], V, False, [])
+
+
+def test_slabs_stay_wider_than_spikes_however_much_flights_differ():
+    """What a set adds to the prior of its effects is a covariance: positive definite."""
+    flights = prepare_all([flown(V, 1)], V, False, [])
+    problem = Problem(flights, V, identifiable_effects(LIBRARY, flights)[0])
+    columns = problem.columns(problem.library)
+    problem.between = {(c.effect, c.parameter): 1e3 for c in columns}
+    spike = spike_deviations(problem, columns)
+    added = slab_covariance(problem, columns) / np.outer(spike, spike) - np.eye(len(columns))
+    assert np.linalg.eigvalsh(added).min() > 0.1
