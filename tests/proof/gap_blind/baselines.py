@@ -96,6 +96,8 @@ def regress(flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict[st
     tables = [_terms(log, vehicle) for log in flights]
     coefficients: dict[tuple[str, str], float] = {}
     for channel, threshold in THRESHOLDS.items():
+        if any(channel not in table for table in tables):
+            continue  # its command was not logged
         residual = np.concatenate([table[channel][0] for table in tables])
         terms = [key for key in tables[0][channel][1] if all(key in table[channel][1] for table in tables)]
         columns = {key: np.concatenate([table[channel][1][key] for table in tables]) for key in terms}
@@ -190,11 +192,13 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         ("attitude_trim", "roll"): np.column_stack([one, none]),
         ("attitude_trim", "pitch"): np.column_stack([none, one]),
     }
-    return {
+    result = {
         "translation": _flat(acceleration[rows] - nominal, translation),
         "attitude": _flat(rates[rows, :2] - loop, attitude_terms),
-        "yaw": _flat(rates[rows, 2] - log.command[rows, 3], {("yaw_drift", "rate"): np.ones(n)}),
     }
+    if not np.isnan(log.command[:, 3]).any():
+        result["yaw"] = _flat(rates[rows, 2] - log.command[rows, 3], {("yaw_drift", "rate"): np.ones(n)})
+    return result
 
 
 def _flat(residual: np.ndarray, terms: dict) -> tuple[np.ndarray, dict]:
