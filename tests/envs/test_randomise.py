@@ -186,7 +186,8 @@ def test_policies_fly_the_assigned_vehicles():
 def test_robust_spans_the_library():
     """Every effect at its plausible size lies in its ranges, thrust from 0.78 to 1.12; seeds can be drawn.
 
-    The shipped policies were trained with these ranges: later effects of the library are not in them.
+    The shipped policies were trained with these ranges: later effects of the library are not in them, and no
+    wind of a fan, which the library has come to hold for plausible.
     """
     ranges = read_ranges("robust")
     later = {*(f"weak_rotor_{k}" for k in range(1, 5)), "yaw_imbalance", "slung_load"}
@@ -195,7 +196,7 @@ def test_robust_spans_the_library():
     for name, effect in library.items():
         for parameter in effect.parameters:
             low, high = ranges.effects[name][parameter.name]
-            assert low <= parameter.plausible <= high, (name, parameter.name)
+            assert name == "wind" or low <= parameter.plausible <= high, (name, parameter.name)
             assert parameter.is_reference or low <= parameter.neutral <= high, (name, parameter.name)
     assert ranges.effects["thrust_scale"]["scale"] == (0.78, 1.12)
     for seed in range(5):

@@ -13,6 +13,11 @@ _DELAYS = frozenset({"thrust_delay", "attitude_delay"})
 # A cause is also named rightly by any of these sets of effects, for the reason given.
 ALIASES: tuple[tuple[str, tuple[frozenset[str], ...], str], ...] = (
     *((name, tuple(frozenset({other}) for other in LEVEL), "only thrust over mass shows") for name in LEVEL),
+    (
+        "slung_load",
+        tuple(frozenset({other}) for other in LEVEL),
+        "a load that hardly swings against the vehicle is mass",
+    ),
     ("battery_voltage", (frozenset({"battery_sag"}),), "the voltage falls with the load"),
     ("battery_sag", (frozenset({"battery_voltage"}),), "where a voltage is logged, the load shows in it"),
     ("mocap_delay", (_DELAYS,), "poses late against commands are commands early against poses"),
