@@ -370,9 +370,12 @@ def identifiable_effects(
     """Return the effects whose required log channels were logged and excited, and notes on the others."""
     kept, notes = {}, []
     measured = any(f.thrust_is_measured for f in flights)
+    requested = all(f.requests is not None for f in flights)
     for name, effect in library.items():
         if measured and effect.of_the_drive:
             continue  # the speeds of the rotors are given
+        if not requested and "requests" in effect.channels and effect.requires:
+            continue  # as in most logs; a note for each would hide the others
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()} - {
             ""
         }
@@ -381,6 +384,8 @@ def identifiable_effects(
             notes += [f"{reason}: {name} is confounded with {others}" for reason in sorted(why)]
         else:
             kept[name] = effect
+    if not requested:
+        notes.append("requests of the four motors not logged: single rotors cannot be judged")
     return kept, notes
 
 
