@@ -7,7 +7,7 @@ begins with a package, as in `inclined_landing:InclinedLanding-v0`, has Gymnasiu
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64)
 
 The options are in `gym_env.py`. Public: `make_batch` and `BatchEnv` (n vehicles, one call a step),
-`BatchVecEnv` (the same for Stable-Baselines3), `Task`, `make_task` and `import_task`, `load_policy`,
+`make_for` (a policy with its environment), `BatchVecEnv` (for Stable-Baselines3), `Task`, `make_task` and `import_task`, `load_policy`,
 `save_policy`, `record_flights`.
 """
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from inclined_landing.envs.batch import BatchEnv
     from inclined_landing.envs.flights import record_flights
-    from inclined_landing.envs.make import make_batch
+    from inclined_landing.envs.make import make_batch, make_for
     from inclined_landing.envs.policy import load_policy
     from inclined_landing.envs.sb3 import BatchVecEnv, save_policy
     from inclined_landing.envs.tasks import Task, import_task, make_task
@@ -29,6 +29,7 @@ __all__ = [
     "import_task",
     "load_policy",
     "make_batch",
+    "make_for",
     "make_task",
     "record_flights",
     "save_policy",
@@ -41,6 +42,7 @@ _AT_FIRST_USE = {  # what takes time to import, or is not installed with the env
     "import_task": "tasks",
     "load_policy": "policy",
     "make_batch": "make",
+    "make_for": "make",
     "make_task": "tasks",
     "record_flights": "flights",
     "save_policy": "sb3",

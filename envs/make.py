@@ -1,4 +1,4 @@
-"""`make_batch`: a task in a plant by name, with every option checked."""
+"""`make_batch`: a task in a plant by name, with every option checked; `make_for`: a policy with its environment."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, is_whole
+from inclined_landing.envs.ids import TASK_CLASSES
+from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -62,6 +64,38 @@ def make_batch(
             )
     built = make_task(task, vehicle, **options)
     return BatchEnv(built, make_plant(plant, n, built.vehicle, **built.plant_options | plant_options), seed)
+
+
+def make_for(
+    policy: str | Path,
+    num_envs: int | None = None,
+    *,
+    vehicle: Vehicle | str | Path | None = None,
+    **options,
+) -> tuple[Any, Policy]:
+    """Return the Gymnasium environment that a policy was trained for, and the policy: (env, policy).
+
+        env, policy = inclined_landing.make_for("landing", render_mode="rgb_array")
+        envs, policy = inclined_landing.make_for("runs/landing-0/final.zip", num_envs=64, plant="hybrid")
+
+    policy: a file, or a shipped one by name. num_envs: a vector environment of as many vehicles. vehicle: as
+    for `make_batch`. options: of the environment, and of the task where they differ from training's, such as
+    `inclination` [rad]. Raises UserError for what is none of these.
+    """
+    import gymnasium
+
+    if vehicle is None or isinstance(vehicle, (str, Path)):
+        vehicle = load_vehicle(vehicle)
+    trained = load_policy(policy, vehicle=vehicle).task
+    given = {"vehicle": vehicle, **trained.options, **options}
+    name = f"{__package__}:{TASK_CLASSES[trained.name]}-v0"
+    if num_envs is None:
+        env = gymnasium.make(name, **given)
+        task = env.unwrapped.task  # type: ignore[attr-defined]
+    else:
+        env = gymnasium.make_vec(name, num_envs=num_envs, **given)
+        task = env.unwrapped.task
+    return env, load_policy(policy, task, inclination=options.get("inclination"))
 
 
 def _check_options(given: dict, kind: Any, what: str) -> None:

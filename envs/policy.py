@@ -16,7 +16,7 @@ import shutil
 import zipfile
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -309,66 +309,47 @@ def _action_map(options: dict) -> tuple[float | str, float]:
 
 
 def _check_training_options(task: Task, metadata: dict, inclination, path) -> None:
-    """Raise UserError where a task differs from training in what the policy cannot observe, or in history."""
+    """Raise UserError where a task differs from training in what the policy cannot observe, or in history.
+
+    It says all that differs, as arguments to type.
+    """
     options = metadata.get("task_options", {})
-    past = options.get("history", 0)
-    if past != task.history:
-        raise UserError(
-            f"policy {path} is given {past} past steps, and the {task.name} task here has {task.history}; "
-            f"give it history={past}"
-        )
-    observed = bool(options.get("observe_vehicle", False))
-    if observed != task.observe_vehicle:
-        raise UserError(
-            f"policy {path} {'observes' if observed else 'does not observe'} its vehicle's parameters; "
-            f"give the {task.name} task here observe_vehicle={observed}"
-        )
-    trained, per_vehicle = _action_map(options), task.per_vehicle_hover
-    if (trained[0] == OWN) != per_vehicle:
-        raise UserError(
-            f"policy {path} was trained with {_centre_words(trained[0])} at thrust action 0, and the "
-            f"{task.name} task here has {_centre_words(OWN if per_vehicle else task.pwm_centre)}; give it "
-            f"pwm_centre={_centre_option(trained[0])} and pwm_span={trained[1]:.15g}"
-        )
-    trained, own = (
-        (task.pwm_centre if trained[0] == OWN else trained[0], trained[1]),
-        (task.pwm_centre, task.pwm_span),
-    )
-    if not np.allclose(trained, own, rtol=0.0, atol=1e-6):
-        raise UserError(
-            f"policy {path} was trained with PWM {trained[0]:.0f} +- {trained[1]:.0f} for its thrust action, "
-            f"and the {task.name} task here has {own[0]:.0f} +- {own[1]:.0f}; give it "
-            f"pwm_centre={trained[0]:.15g} and pwm_span={trained[1]:.15g}"
-        )
+    trained: dict[str, Any] = {
+        "history": options.get("history", 0),
+        "observe_vehicle": bool(options.get("observe_vehicle", False)),
+    }
+    here: dict[str, Any] = {"history": task.history, "observe_vehicle": task.observe_vehicle}
     for field, option, _ in fields_of(task.options_type):
-        name = field.name
-        given, has = options.get(name, field.default), task.options.get(name, field.default)
-        if option.trained_with and given != has:
-            raise UserError(
-                f"policy {path} was trained with {name}={shown(given, 40)}, and the {task.name} task "
-                f"here has {has}; give it {name}={shown(given, 40)}"
-            )
-    slope, here = options.get("inclination"), task.options.get("inclination")
+        if option.trained_with:
+            trained[field.name] = options.get(field.name, field.default)
+            here[field.name] = task.options.get(field.name, field.default)
+    centre, trained["pwm_span"] = _action_map(options)
+    trained["pwm_centre"], here["pwm_span"] = centre, task.pwm_span
+    here["pwm_centre"] = OWN if task.per_vehicle_hover else task.pwm_centre
     drawn = task.options.get("steepest") is not None
-    if (
-        inclination is None
-        and not drawn
-        and slope is not None
-        and here is not None
-        and abs(slope - here) > 1e-9
-    ):
+    if inclination is None and not drawn and options.get("inclination") is not None:
+        trained["inclination"], here["inclination"] = options["inclination"], task.options.get("inclination")
+    wrong = [name for name in trained if not _same(trained[name], here[name])]
+    if wrong:
+        wanted, found = (
+            ", ".join(f"{name}={shown(_typed(of[name]), 40)}" for name in wrong) for of in (trained, here)
+        )
         raise UserError(
-            f"policy {path} was trained for a slope of {np.degrees(slope):.1f} deg, and the {task.name} task "
-            f"here has {np.degrees(here):.1f} deg; give inclination={here:.15g} too if that is meant"
+            f"policy {path} was trained with {wanted}, and the {task.name} task here has {found}; give it "
+            "these, or take make_for(POLICY)"
+            + (", or say inclination too if that is meant" if "inclination" in wrong else "")
         )
 
 
-def _centre_words(centre: float | str) -> str:
-    return "the hover of each vehicle" if centre == OWN else f"PWM {centre:.0f}"
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, (int, float)) and isinstance(other, (int, float)):
+        return abs(one - other) <= 1e-6 * max(1.0, abs(one))
+    return one is other or one == other
 
 
-def _centre_option(centre: float | str) -> str:
-    return repr(centre) if centre == OWN else f"{centre:.15g}"
+def _typed(value: Any) -> str:
+    """Return a value as it is typed in Python."""
+    return f"{value:.15g}" if isinstance(value, float) else repr(value)
 
 
 def _build_task(name, metadata, vehicle, slope, path) -> Task:

@@ -81,6 +81,9 @@ _REPLAYED = {"learning_rate": 1e-3, "batch_size": 256}  # of those with a replay
 # Rewards are multiplied by this. SAC's are small beside its price of entropy otherwise.
 REWARD_SCALE = {"ppo": 0.1, "sac": 1.0, "td3": 0.1}
 
+ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle by, of tasks on drawn vehicles
+DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
+EVALUATE_EVERY = (16, 32)  # iterations, on one vehicle and on drawn ones
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
 
@@ -165,9 +168,10 @@ class TrainConfig:
     """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML) of effects and of entries of the vehicle file, or `robust`, which is shipped: each
-    training episode, and half of the evaluated flights, have a vehicle drawn from them. The run keeps a
-    copy."""
+    """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
+    (default: landing robust)."""
+    nominal: bool = False
+    """The paper's landing: one vehicle, no history, actions around its hover."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -198,7 +202,11 @@ class TrainConfig:
     ] = None
     """Rewards are multiplied by this before the algorithm sees them."""
 
-    evaluate_every: Annotated[int, Range(*_INTERVAL)] = 16
+    evaluate_every: Annotated[
+        int | None,
+        Range(*_INTERVAL),
+        tyro.conf.arg(help_behavior_hint="(default: 16; on drawn vehicles 32)"),
+    ] = None
     """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
     video_every: Annotated[int, Range(*_INTERVAL)] = 0
     """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
@@ -238,14 +246,21 @@ class TrainConfig:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start if start is not None and trained_task(start) == kind.name else None
-        filled |= self._ending(training, training.min_steps if same is None else CARRIED_ON)
+        least = training.min_steps if same is None else CARRIED_ON
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
-        randomise = None if self.randomise is None else Path(self.randomise)
+        drawn = kind.drawn_vehicles and not self.nominal
+        if self.nominal and self.randomise is not None:
+            raise UserError("--nominal trains on one vehicle, and --randomise draws many: leave one out")
+        ranges = ROBUST if drawn and self.randomise is None else self.randomise
+        randomise = None if ranges is None else Path(ranges)
+        if self.evaluate_every is None:
+            filled["evaluate_every"] = EVALUATE_EVERY[randomise is not None]
+        filled |= self._ending(training, least + (DRAWN_STEPS if randomise is not None else 0))
         if self.history is None:
-            filled["history"] = 0 if same is None else history_length(same)
+            filled["history"] = history_length(same) if same is not None else DRAWN_HISTORY if drawn else 0
         filled["observe_vehicle"] = self.observe_vehicle or (same is not None and observes_vehicle(same))
-        filled |= self._action_map(start)
+        filled |= self._action_map(start, drawn)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":
             config._check_buffer()
@@ -303,12 +318,18 @@ class TrainConfig:
                 "to learn in"
             )
 
-    def _action_map(self, start_from: str | None) -> dict:
-        """What actions command, filled in: as in the policy to go on from, so that it flies as before."""
+    def _action_map(self, start_from: str | None, drawn: bool) -> dict:
+        """What actions command, filled in: as in the policy to go on from, so that it flies as before.
+
+        On drawn vehicles it is the whole range of commands, as some need much more thrust than others.
+        """
         centre, span = self.pwm_centre, self.pwm_span
         if start_from is not None and (centre is None or span is None):
             own = action_map(start_from)
             centre, span = (mine if given is None else given for mine, given in zip(own, (centre, span)))
+        if drawn and centre is None and span is None:
+            low, high = load_vehicle(self.vehicle).command_pwm_range
+            centre, span = 0.5 * (low + high), 0.5 * (high - low)
         if span is None:
             span = load_vehicle(self.vehicle).command_pwm_span
         return {"pwm_centre": "hover" if centre is None else centre, "pwm_span": span}
@@ -399,7 +420,7 @@ def _kinds(kinds: tuple) -> tuple:
 HELP = {
     "options": (
         *("task", "out", "seed", "steps", "start_from", "algorithm", "plant", "vehicle", "randomise"),
-        *("inclination", "steepest", "dimensions", "resume", "report"),
+        *("nominal", "inclination", "steepest", "dimensions", "resume", "report"),
     ),
     "task: slopes, moving platforms, curriculum": (
         *("random_yaw", "fastest", "swell", "angle_limit", "pwm_centre", "pwm_span", "observe_vehicle"),

@@ -64,6 +64,9 @@ CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]
 EVALUATION_STARTS = 64
 ENDING_STARTS = 256  # of evaluations that end a run
+RISING = (
+    0.01  # share of drawn vehicles that two evaluations land more than the two before, or it rises no more
+)
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
@@ -261,7 +264,13 @@ class Run:
         if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
             return False
         complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
-        return all(e["steps"] in complete and e["score"] >= config.success for e in last)
+        which = "score" if config.randomise is None else "score_nominal"
+        if not all(e["steps"] in complete and e[which] >= config.success for e in last):
+            return False
+        if config.randomise is None:
+            return True
+        drawn = [e["score_drawn"] for e in self.evaluations[-4:]]
+        return len(drawn) == 4 and sum(drawn[2:]) <= sum(drawn[:2]) + 2.0 * RISING
 
     def _ended(self) -> str:
         """Return how the run ended, in one sentence."""
@@ -269,6 +278,9 @@ class Run:
         if config.success is None:
             return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
         asked = f"two evaluations in a row at {100 * config.success:g} %"
+        if config.randomise is not None:
+            drawn = f", now {100 * self.evaluations[-1]['score_drawn']:.0f} %," if self.evaluations else ""
+            asked += f" on the model's vehicle while the share of drawn ones{drawn} no longer rises"
         if self._reached():
             return f"{asked} after {steps} steps"
         last = f"the last one said {self._judge.task.score_words(self.evaluations[-1])}"
@@ -507,22 +519,23 @@ class Run:
 class _Judge:
     """Periodic evaluation: random starts of a stream of its own, hybrid plant in RK4, no training aids.
 
-    Of a randomised run every other flight has a vehicle of a pool of its own, hovering at first: the score is
-    that of all flights, and beside it stands that of either half.
+    Of a randomised run two of three flights have a vehicle of a pool of its own, hovering at first: the score
+    is that of all flights, and beside it stands that of either kind.
     """
 
     def __init__(self, config: TrainConfig, vehicle):
         self.task = ppo.build_task(config)
         rng = np.random.default_rng(ppo.evaluation_seed(config))
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
+        count += 0 if config.randomise is None else count // 2
         start = self.task.evaluation_starts(rng, count)
         self.starts = start
-        drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), count // 2)
+        drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), 2 * (count // 3))
         self.plant = make_plant(
             "hybrid", count, vehicle, threads=config.threads, **drawn | self.task.plant_options
         )
         if self.plant.pool:
-            others = np.arange(1, count, 2)
+            others = np.flatnonzero(np.arange(count) % 3)
             self.plant.assign(others, 1 + np.arange(len(others)))
             self.starts.state[:, LAG] *= self.plant.hover_share
         self.film_start = self.task.states_at(self.task.film_starts[:1])
@@ -531,8 +544,11 @@ class _Judge:
         flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
         score = self.task.score(flights)
         if self.plant.pool:
-            halves = {"score_nominal": flights[::2], "score_drawn": flights[1::2]}
-            score |= {name: self.task.score(half)["score"] for name, half in halves.items()}
+            kinds = {
+                "score_nominal": flights[::3],
+                "score_drawn": [f for k, f in enumerate(flights) if k % 3],
+            }
+            score |= {name: self.task.score(some)["score"] for name, some in kinds.items()}
         return score
 
 

@@ -58,7 +58,8 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
                 f"--from {name} is for touchdown in three dimensions, not for this {task.name} task"
             )
         return Descent(task)
-    wanted = task.name if trained_task(name) == task.name else task.training.start_from or task.name
+    usual = task.training.start_from
+    wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
     if policy.task.history and wanted != task.name:
         raise UserError(f"policy {policy.path} needs a history of observations; {task.name} begins without")

@@ -125,6 +125,7 @@ class InclinedLanding(Task):
     cut_at_success = True
     shipped = True
     table = "goal_box"
+    drawn_vehicles = True
     training = Training(
         steps=None,
         success=0.99,

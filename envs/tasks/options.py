@@ -124,7 +124,8 @@ class TaskOptions(Record):
         "drawn, or flown later) or paper (42 000). A policy to go on from is rewritten where it has another.",
         more={
             "metavar": "NUMBER|hover|own|paper",
-            "help_behavior_hint": "(default: hover; with --from the policy's)",
+            "help_behavior_hint": "(default: hover; landing on drawn vehicles the middle of all commands, "
+            "35000; with --from the policy's)",
         },
         recorded=True,
     )
@@ -134,14 +135,15 @@ class TaskOptions(Record):
         limits=(1, 65_535),
         more={
             "metavar": "NUMBER",
-            "help_behavior_hint": "(default: the vehicle file's, 16500; with --from the policy's)",
+            "help_behavior_hint": "(default: the vehicle file's, 16500; landing on drawn vehicles up to the "
+            "ends of all commands, 25000; with --from the policy's)",
         },
         recorded=True,
     )
     history: int = option(
         0,
         "Past steps, observation and action each, that the policy is given besides the observation (default: "
-        "as many as the policy in --from, else 0).",
+        "as many as the policy in --from; else landing on drawn vehicles 3, others 0).",
         limits=(0, LONGEST_HISTORY),
     )
     observe_vehicle: bool = option(

@@ -12,8 +12,8 @@ starts. Everything is observed from the centre of the surface, along level axes 
 | 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
 
 The goal lies 0.10 m over the surface along its normal, as 0.10 m straight above would leave 6.4 cm over a
-slope of 50 deg. In the goal box y, vy and roll have the half widths of x, vx and pitch, about the attitude of
-a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg: `angle_limit` [rad] takes the
+slope of 50 deg. In space the goal box bounds y, vy and roll too, with the half widths of x, vx and pitch, about
+the attitude of a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg: `angle_limit` [rad] takes the
 place of the vehicle's.
 """
 
@@ -44,6 +44,9 @@ class SlopeLanding(InclinedLanding):
     table = "slopes"
     goal_height = GOAL_HEIGHT  # over the surface along its normal, m
     columns: Any = _PLANAR  # of the heading frame, those that are observed
+    # Columns of position, velocity and attitude that the goal box bounds: in the plane those of the plane, as
+    # a policy there cannot answer what pushes a drawn vehicle sideways.
+    bounded: Any = ([X, Z], [VX, VZ], [PITCH])
     least = -1.0  # inclination that is drawn, as a share of `steepest`
 
     def _usual_inclination(self) -> float:
@@ -95,11 +98,8 @@ class SlopeLanding(InclinedLanding):
         seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*on_slope.T)
         seen[:, ROLL : PITCH + 1] -= on_slope
         place, _, speed, _, angle = goal_box(goal_size)
-        return (
-            (np.abs(seen[:, X : Z + 1]).max(axis=1) < place)
-            & (np.abs(seen[:, VX : VZ + 1]).max(axis=1) < speed)
-            & (np.abs(seen[:, ROLL : PITCH + 1]).max(axis=1) < angle)
-        )
+        sizes = zip(self.bounded, (place, speed, angle))
+        return np.logical_and.reduce([np.abs(seen[:, columns]).max(axis=1) < size for columns, size in sizes])
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         if self.steepest is not None:

@@ -101,6 +101,7 @@ class InclinedTouchdown(InclinedLanding):
     idle_action = IDLE_ACTION
     cut_at_success = False
     table = "touchdown"
+    drawn_vehicles = False
     training = Training(
         steps=1_500_000,
         curriculum="touchdown",
@@ -108,7 +109,7 @@ class InclinedTouchdown(InclinedLanding):
         keep_out=0.0,
         learning_rate=4e-4,
         log_std_init=-1.2,
-        start_from="landing",
+        start_from="landing-nominal",
     )
     curricula = ("touchdown",)
     training_conditions = None

@@ -155,10 +155,12 @@ def test_policies_must_go_together():
     with pytest.raises(UserError, match="the touchdown policy landing is for the task landing"):
         Plan(setpoint, landing, landing)
     with pytest.raises(UserError, match=r"landing policy for one of 20\.0 deg, touchdown policy for 25\.7"):
-        Plan(setpoint, load_policy("landing", inclination=np.radians(-20.0)), touchdown)
+        Plan(setpoint, load_policy("landing-nominal", inclination=np.radians(-20.0)), touchdown)
     heavy = PLAN.vehicle.changed(body_mass=0.04)
-    with pytest.raises(UserError, match="landing policy landing is for another vehicle than the last"):
-        Plan(setpoint, load_policy("landing", vehicle=heavy), touchdown)
+    with pytest.raises(
+        UserError, match="landing policy landing-nominal is for another vehicle than the last"
+    ):
+        Plan(setpoint, load_policy("landing-nominal", vehicle=heavy), touchdown)
     turned = Leaning()
     turned.task = make_task("landing", dimensions=3, azimuth=1.0)
     with pytest.raises(UserError, match="for different slopes"):

@@ -12,6 +12,7 @@ from stable_baselines3 import PPO, SAC, TD3
 
 from inclined_landing.envs import policy
 from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.envs.make import make_for
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -156,22 +157,28 @@ def test_a_plain_sb3_file_needs_the_task(tmp_path):
 
 def test_a_policy_fits_the_default_environment_and_refuses_another_action_map_or_slope():
     env = gym.make("inclined_landing.envs:InclinedLanding-v0", plant="analytic")
-    assert policy.load_policy("landing", env.unwrapped.task).task is env.unwrapped.task
-    for options in ({"pwm_centre": "paper"}, {"pwm_span": 20_000}):
-        with pytest.raises(
-            UserError, match=r"with PWM 34099 \+- 16500 .*; give it pwm_centre=34098\.\d+ and pwm_span"
-        ):
-            policy.load_policy("landing", make_task("landing", **options))
+    assert policy.load_policy("landing-nominal", env.unwrapped.task).task is env.unwrapped.task
+    for options, said in (
+        ({"pwm_centre": "paper"}, r"with pwm_centre=34098\.\d+, and .* has pwm_centre=42000; .*make_for"),
+        (
+            {"pwm_span": 20_000, "history": 2},
+            r"with history=0, pwm_span=16500, and .* history=2, pwm_span=20000",
+        ),
+    ):
+        with pytest.raises(UserError, match=said):
+            policy.load_policy("landing-nominal", make_task("landing", **options))
     sloped = make_task("landing", inclination=-0.2)
-    with pytest.raises(UserError, match=r"slope of -25\.7 deg, and the landing task here has -11\.5 deg"):
-        policy.load_policy("landing", sloped)
-    assert policy.load_policy("landing", sloped, inclination=-0.2).task is sloped
+    with pytest.raises(
+        UserError, match=r"inclination=-0\.44\d+, and .* inclination=-0\.2; .*say inclination too"
+    ):
+        policy.load_policy("landing-nominal", sloped)
+    assert policy.load_policy("landing-nominal", sloped, inclination=-0.2).task is sloped
     heavy = dataclasses.replace(load_vehicle(), body_mass=0.04, command_pwm_span=9_000.0)
-    loaded = policy.load_policy("landing", vehicle=heavy).task
+    loaded = policy.load_policy("landing-nominal", vehicle=heavy).task
     same = make_task("landing", heavy, **loaded.options)
-    assert policy.load_policy("landing", same).task.pwm_span == 16_500
-    with pytest.raises(UserError, match="PWM"):
-        policy.load_policy("landing", make_task("landing", heavy))
+    assert policy.load_policy("landing-nominal", same).task.pwm_span == 16_500
+    with pytest.raises(UserError, match="pwm_span=16500"):
+        policy.load_policy("landing-nominal", make_task("landing", heavy))
 
 
 def not_a_zip(path):
@@ -270,3 +277,19 @@ def test_wrong_observations_and_tasks(tmp_path):
     other = saved(tmp_path / "s.zip", model(8, 3), {"task": "setpoint", "task_options": {}})
     with pytest.raises(UserError, match="no inclined platform"):
         policy.load_policy(other, inclination=-0.2)
+
+
+def test_make_for_gives_a_policy_the_environment_it_was_trained_for():
+    """Of one vehicle or many, and with another slope or plant where that is asked for."""
+    env, one = make_for("landing", plant="analytic")
+    assert one.task is env.unwrapped.task and one.task.history == 3 and one.task.pwm_span == 25_000
+    seen, _ = env.reset(seed=1)
+    assert env.step(one.predict(seen))[0].shape == seen.shape == (26,)
+    envs, many = make_for("landing-3d", 3, plant="analytic")
+    seen, _ = envs.reset(seed=1)
+    assert many.task is envs.unwrapped.task and many.predict(seen).shape == (3, 3)
+    assert make_for("landing", inclination=-0.2, plant="analytic")[1].task.inclination == -0.2
+    with pytest.raises(UserError, match="has no option 'slope'"):
+        make_for("landing", slope=-0.2)
+    with pytest.raises(UserError, match="policy nothing.zip does not exist"):
+        make_for("nothing.zip")

@@ -12,9 +12,9 @@ from inclined_landing.eval import after_training
 @pytest.mark.parametrize("other", [False, True])
 def test_the_best_policy_is_flown_only_where_it_is_not_the_final_one(tmp_path, monkeypatch, other):
     """With the network of final.zip it has the same numbers, of the thrust as it is."""
-    final = load_policy("landing")
+    final = load_policy("landing-nominal")
     changed = [*final.biases[:-1], final.biases[-1] + 1e-3]
-    best = dataclasses.replace(final, biases=tuple(changed)) if other else load_policy("landing")
+    best = dataclasses.replace(final, biases=tuple(changed)) if other else load_policy("landing-nominal")
     asked = []
 
     def evaluate(policy, *, thrust_scales=(1.0,)):

@@ -163,7 +163,7 @@ def test_free_flight_is_the_engines_within_the_bound_of_the_equivalence():
 
 def test_the_shipped_policy_has_the_same_outcomes():
     """From every frozen start: success, and no touch before it."""
-    policy = load_policy("landing")
+    policy = load_policy("landing-nominal")
     states = policy.task.states_at(starts.grid())
     outcomes = []
     for plant in ("mujoco", "hybrid"):

@@ -105,11 +105,9 @@ def test_the_base_flies_with_five_packages():
     assert needed == {"mujoco", "numpy", "numba", "gymnasium", "msgspec"}
     code = (
         "import gymnasium, inclined_landing.models.effects, inclined_landing.models.scene\n"
-        "env = gymnasium.make('InclinedLanding-v0', disable_env_checker=True)\n"
-        "env.reset(seed=0)\n"
-        "for _ in range(3): env.step(env.action_space.sample())\n"
-        "from inclined_landing.envs.policy import load_policy\n"
-        "load_policy('landing').predict(env.reset(seed=0)[0])\n"
+        "env, policy = inclined_landing.make_for('landing', disable_env_checker=True)\n"
+        "seen, _ = env.reset(seed=0)\n"
+        "for _ in range(3): seen, *_ = env.step(policy.predict(seen))\n"
         "from inclined_landing.envs.rendering import make_renderer\n"
         "print(make_renderer(64, 48, backend='ray').render(None).shape)"
     )

@@ -26,7 +26,7 @@ logging.getLogger("cflib").setLevel(logging.CRITICAL)
 
 @pytest.fixture(scope="module")
 def plan():
-    landing, hover, starts = load_policies("landing-robust", "setpoint", (), None, None)
+    landing, hover, starts = load_policies("landing", "setpoint", (), None, None)
     return Plan(landing, hover, starts[2])
 
 

@@ -20,4 +20,4 @@ def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
 
 
 def test_strict_landings_are_counted():
-    assert from_logs.strict("landing", load_vehicle())["count"] == 250
+    assert from_logs.strict("landing-nominal", load_vehicle())["count"] == 250

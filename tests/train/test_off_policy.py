@@ -21,7 +21,7 @@ TINY = {"environments": 8, "rollout": 16, "steps": 512, "threads": 1, "evaluate_
 
 
 def config(out, algorithm="sac", **options) -> TrainConfig:
-    return TrainConfig(out=out, algorithm=algorithm, **(TINY | options))
+    return TrainConfig(out=out, algorithm=algorithm, nominal=True, **(TINY | options))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -20,7 +20,7 @@ SMALL = {
 
 
 def test_a_run_stamps_what_its_policy_is_told(tmp_path):
-    told = {"observe_vehicle": True, "pwm_centre": "own", "randomise": "vehicles", "steps": 128}
+    told = {"observe_vehicle": True, "pwm_centre": "own", "history": 0, "randomise": "vehicles", "steps": 128}
     run = Run(TrainConfig("landing", out=tmp_path / "told", **told, **SMALL))
     run.execute()
     policy = load_policy(tmp_path / "told/final.zip", vehicle=load_vehicle("hummingbird"))
@@ -32,7 +32,7 @@ def test_a_run_stamps_what_its_policy_is_told(tmp_path):
 
 
 def test_a_named_vehicle_is_copied_into_the_run():
-    config = TrainConfig("landing", vehicle="hummingbird").resolved()
+    config = TrainConfig("landing", vehicle="hummingbird", nominal=True).resolved()
     copied = config.copied()["vehicle.toml"]
     assert copied.name == "hummingbird.toml" and copied.is_file()
     assert ppo.build_task(config).pwm_centre == load_vehicle("hummingbird").hover_pwm
@@ -48,7 +48,7 @@ def test_a_policy_goes_on_as_it_was_told(options, sentence, tmp_path):
             TrainConfig(
                 "landing",
                 out=tmp_path / "on",
-                start_from="landing",
+                start_from="landing-nominal",
                 success=0.9,
                 **options,
                 **{**SMALL, "evaluate_every": 16},

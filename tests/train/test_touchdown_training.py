@@ -22,7 +22,7 @@ def test_the_actor_begins_as_the_landing_policy():
     config = TrainConfig(task="touchdown", **TINY).resolved()
     env = ppo.training_environment(config)
     model = ppo.build_model(config, env)
-    landing = load_policy("landing")
+    landing = load_policy("landing-nominal")
     warm_start.take_over(model, landing)
     observation = env.env.reset()
     mean, _ = model.predict(observation, deterministic=True)
@@ -30,7 +30,7 @@ def test_the_actor_begins_as_the_landing_policy():
 
 
 def test_the_lesson_is_the_motor_cut():
-    landing = load_policy("landing")
+    landing = load_policy("landing-nominal")
     task = landing.task
     over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
     over[0, PITCH] = task.inclination
@@ -51,7 +51,7 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
     assert a.task.name == "touchdown" and a.task.pwm_centre == a.task.vehicle.hover_pwm
     for left, right in zip(a.weights, b.weights):
         np.testing.assert_array_equal(left, right)
-    started = load_policy("landing").weights
+    started = load_policy("landing-nominal").weights
     assert not all(np.array_equal(left, right) for left, right in zip(a.weights, started))
 
 

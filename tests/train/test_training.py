@@ -32,7 +32,8 @@ TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps"
 
 
 def config(out, **options) -> TrainConfig:
-    return TrainConfig(out=out, **(TINY | options))
+    one = {"nominal": True} if "randomise" not in options and "start_from" not in options else {}
+    return TrainConfig(out=out, **(TINY | one | options))
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +238,7 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
 
 def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path):
     """And may end after the steps in which the critic comes first, and some; a new run has more."""
-    begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing"))
+    begun = Run(TrainConfig(out=tmp_path / "a", start_from="landing-nominal", nominal=True))
     assert begun.curriculum.level == 1.0 and begun.config.min_steps == CARRIED_ON > warm_start.CRITIC_FIRST
     assert begun.curriculum.learning_rate_share(0, None) == 1.0
     begun.curriculum.advance(8192)
@@ -246,18 +247,20 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
         begun.curriculum.episode(success=True, length=50)
     begun.curriculum.advance(8192)
     assert begun.curriculum.learning_rate_share(8192 + SETTLING // 2, None) == pytest.approx(0.5)
-    new = Run(TrainConfig(out=tmp_path / "b"))
+    new = Run(TrainConfig(out=tmp_path / "b", nominal=True))
     assert new.curriculum.level == 0.0 and new.config.min_steps == new.env.env.task.training.min_steps
 
 
 def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
     """And with the same one where none is asked for; never with a shorter one."""
-    begun = Run(config(tmp_path / "a", start_from="landing", history=2, steps=256))
+    begun = Run(config(tmp_path / "a", start_from="landing-nominal", history=2, steps=256))
     task = begun.env.env.task
     assert task.history == 2 and begun._judge.task.options == task.options
     given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5 + 2 * 7)).astype(np.float32)
     taken, _ = begun.model.predict(given, deterministic=True)
-    np.testing.assert_allclose(taken, load_policy("landing").predict(given[:, :5]), atol=1e-5)  # float32
+    np.testing.assert_allclose(
+        taken, load_policy("landing-nominal").predict(given[:, :5]), atol=1e-5
+    )  # float32
     begun.execute()
     saved = str(tmp_path / "a" / "final.zip")
     assert load_policy(saved).task.history == 2
@@ -337,16 +340,16 @@ def test_a_run_is_not_resumed_with_other_ranges(tmp_path):
 def test_a_policy_is_taken_to_another_slope_and_vehicle(tmp_path):
     heavy = dataclasses.replace(load_vehicle(), body_mass=1.2 * load_vehicle().body_mass)
     write_vehicle(tmp_path / "heavy.toml", heavy)
-    options = {"start_from": "landing", "inclination": 10.0, "vehicle": tmp_path / "heavy.toml"}
+    options = {"start_from": "landing-nominal", "inclination": 10.0, "vehicle": tmp_path / "heavy.toml"}
     begun = Run(config(tmp_path / "a", **options))
-    assert begun.env.env.task.pwm_centre == load_policy("landing").task.pwm_centre
+    assert begun.env.env.task.pwm_centre == load_policy("landing-nominal").task.pwm_centre
     assert begun.teacher.task.vehicle == heavy and begun.teacher.task.inclination == math.radians(10.0)
 
 
 def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     """Same PWM and same noise in PWM, but for float32: 3e-7 of a span and of what adds up in 64 products."""
-    shipped = load_policy("landing")
-    begun = Run(config(tmp_path / "a", start_from="landing", pwm_centre=40_000.0, pwm_span=24_000.0))
+    shipped = load_policy("landing-nominal")
+    begun = Run(config(tmp_path / "a", start_from="landing-nominal", pwm_centre=40_000.0, pwm_span=24_000.0))
     begun.folder.mkdir()
     own, path = begun.env.env.task, tmp_path / "carried.zip"
     path.write_bytes(begun.policy_file())
@@ -429,6 +432,40 @@ def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
     assert load_policy(fixed / "final.zip").metadata["steps"] == 512
 
 
+def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, monkeypatch):
+    """With the vehicle of the model landed twice in a row; and it says the share."""
+    nominal = iter([1.0, 1.0, 0.98, 1.0, 1.0, 1.0, 1.0])
+    drawn = iter(
+        [0.50, 0.60, 0.70, 0.80, 0.80, 0.81, 0.80]
+    )  # sums of pairs: 1.5 after 1.1, ..., 1.61 after 1.6
+    monkeypatch.setattr(run, "ENDING_STARTS", 4)
+    monkeypatch.setattr(
+        run._Judge,
+        "__call__",
+        lambda *_: {"score": 0.9, "score_nominal": next(nominal), "score_drawn": next(drawn)},
+    )
+    options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
+    _, metrics = train(config(tmp_path / "a", **options))
+    assert metrics["reached"] is True and metrics["steps"] == 7 * 64
+    assert "the share of drawn ones, now 80 %, no longer rises after 448 steps" in metrics["ended"]
+
+
+def test_what_the_landing_trains_on_unless_told(tmp_path):
+    """Drawn vehicles, a history to tell them by and every command; --nominal the paper's task; or what is given."""
+
+    def said(**options):
+        resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
+        return [getattr(resolved, name) for name in ("randomise", "history", "pwm_centre", "pwm_span")]
+
+    robust = Path("robust")
+    assert said() == [robust, 3, 35_000.0, 25_000.0]
+    assert said(nominal=True) == [None, 0, "hover", 16_500.0] == said(task="setpoint")
+    assert said(history=0, pwm_centre="own") == [robust, 0, "own", 16_500.0]
+    assert said(randomise=Path("vehicles")) == [Path("vehicles"), 3, 35_000.0, 25_000.0]
+    with pytest.raises(UserError, match="--nominal trains on one vehicle, and --randomise draws many"):
+        said(nominal=True, randomise=robust)
+
+
 def test_a_run_has_its_least_steps(tmp_path, scores):
     scores[:] = [1.0]
     _, metrics = train(config(tmp_path / "a", **OPEN, min_steps=300))
@@ -451,7 +488,10 @@ def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, s
     tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1 --video-every 0".split()
     out = ["--out", str(tmp_path / "a")]
     assert (
-        cli.main([*tiny, *out, "--evaluate-every", "1", "--max-steps", "128", "--max-seconds", "1e-6"]) == 3
+        cli.main(
+            [*tiny, *out, "--nominal", "--evaluate-every", "1", "--max-steps", "128", "--max-seconds", "1e-6"]
+        )
+        == 3
     )
     assert "after 128 steps of at most" not in (said := capsys.readouterr().err)
     assert said.count("\n") == 1 and "--resume with the same --out goes on" in said
@@ -496,7 +536,8 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
         resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
         return [getattr(resolved, name) for name in ENDING]
 
-    assert ends() == [None, 0.99, 300_000, 3_000_000]
+    assert ends() == [None, 0.99, 1_000_000, 3_000_000]  # on drawn vehicles
+    assert ends(nominal=True) == [None, 0.99, 300_000, 3_000_000]
     assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [1_000_000, None, None, None]
     assert ends(success=0.5, max_steps=9) == [None, 0.5, 9, 9]
     assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
@@ -633,6 +674,7 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise", "without"} | (
             set() if kind.training.start_from else {"start_from"}
         )
+        free -= {"randomise"} if kind.drawn_vehicles else set()
         free |= {"steepest", "dimensions", "angle_limit", "fastest", "swell"}
         free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])

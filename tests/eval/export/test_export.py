@@ -35,7 +35,7 @@ from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
-POLICIES = ("landing", "landing-history", "setpoint", "touchdown")
+POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
 TOLERANCE = 1e-5
 NO_COMPILER = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler on this machine")
@@ -169,7 +169,7 @@ def test_the_vectors_are_met_step_by_step(exported, libraries, name, format):
 
 @NO_COMPILER
 def test_what_is_not_finite_is_refused_or_nan(exported, libraries):
-    name = "landing-history"
+    name = "landing"
     library, size = libraries[name], 26
     memory, action = np.zeros(1 + 21, np.float32), np.full(2, 7, np.float32)
     policy, run = reader(exported[name, "numpy"]), session(exported[name, "onnx"]).run
@@ -220,8 +220,8 @@ def test_the_c_code_is_small_allocates_nothing_and_has_a_constant_stack(exported
 @NO_COMPILER
 def test_the_c_code_does_nothing_undefined(exported, tmp_path):
     flags = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")
-    source = exported["landing-history", "c"] / "src"
-    check = exported["landing-history", "c"] / "check.c"
+    source = exported["landing", "c"] / "src"
+    check = exported["landing", "c"] / "check.c"
     try:
         compiled.build([check], tmp_path / "none.o", "-c", f"-I{source}", *flags)
         out = compiled.build([check, source / "landing_policy.c"], tmp_path / "check", f"-I{source}", *flags)
@@ -235,7 +235,7 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wal
 
 
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
-@pytest.mark.parametrize("name", ["landing-history", "touchdown"])
+@pytest.mark.parametrize("name", ["landing-nominal", "touchdown"])
 def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_passes_the_self_test(exported, tmp_path, name):
     source, here = exported[name, "c"] / "src", Path(__file__).with_name("firmware")
     words = ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", str(source / "landing_policy.c")]
@@ -531,7 +531,7 @@ def line(run, state):
     return " ".join(f"{number:.9g}" for number in (run, *state[:6], x, y, z, w))
 
 
-@pytest.mark.parametrize("name", ["landing", "landing-history", "setpoint", "touchdown"])
+@pytest.mark.parametrize("name", ["landing-nominal", "landing", "setpoint", "touchdown"])
 def test_the_app_commands_what_the_policy_does(exported, app, name):
     policy = contract.load(name)
     start = policy.task.sample(np.random.default_rng(3), 1).state

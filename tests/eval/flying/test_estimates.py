@@ -74,7 +74,7 @@ def test_errors_are_as_large_as_the_filter_says():
 
 def test_landings_are_followed():
     """True flights, which are no random process: errors within three of the filter's own deviations."""
-    policy = load_policy("landing")
+    policy = load_policy("landing-nominal")
     starts = policy.task.states_at([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)])
     random = np.random.default_rng(5)
     for flight in record_flights(policy, "hybrid", starts):

@@ -36,7 +36,7 @@ NEAR = (-1.0, 1.6)  # a start that is soon reached
 
 @pytest.fixture(scope="module")
 def policies():
-    return load_policy("landing"), load_policy("setpoint")
+    return load_policy("landing-nominal"), load_policy("setpoint")
 
 
 def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, seed=1, before=None, **options):

@@ -100,7 +100,7 @@ def test_wrong_videos_are_sentences(tmp_path):
 @pytest.fixture(scope="module")
 def landed():
     """The shipped policy's first film start, and the flight with what followed the motor cut."""
-    policy = load_policy("landing")
+    policy = load_policy("landing-nominal")
     flight = fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
     return flight, to_rest(flight)
 

@@ -93,17 +93,17 @@ def flown(tmp_path_factory):
     """The command on four starts: the shipped policy beside itself under another name."""
     out = tmp_path_factory.mktemp("robust") / "out"
     copy = out.with_name(f"twin{EVIL_FILE}.zip")
-    copy.write_bytes(load_policy("landing").path.read_bytes())
+    copy.write_bytes(load_policy("landing-nominal").path.read_bytes())
     options = "--every 60 --thrust 0.7 --effect friction mocap_delay"
-    assert cli.main(["robustness", "landing", str(copy), "--out", str(out), *options.split()]) == 0
+    assert cli.main(["robustness", "landing-nominal", str(copy), "--out", str(out), *options.split()]) == 0
     return out
 
 
 def test_the_terminal_shows_every_policy_whole(capsys):
-    words.show(made_report(by_thrust, names=("landing", "landing-robust", "landing-history")))
+    words.show(made_report(by_thrust, names=("landing-nominal", "landing", "landing-steep")))
     printed = capsys.readouterr().out
     assert "…" not in printed and max(map(len, printed.splitlines())) <= 120
-    for name in ("landing-robust", "randomised, history 4", "second_order_attitude", "x 1.15"):
+    for name in ("landing-nominal", "randomised, history 4", "second_order_attitude", "x 1.15"):
         assert name in printed
 
 
@@ -122,7 +122,7 @@ def test_the_counts_are_those_of_the_flights(flown):
     """Twins land alike; enough thrust lands, too little never; friction changes the rest alone."""
     report = json.loads((flown / "robustness.json").read_text("utf-8"))
     assert report["starts"] == 5 and [p["name"] for p in report["policies"]] == [
-        "landing",
+        "landing-nominal",
         f"twin{EVIL_FILE}",
     ]
     for row in (*report["thrust"], *report["effects"]):
@@ -219,6 +219,6 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp
 
 
 def test_policies_for_other_slopes_are_not_compared():
-    flat = load_policy("landing", inclination=-0.2)
+    flat = load_policy("landing-nominal", inclination=-0.2)
     with pytest.raises(UserError, match="platforms of different inclination"):
-        changes.evaluate({"landing": load_policy("landing"), "flat": flat})
+        changes.evaluate({"landing": load_policy("landing-nominal"), "flat": flat})

@@ -17,7 +17,7 @@ def few_starts(monkeypatch):
 
 def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
     report = touchdown.evaluate(
-        load_policy("touchdown"), load_policy("landing"), frictions=(0.3, 0.8), restitutions=(0.0,)
+        load_policy("touchdown"), load_policy("landing-nominal"), frictions=(0.3, 0.8), restitutions=(0.0,)
     )
     assert report["cannot_hold"] == [0.3] and [row["friction"] for row in report["friction"]] == [0.8]
     own, cut = report["all"]["touchdown"], report["all"]["motor_cut"]

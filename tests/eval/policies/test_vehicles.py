@@ -19,8 +19,8 @@ OPTIONS = {"draws": 6, "starts": 2, "plant": "analytic", "seed": 5}
 def report():
     entries = [
         parse_entry("plain=landing"),
-        parse_entry("both=landing+landing-robust"),
-        parse_entry("own@hummingbird=landing"),
+        parse_entry("both=landing-nominal+landing"),
+        parse_entry("own@hummingbird=landing-nominal"),
     ]
     return evaluate(entries, NAMED, "vehicles", **OPTIONS)
 

@@ -42,7 +42,7 @@ def browser():
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """A page of a landing, and of a log of it with its simulation, under a hostile name."""
-    policy = load_policy("landing")
+    policy = load_policy("landing-nominal")
     flight = record_flights(policy, "mujoco", policy.task.states_at([(1.5, 1.8)]))[0]
     t, state = flight.t, flight.state
     log = FlightLog(HOSTILE, t, state[:, :3], state[:, ROLL : ROLL + 3], flight.commands)

@@ -77,11 +77,11 @@ def test_a_landing_is_followed_to_rest(landing):
     np.testing.assert_array_equal(recording.t, steps.t)
     times = dict((name, t) for t, name in recording.events)
     assert times["goal box"] == landing.duration < times["first touch"] < times["at rest"] < steps.t[-1]
-    assert "motors cut there, at rest on its feet after" in recording.outcome
+    assert "motors cut there, at rest" in recording.outcome
 
 
 def test_other_plants_are_shown_as_they_flew():
-    policy = load_policy("landing")
+    policy = load_policy("landing-nominal")
     flight = record_flights(policy, "analytic", policy.task.states_at([(0.9, 1.7)]))[0]
     recording = from_flight(flight, "x", "analytic")
     np.testing.assert_array_equal(recording.position[: len(flight.t)], flight.state[:, :3])

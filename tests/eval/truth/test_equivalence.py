@@ -38,7 +38,7 @@ V = load_vehicle()
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_policy("landing")
+    return load_policy("landing-nominal")
 
 
 @pytest.fixture(scope="module")

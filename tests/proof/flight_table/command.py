@@ -18,7 +18,7 @@ Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 
 
 def command(
-    policies: Names = ("landing", "landing-robust"),
+    policies: Names = ("landing-nominal", "landing"),
     vehicles: Names = ("nominal", "hidden"),
     flights: Annotated[int, Range(1, 1000)] = 10,
     faults: Flag = False,
