@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Z, rotation, rotations
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, YAW, X, Z, rotation, rotations
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -107,15 +107,22 @@ def platform_motion(platform: np.ndarray) -> np.ndarray:
     """Return velocity [m/s] and rates [rad/s] (n, 6) of platforms (n, 12) along the axes of
     `heading_frame`.
     """
-    turning = np.einsum(
-        "nij,nj->ni", rotations(np.ascontiguousarray(platform[:, ROLL : YAW + 1])), platform[:, WX : WZ + 1]
-    )
-    moving = np.concatenate([platform[:, VX : VZ + 1], turning], axis=1)
-    cos, sin = np.cos(platform[:, YAW]), np.sin(platform[:, YAW])
-    for first in (0, 3):
-        x, y = moving[:, first].copy(), moving[:, first + 1].copy()
-        moving[:, first], moving[:, first + 1] = cos * x + sin * y, cos * y - sin * x
-    return moving
+    return _platform_motion(platform, np.empty((len(platform), 6)))
+
+
+@numba.njit(cache=True)
+def _platform_motion(platform, out):
+    for i in range(len(platform)):
+        d = platform[i]
+        r = rotation(d[ROLL], d[PITCH], d[YAW])
+        sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
+        for k in range(3):
+            out[i, k] = d[VX + k]
+            out[i, 3 + k] = r[k, 0] * d[WX] + r[k, 1] * d[WX + 1] + r[k, 2] * d[WX + 2]
+        for first in (0, 3):
+            x, y = out[i, first], out[i, first + 1]
+            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
+    return out
 
 
 def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
@@ -131,16 +138,13 @@ def slope_of(platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(flat, z), np.arctan2(y, x)
 
 
-def normal_at_rest(roll, pitch) -> np.ndarray:
-    """Return the unit normal (..., 3), in the heading frame, of the surface on which a vehicle rests.
+@numba.njit(cache=True, inline="always")
+def normal_at_rest(roll, pitch):
+    """Return the unit normal x, y, z, in the heading frame, of the surface on which a vehicle rests.
 
-    roll, pitch (...) [rad]: of the vehicle at rest.
+    roll, pitch [rad]: of the vehicle at rest.
     """
-    roll, pitch = np.asarray(roll, float), np.asarray(pitch, float)
-    return np.stack(
-        [np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)],
-        axis=-1,
-    )
+    return math.sin(pitch), -math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)
 
 
 def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:

@@ -21,18 +21,34 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 
 from inclined_landing.envs.tasks.base import Start, StepContext, hover_states
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z, rotation
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VY, VZ, YAW, X, Y, Z, rotation
 from inclined_landing.models.errors import UserError, shown
 
 # Columns of the heading frame, and their typical sizes.
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
 SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
 _PLANAR = [SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")]
+
+
+@numba.njit(cache=True)
+def _in_goal(seen, goal_size, out):
+    """Write which of the vehicles `seen` (n, 10) are in goal boxes of the sizes (n,) into `out` (n,)."""
+    for i in range(len(seen)):
+        s, (place, _, speed, _, angle) = seen[i], goal_box(goal_size[i])
+        roll, pitch = s[surface.SLOPE_ROLL], s[surface.SLOPE_PITCH]  # of a vehicle that stands there
+        x, y, z = surface.normal_at_rest(roll, pitch)
+        out[i] = (
+            max(abs(s[X] - GOAL_HEIGHT * x), abs(s[Y] - GOAL_HEIGHT * y), abs(s[Z] - GOAL_HEIGHT * z)) < place
+            and max(abs(s[VX]), abs(s[VY]), abs(s[VZ])) < speed
+            and max(abs(s[ROLL] - roll), abs(s[PITCH] - pitch)) < angle
+        )
+    return out
 
 
 class SlopeLanding(InclinedLanding):
@@ -90,16 +106,9 @@ class SlopeLanding(InclinedLanding):
         """Return (n,) bool: which states (n, 13) are in the goal box along the normal of platforms (n,
         12).
         """
-        seen = surface.heading_frame(state, platform)
-        on_slope = seen[:, surface.SLOPE_ROLL :]  # roll and pitch of a vehicle that stands there
-        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*on_slope.T)
-        seen[:, ROLL : PITCH + 1] -= on_slope
-        place, _, speed, _, angle = goal_box(goal_size)
-        return (
-            (np.abs(seen[:, X : Z + 1]).max(axis=1) < place)
-            & (np.abs(seen[:, VX : VZ + 1]).max(axis=1) < speed)
-            & (np.abs(seen[:, ROLL : PITCH + 1]).max(axis=1) < angle)
-        )
+        size = np.empty(len(state))
+        size[:] = goal_size
+        return _in_goal(surface.heading_frame(state, platform), size, np.empty(len(state), bool))
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         if self.steepest is not None:

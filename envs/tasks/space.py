@@ -49,7 +49,7 @@ class SpaceLanding(SlopeLanding):
 
     def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) with attitudes turned from the surface's heading to the vehicles'."""
-        both, v = [ROLL_COMMAND, PITCH_COMMAND], self.vehicle
+        both, v = slice(ROLL_COMMAND, PITCH_COMMAND + 1), self.vehicle
         limits = v.attitude_gain, v.command_angle_limit
         commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, platform)
         return commands

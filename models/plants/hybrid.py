@@ -133,7 +133,7 @@ class HybridPlant(MujocoPlant):
             model.actuator_historyadr,
             self._load_joint,
         )
-        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, np.array(self._mocap))
+        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, self._mocap)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
