@@ -189,13 +189,22 @@ def _box_distance(x, y, z, frame, centre, size):
 _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 
-@numba.njit(cache=True)
-def platform_distance(point, roll, inclination, azimuth, position, boxes, sizes):
-    """Return the signed distance [m] of a point (3,) to a platform; position (4, 3) of `platform_poses`."""
-    x, y, z = point[0], point[1], point[2]
-    turn = math.sin(azimuth), math.cos(azimuth)
+@numba.njit(cache=True, inline="always")
+def platform_turns(roll, inclination, azimuth):
+    """Return the angles of a platform as `platform_distance` takes them, each as (sine, cosine)."""
     lean = (math.sin(roll), math.cos(roll)) if roll != 0.0 else _UPRIGHT
     tilt = math.sin(inclination), math.cos(inclination)
+    return (math.sin(azimuth), math.cos(azimuth)), lean, tilt
+
+
+@numba.njit(cache=True)
+def platform_distance(point, turns, position, boxes, sizes):
+    """Return the signed distance [m] of a point (3,) to a platform.
+
+    turns: from `platform_turns`; position (4, 3) from `platform_poses`.
+    """
+    x, y, z = point[0], point[1], point[2]
+    turn, lean, tilt = turns
     nearest = _box_distance(x, y, z, _Frame(position[0], turn, lean, tilt), boxes[0], sizes[0])
     for b in range(1, len(sizes)):  # only the slab is tilted
         base = _Frame(position[b], turn, _UPRIGHT, _UPRIGHT)

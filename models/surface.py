@@ -58,16 +58,21 @@ def yaw_turned(roll, pitch, turn):
 
 
 @numba.njit(cache=True)
+def in_heading_frame(s, d, out):
+    """Write `heading_frame` of one vehicle (13,) over a platform (12,) into `out` (10,)."""
+    sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
+    for first in (X, VX):
+        x, y = s[first] - d[first], s[first + 1] - d[first + 1]
+        out[first], out[first + 1] = cos * x + sin * y, cos * y - sin * x
+    out[Z], out[VZ] = s[Z] - d[Z], s[VZ] - d[VZ]
+    out[ROLL], out[PITCH] = yaw_turned(s[ROLL], s[PITCH], s[YAW] - d[YAW])
+    out[SLOPE_ROLL], out[SLOPE_PITCH] = d[ROLL], d[PITCH]
+
+
+@numba.njit(cache=True)
 def _heading_frame(state, platform, out):
     for i in range(len(state)):
-        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
-        for first in (X, VX):
-            x, y = state[i, first] - platform[i, first], state[i, first + 1] - platform[i, first + 1]
-            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
-        out[i, Z], out[i, VZ] = state[i, Z] - platform[i, Z], state[i, VZ] - platform[i, VZ]
-        turn = state[i, YAW] - platform[i, YAW]
-        out[i, ROLL], out[i, PITCH] = yaw_turned(state[i, ROLL], state[i, PITCH], turn)
-        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = platform[i, ROLL], platform[i, PITCH]
+        in_heading_frame(state[i], platform[i], out[i])
     return out
 
 

@@ -257,7 +257,8 @@ class InclinedLanding(Task):
         todo = np.arange(len(start.state))
         for _ in range(1000):
             start.state[todo[:, None], self._axes] = low + (high - low) * rng.random((len(todo), len(low)))
-            todo = todo[self.start_clearance(start[todo]) < START_CLEARANCE]
+            drawn = start if len(todo) == len(start) else start[todo]
+            todo = todo[self.start_clearance(drawn) < START_CLEARANCE]
             if not len(todo):
                 return start
         reach = self.conditions.start_reach

@@ -149,7 +149,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
     arrays.
     """
     qpos, qvel, force, positions, dofs, inertia = joints
-    now, then, middle = np.empty((3, 6)), np.empty(6), np.empty(6)
+    now, speed, gain = np.empty((3, 6)), np.empty(6), np.empty(6)
     for i in ids:
         t = clock.now[i]
         motion.displacement(i, t, waves, now)
@@ -159,14 +159,15 @@ def _place(ids, clock, present, waves, rest, platform, joints):
                 qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0
             qpos[i, positions[Z]] = PARKED
             continue
-        then[:] = now[1]
+        speed[:], gain[:] = now[1], now[2]
         if clock.late > 0.0:
-            motion.rate(i, t - clock.late, waves, then)
-        motion.acceleration(i, t + 0.5 * clock.step - clock.late, waves, middle)
+            motion.rate(i, t - clock.late, waves, speed)
+        else:
+            motion.acceleration(i, t + 0.5 * clock.step, waves, gain)
         for k in range(6):
             qpos[i, positions[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
-            qvel[i, dofs[k]] = then[k]
-            force[i, dofs[k]] = inertia * middle[k]  # F = I a
+            qvel[i, dofs[k]] = speed[k]
+            force[i, dofs[k]] = inertia * gain[k]  # F = I a
 
 
 @numba.njit(cache=True)
