@@ -111,7 +111,9 @@ class Motion:
 
 
 def _times(times, n: int) -> np.ndarray:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(times, float), n))
+    out = np.empty(n)
+    out[:] = times
+    return out
 
 
 @numba.njit(cache=True)

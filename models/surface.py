@@ -160,10 +160,16 @@ def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
 
 def normals(platform: np.ndarray) -> np.ndarray:
     """Return the unit normals (n, 3) of platforms (n, 12), columns as `Plant.platform`."""
-    roll, pitch, yaw = platform[:, ROLL], platform[:, PITCH], platform[:, YAW]
-    ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left, np.cos(roll) * np.cos(pitch)])
+    return _normals(platform, np.empty((len(platform), 3)))
+
+
+@numba.njit(cache=True)
+def _normals(platform, out):
+    for i in range(len(platform)):
+        ahead, left, out[i, 2] = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
+        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
+        out[i, 0], out[i, 1] = cos * ahead - sin * left, sin * ahead + cos * left
+    return out
 
 
 def relative(state: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -49,9 +49,12 @@ def _in_goal(state, platform, goal_size, out):
         if out[i]:
             surface.in_heading_frame(s, d, seen)
             out[i] = (
-                max(abs(seen[X] - GOAL_HEIGHT * x), abs(seen[Y] - GOAL_HEIGHT * y)) < place
-                and max(abs(seen[VX]), abs(seen[VY])) < speed
-                and max(abs(seen[ROLL] - roll), abs(seen[PITCH] - pitch)) < angle
+                abs(seen[X] - GOAL_HEIGHT * x) < place
+                and abs(seen[Y] - GOAL_HEIGHT * y) < place
+                and abs(seen[VX]) < speed
+                and abs(seen[VY]) < speed
+                and abs(seen[ROLL] - roll) < angle
+                and abs(seen[PITCH] - pitch) < angle
             )
     return out
 
