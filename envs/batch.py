@@ -124,8 +124,11 @@ class BatchEnv:
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
+        return self._with_past(self._present(ids), ids)
+
+    def _with_past(self, observation: np.ndarray, ids) -> np.ndarray:
         parameters = None if self._privileged is None else self._privileged[self.plant.choice[ids]]
-        return self.past.stack(self._present(ids), ids, parameters)
+        return self.past.stack(observation, ids, parameters)
 
     def _present(self, ids=slice(None)) -> np.ndarray:
         plant = self.plant
@@ -178,8 +181,9 @@ class BatchEnv:
         self.contact_steps[ids] = 0
         self.touched[ids] = False
         self.held[ids] = 0
-        self.past.reset(ids, self._present(ids))
-        return self.observe(ids)
+        observation = self._present(ids)
+        self.past.reset(ids, observation)
+        return self._with_past(observation, ids)
 
     def _place(self, ids: np.ndarray, start: Start) -> None:
         """Set the platforms of the vehicles `ids` for their starts."""

@@ -129,29 +129,33 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, 
     (0, 0, surface_height); the walls stand under its two edges, the core fills the space below the lower
     edge. Absent platforms are parked far below the floor.
     """
-    inclination = np.asarray(inclination, float)
-    present = np.asarray(present, bool)
-    azimuth = np.asarray(azimuth, float)
-    n = len(inclination)
-    height = vehicle.platform_surface_height if surface_height is None else surface_height
-    half = vehicle.slab_half_length
-    underside = vehicle.platform_thickness / np.cos(inclination)  # measured vertically
-    run, rise = half * np.cos(inclination), -half * np.sin(inclination)
-    position = np.zeros((n, 4, 3))
-    position[:, 0, 2] = height
-    position[:, 1, 0], position[:, 1, 2] = -run, height - rise - underside
-    position[:, 2, 0], position[:, 2, 2] = run, height + rise - underside
-    position[:, 1:3, 1] = position[:, 1:3, 0] * np.sin(azimuth)[..., None]
-    position[:, 1:3, 0] *= np.cos(azimuth)[..., None]
-    position[:, 3, 2] = height - np.abs(rise) - underside
-    position[~present, :, 2] = PARKED
-    quaternion = np.zeros((n, 4, 4))
-    cos, sin = np.cos(azimuth / 2), np.sin(azimuth / 2)
-    quaternion[..., 0], quaternion[..., 3] = cos[..., None], sin[..., None]
-    leaning, upright = np.sin(inclination / 2), np.cos(inclination / 2)
-    slab = (cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright)
-    quaternion[:, 0] = np.stack([np.broadcast_to(part, n) for part in slab], axis=1)
-    return position, quaternion
+    angles = np.empty((3, len(inclination)))
+    angles[0], angles[1] = inclination, azimuth
+    angles[2] = vehicle.platform_surface_height if surface_height is None else surface_height
+    poses = np.zeros((len(inclination), 4, 3)), np.zeros((len(inclination), 4, 4))
+    size = vehicle.slab_half_length, vehicle.platform_thickness
+    _platform_poses(*angles, np.asarray(present, bool), *size, *poses)
+    return poses
+
+
+@numba.njit(cache=True)
+def _platform_poses(inclination, azimuth, height, present, half, thickness, position, quaternion):
+    for i in range(len(position)):
+        slope, turn, p, q = inclination[i], azimuth[i], position[i], quaternion[i]
+        underside = thickness / math.cos(slope)  # measured vertically
+        run, rise = half * math.cos(slope), -half * math.sin(slope)
+        p[0, 2] = height[i]
+        for wall, x in ((1, -run), (2, run)):
+            p[wall, 0], p[wall, 1] = x * math.cos(turn), x * math.sin(turn)
+        p[1, 2], p[2, 2] = height[i] - rise - underside, height[i] + rise - underside
+        p[3, 2] = height[i] - abs(rise) - underside
+        cos, sin = math.cos(turn / 2), math.sin(turn / 2)
+        leaning, upright = math.sin(slope / 2), math.cos(slope / 2)
+        for b in range(4):
+            q[b, 0], q[b, 3] = cos, sin
+            if not present[i]:
+                p[b, 2] = PARKED
+        q[0] = (cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright)
 
 
 class _Frame(NamedTuple):
@@ -185,13 +189,22 @@ def _box_distance(x, y, z, frame, centre, size):
 _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 
-@numba.njit(cache=True)
-def platform_distance(point, roll, inclination, azimuth, position, boxes, sizes):
-    """Return the signed distance [m] of a point (3,) to a platform; position (4, 3) of `platform_poses`."""
-    x, y, z = point[0], point[1], point[2]
-    turn = math.sin(azimuth), math.cos(azimuth)
+@numba.njit(cache=True, inline="always")
+def platform_turns(roll, inclination, azimuth):
+    """Return the angles of a platform as `platform_distance` takes them, each as (sine, cosine)."""
     lean = (math.sin(roll), math.cos(roll)) if roll != 0.0 else _UPRIGHT
     tilt = math.sin(inclination), math.cos(inclination)
+    return (math.sin(azimuth), math.cos(azimuth)), lean, tilt
+
+
+@numba.njit(cache=True)
+def platform_distance(point, turns, position, boxes, sizes):
+    """Return the signed distance [m] of a point (3,) to a platform.
+
+    turns: from `platform_turns`; position (4, 3) from `platform_poses`.
+    """
+    x, y, z = point[0], point[1], point[2]
+    turn, lean, tilt = turns
     nearest = _box_distance(x, y, z, _Frame(position[0], turn, lean, tilt), boxes[0], sizes[0])
     for b in range(1, len(sizes)):  # only the slab is tilted
         base = _Frame(position[b], turn, _UPRIGHT, _UPRIGHT)
@@ -238,10 +251,8 @@ def clearances(
     """
     fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes
     which = np.zeros(len(state), int) if which is None else np.asarray(which)
-    inclination, azimuth = (
-        np.ascontiguousarray(np.broadcast_to(np.asarray(angle, float), len(state)))
-        for angle in (inclination, azimuth)
-    )
+    angles = np.empty((2, len(state)))
+    angles[0], angles[1] = inclination, azimuth
     out = np.empty((len(state), 3, 3)) if out is None else out
-    _clearances(state, inclination, azimuth, position, which, fleet, out)
+    _clearances(state, *angles, position, which, fleet, out)
     return out

@@ -78,12 +78,13 @@ class Motion:
 
     def __setitem__(self, ids, motion: Motion) -> None:
         """Give the platforms `ids` (k,) the k motions, however many waves these have."""
-        waves = max(self.amplitude.shape[2], motion.amplitude.shape[2])
+        own, given = self.amplitude.shape[2], motion.amplitude.shape[2]
         self.velocity[ids] = motion.velocity
         for name in ("amplitude", "frequency", "phase"):
-            own = _widened(getattr(self, name), waves)
-            own[ids] = _widened(getattr(motion, name), waves)
-            setattr(self, name, own)
+            if given > own:
+                setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, given - own))))
+            waves = getattr(self, name)
+            waves[ids, :, :given], waves[ids, :, given:] = getattr(motion, name), 0.0
 
     @property
     def arrays(self) -> Waves:
@@ -109,13 +110,10 @@ class Motion:
         return platform
 
 
-def _widened(array: np.ndarray, waves: int) -> np.ndarray:
-    """Return (n, 6, w) padded with zeros to (n, 6, waves)."""
-    return np.pad(array, ((0, 0), (0, 0), (0, waves - array.shape[2])))
-
-
 def _times(times, n: int) -> np.ndarray:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(times, float), n))
+    out = np.empty(n)
+    out[:] = times
+    return out
 
 
 @numba.njit(cache=True)
@@ -136,6 +134,30 @@ def displacement(i, t, waves, out):
                 v += size * omega * math.cos(angle)
                 a -= omega * omega * along
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
+
+
+@numba.njit(cache=True)
+def rate(i, t, waves, out):
+    """Write the rate alone, as in `displacement`, into `out` (6,)."""
+    for mode in range(6):
+        v = waves.velocity[i, mode] if mode < 3 else 0.0
+        for k in range(waves.amplitude.shape[2]):
+            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
+            if size != 0.0:
+                v += size * omega * math.cos(omega * t + waves.phase[i, mode, k])
+        out[mode] = v
+
+
+@numba.njit(cache=True)
+def acceleration(i, t, waves, out):
+    """Write the acceleration alone, as in `displacement`, into `out` (6,)."""
+    for mode in range(6):
+        a = 0.0
+        for k in range(waves.amplitude.shape[2]):
+            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
+            if size != 0.0:
+                a -= omega * omega * (size * math.sin(omega * t + waves.phase[i, mode, k]))
+        out[mode] = a
 
 
 @numba.njit(cache=True)

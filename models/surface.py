@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Z, rotation, rotations
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, YAW, X, Z, rotation, rotations
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -58,16 +58,21 @@ def yaw_turned(roll, pitch, turn):
 
 
 @numba.njit(cache=True)
+def in_heading_frame(s, d, out):
+    """Write `heading_frame` of one vehicle (13,) over a platform (12,) into `out` (10,)."""
+    sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
+    for first in (X, VX):
+        x, y = s[first] - d[first], s[first + 1] - d[first + 1]
+        out[first], out[first + 1] = cos * x + sin * y, cos * y - sin * x
+    out[Z], out[VZ] = s[Z] - d[Z], s[VZ] - d[VZ]
+    out[ROLL], out[PITCH] = yaw_turned(s[ROLL], s[PITCH], s[YAW] - d[YAW])
+    out[SLOPE_ROLL], out[SLOPE_PITCH] = d[ROLL], d[PITCH]
+
+
+@numba.njit(cache=True)
 def _heading_frame(state, platform, out):
     for i in range(len(state)):
-        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
-        for first in (X, VX):
-            x, y = state[i, first] - platform[i, first], state[i, first + 1] - platform[i, first + 1]
-            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
-        out[i, Z], out[i, VZ] = state[i, Z] - platform[i, Z], state[i, VZ] - platform[i, VZ]
-        turn = state[i, YAW] - platform[i, YAW]
-        out[i, ROLL], out[i, PITCH] = yaw_turned(state[i, ROLL], state[i, PITCH], turn)
-        out[i, SLOPE_ROLL], out[i, SLOPE_PITCH] = platform[i, ROLL], platform[i, PITCH]
+        in_heading_frame(state[i], platform[i], out[i])
     return out
 
 
@@ -107,15 +112,22 @@ def platform_motion(platform: np.ndarray) -> np.ndarray:
     """Return velocity [m/s] and rates [rad/s] (n, 6) of platforms (n, 12) along the axes of
     `heading_frame`.
     """
-    turning = np.einsum(
-        "nij,nj->ni", rotations(np.ascontiguousarray(platform[:, ROLL : YAW + 1])), platform[:, WX : WZ + 1]
-    )
-    moving = np.concatenate([platform[:, VX : VZ + 1], turning], axis=1)
-    cos, sin = np.cos(platform[:, YAW]), np.sin(platform[:, YAW])
-    for first in (0, 3):
-        x, y = moving[:, first].copy(), moving[:, first + 1].copy()
-        moving[:, first], moving[:, first + 1] = cos * x + sin * y, cos * y - sin * x
-    return moving
+    return _platform_motion(platform, np.empty((len(platform), 6)))
+
+
+@numba.njit(cache=True)
+def _platform_motion(platform, out):
+    for i in range(len(platform)):
+        d = platform[i]
+        r = rotation(d[ROLL], d[PITCH], d[YAW])
+        sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
+        for k in range(3):
+            out[i, k] = d[VX + k]
+            out[i, 3 + k] = r[k, 0] * d[WX] + r[k, 1] * d[WX + 1] + r[k, 2] * d[WX + 2]
+        for first in (0, 3):
+            x, y = out[i, first], out[i, first + 1]
+            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
+    return out
 
 
 def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
@@ -131,16 +143,13 @@ def slope_of(platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(flat, z), np.arctan2(y, x)
 
 
-def normal_at_rest(roll, pitch) -> np.ndarray:
-    """Return the unit normal (..., 3), in the heading frame, of the surface on which a vehicle rests.
+@numba.njit(cache=True, inline="always")
+def normal_at_rest(roll, pitch):
+    """Return the unit normal x, y, z, in the heading frame, of the surface on which a vehicle rests.
 
-    roll, pitch (...) [rad]: of the vehicle at rest.
+    roll, pitch [rad]: of the vehicle at rest.
     """
-    roll, pitch = np.asarray(roll, float), np.asarray(pitch, float)
-    return np.stack(
-        [np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)],
-        axis=-1,
-    )
+    return math.sin(pitch), -math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)
 
 
 def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
@@ -151,10 +160,16 @@ def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
 
 def normals(platform: np.ndarray) -> np.ndarray:
     """Return the unit normals (n, 3) of platforms (n, 12), columns as `Plant.platform`."""
-    roll, pitch, yaw = platform[:, ROLL], platform[:, PITCH], platform[:, YAW]
-    ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left, np.cos(roll) * np.cos(pitch)])
+    return _normals(platform, np.empty((len(platform), 3)))
+
+
+@numba.njit(cache=True)
+def _normals(platform, out):
+    for i in range(len(platform)):
+        ahead, left, out[i, 2] = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
+        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
+        out[i, 0], out[i, 1] = cos * ahead - sin * left, sin * ahead + cos * left
+    return out
 
 
 def relative(state: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import inspect
 import math
 from collections.abc import Mapping, Sequence
@@ -271,7 +272,7 @@ class Task(abc.ABC):
         k = len(state)
         return Start(state, np.zeros(k), np.zeros(k, bool), np.full(k, np.nan))
 
-    @property
+    @functools.cached_property
     def channels(self) -> tuple[Channel, ...]:
         """The command of each action; commands that no action gives are 0."""
         v = self.vehicle

@@ -43,6 +43,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+import numba
 import numpy as np
 
 from inclined_landing.envs.tasks.base import (
@@ -103,11 +104,36 @@ class Conditions:
 AIDED = Conditions(contact_limit=8, leave_limit=0.3, out_of_bounds_penalty=100.0, goal_while_touching=False)
 
 
-def goal_box(goal_size) -> tuple[np.ndarray, ...]:
-    """Return half widths of x, z, vx, vz and pitch of goal boxes of size d = goal_size, (n,) or a number."""
-    d = np.asarray(goal_size)
-    speed = np.minimum(10 * d, 1.5)
+@numba.njit(cache=True, inline="always")
+def goal_box(d):
+    """Return half widths of x, z, vx, vz and pitch of the goal box of size d."""
+    speed = min(10 * d, 1.5)
     return d, d, speed, speed, 0.25 * d
+
+
+@numba.njit(cache=True)
+def _in_goal(state, goal, goal_size, inclination, out):
+    for i in range(len(state)):
+        s, (x, z, vx, vz, pitch) = state[i], goal_box(goal_size[i])
+        out[i] = (
+            abs(s[X] - goal[0]) < x
+            and abs(s[Z] - goal[1]) < z
+            and abs(s[VX]) < vx
+            and abs(s[VZ]) < vz
+            and abs(s[PITCH] - inclination[i]) < pitch
+        )
+    return out
+
+
+@numba.njit(cache=True)
+def _near_bounds(state, axes, arena, margin, extra_room, out):
+    for k in range(len(axes)):
+        axis = axes[k]
+        m = margin if axis == Z else margin - extra_room
+        low, high = arena[k, 0] + m, arena[k, 1] - m
+        for i in range(len(state)):
+            out[i] |= state[i, axis] < low or state[i, axis] > high
+    return out
 
 
 class InclinedLanding(Task):
@@ -166,7 +192,9 @@ class InclinedLanding(Task):
         self._resolve(inclination=self.inclination)
         self.conditions = Conditions()
         self._shapes = geometry.shapes_of(compile_scene(v))
-        self._axes = [COLUMNS[name] for name in self.start_axes]
+        self._fleet = geometry.Fleet.of([self._shapes])
+        self._axes = np.array([COLUMNS[name] for name in self.start_axes])
+        self._arena = np.array([getattr(v, f"arena_{name}") for name in self.start_axes], float)
 
     def _usual_inclination(self) -> float:
         return self.vehicle.platform_inclination
@@ -198,29 +226,20 @@ class InclinedLanding(Task):
 
         inclination: of the platforms, (n,) or a number [rad], where it is not the task's.
         """
-        inclination = self.inclination if inclination is None else inclination
-        gx, gz = self.goal_position[0], self.goal_position[-1]
-        x, z, vx, vz, pitch = goal_box(goal_size)
-        return (
-            (np.abs(state[:, X] - gx) < x)
-            & (np.abs(state[:, Z] - gz) < z)
-            & (np.abs(state[:, VX]) < vx)
-            & (np.abs(state[:, VZ]) < vz)
-            & (np.abs(state[:, PITCH] - inclination) < pitch)
-        )
+        of_each = np.empty((2, len(state)))
+        of_each[0], of_each[1] = goal_size, self.inclination if inclination is None else inclination
+        return _in_goal(state, self.goal_position, *of_each, np.empty(len(state), bool))
 
     # --- starts ------------------------------------------------------------------------------------
 
     def start_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner, (2,) as x, z or (3,) as x, y, z [m], of the box of random starts."""
-        c, v = self.conditions, self.vehicle
-        goal = np.array(self.goal_position)
+        c, goal = self.conditions, np.array(self.goal_position)
         reach = np.full(len(goal), c.start_reach)
         if c.start_reach_z is not None:
             reach[-1] = c.start_reach_z
-        sides = [getattr(v, f"arena_{name}") for name in self.start_axes]
-        low = np.maximum(goal - reach, [*(side[0] + START_MARGIN for side in sides[:-1]), c.lowest_start])
-        high = np.minimum(goal + reach, [side[1] - START_MARGIN for side in sides])
+        low = np.maximum(goal - reach, [*(self._arena[:-1, 0] + START_MARGIN), c.lowest_start])
+        high = np.minimum(goal + reach, self._arena[:, 1] - START_MARGIN)
         return low, high
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
@@ -238,8 +257,9 @@ class InclinedLanding(Task):
         low, high = self.start_box()
         todo = np.arange(len(start.state))
         for _ in range(1000):
-            start.state[np.ix_(todo, self._axes)] = rng.uniform(low, high, (len(todo), len(low)))
-            todo = todo[self.start_clearance(start[todo]) < START_CLEARANCE]
+            start.state[todo[:, None], self._axes] = low + (high - low) * rng.random((len(todo), len(low)))
+            drawn = start if len(todo) == len(start) else start[todo]
+            todo = todo[self.start_clearance(drawn) < START_CLEARANCE]
             if not len(todo):
                 return start
         reach = self.conditions.start_reach
@@ -259,7 +279,7 @@ class InclinedLanding(Task):
         azimuth = 0.0 if start.azimuth is None else start.azimuth
         slope = start.inclination
         position, _ = geometry.platform_poses(slope, start.present, self.vehicle, azimuth=azimuth)
-        distance = geometry.clearances(start.state, slope, position, self._shapes, azimuth=azimuth)
+        distance = geometry.clearances(start.state, slope, position, self._fleet, azimuth=azimuth)
         return distance[:, :2].min(axis=(1, 2))
 
     def at_standstill(self, start: Start) -> Start:
@@ -280,12 +300,9 @@ class InclinedLanding(Task):
 
         The bounds are those of the axes that the vehicle moves along; for an arena that moves see `in_arena`.
         """
-        near = np.zeros(len(state), bool)
-        for name, axis in zip(self.start_axes, self._axes):
-            low, high = getattr(self.vehicle, f"arena_{name}")
-            margin = m if axis == Z else m - self.extra_room
-            near |= (state[:, axis] < low + margin) | (state[:, axis] > high - margin)
-        return near
+        return _near_bounds(
+            state, self._axes, self._arena, float(m), self.extra_room, np.zeros(len(state), bool)
+        )
 
     def in_arena(self, context: StepContext) -> np.ndarray:
         """Return states (n, 13) relative to the arena, which here stands still."""

@@ -21,18 +21,46 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 
 from inclined_landing.envs.tasks.base import Start, StepContext, hover_states
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Z, rotation
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VY, VZ, YAW, X, Y, Z, rotation
 from inclined_landing.models.errors import UserError, shown
 
 # Columns of the heading frame, and their typical sizes.
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
 SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
 _PLANAR = [SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")]
+
+
+@numba.njit(cache=True)
+def _in_goal(state, platform, goal_size, is_planar, out):
+    """In the plane y, vy and roll are not bounded: no policy there can answer what pushes sideways."""
+    seen = np.empty(surface.HEADING_SIZE)
+    for i in range(len(state)):
+        s, d = state[i], platform[i]
+        place, _, speed, _, angle = goal_box(goal_size[i])
+        roll, pitch = d[ROLL], d[PITCH]  # of a vehicle that stands there
+        x, y, z = surface.normal_at_rest(roll, pitch)
+        # The height first: it needs no turning, and few pass.
+        out[i] = abs(s[Z] - d[Z] - GOAL_HEIGHT * z) < place and abs(s[VZ] - d[VZ]) < speed
+        if out[i]:
+            surface.in_heading_frame(s, d, seen)
+            out[i] = (
+                abs(seen[X] - GOAL_HEIGHT * x) < place
+                and abs(seen[VX]) < speed
+                and abs(seen[PITCH] - pitch) < angle
+            )
+        if out[i] and not is_planar:
+            out[i] = (
+                abs(seen[Y] - GOAL_HEIGHT * y) < place
+                and abs(seen[VY]) < speed
+                and abs(seen[ROLL] - roll) < angle
+            )
+    return out
 
 
 class SlopeLanding(InclinedLanding):
@@ -44,9 +72,6 @@ class SlopeLanding(InclinedLanding):
     table = "slopes"
     goal_height = GOAL_HEIGHT  # over the surface along its normal, m
     columns: Any = _PLANAR  # of the heading frame, those that are observed
-    # Columns of position, velocity and attitude that the goal box bounds: in the plane those of the plane, as
-    # a policy there cannot answer what pushes a drawn vehicle sideways.
-    bounded: Any = ([X, Z], [VX, VZ], [PITCH])
     least = -1.0  # inclination that is drawn, as a share of `steepest`
 
     def _usual_inclination(self) -> float:
@@ -93,13 +118,9 @@ class SlopeLanding(InclinedLanding):
         """Return (n,) bool: which states (n, 13) are in the goal box along the normal of platforms (n,
         12).
         """
-        seen = surface.heading_frame(state, platform)
-        on_slope = seen[:, surface.SLOPE_ROLL :]  # roll and pitch of a vehicle that stands there
-        seen[:, X : Z + 1] -= GOAL_HEIGHT * surface.normal_at_rest(*on_slope.T)
-        seen[:, ROLL : PITCH + 1] -= on_slope
-        place, _, speed, _, angle = goal_box(goal_size)
-        sizes = zip(self.bounded, (place, speed, angle))
-        return np.logical_and.reduce([np.abs(seen[:, columns]).max(axis=1) < size for columns, size in sizes])
+        size = np.empty(len(state))
+        size[:] = goal_size
+        return _in_goal(state, platform, size, self.is_planar, np.empty(len(state), bool))
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         if self.steepest is not None:

@@ -21,7 +21,7 @@ import numpy as np
 from inclined_landing.envs.tasks.base import Start
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE, SlopeLanding
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, ROLL, ROLL_COMMAND, VX, VZ, YAW, X, Z
+from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW
 from inclined_landing.models.parameters import Vehicle
 
 FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m
@@ -38,7 +38,6 @@ class SpaceLanding(SlopeLanding):
     film_starts = FILM_STARTS
     figure_starts = MappingProxyType({"trajectory": FILM_STARTS[0]})
     columns = slice(None)
-    bounded = (slice(X, Z + 1), slice(VX, VZ + 1), slice(ROLL, PITCH + 1))
     least = 0.0
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
@@ -50,7 +49,7 @@ class SpaceLanding(SlopeLanding):
 
     def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) with attitudes turned from the surface's heading to the vehicles'."""
-        both, v = [ROLL_COMMAND, PITCH_COMMAND], self.vehicle
+        both, v = slice(ROLL_COMMAND, PITCH_COMMAND + 1), self.vehicle
         limits = v.attitude_gain, v.command_angle_limit
         commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, platform)
         return commands

@@ -49,6 +49,7 @@ _ENVIRONMENTS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "  observes its vehicle": ("hybrid", _FAST, {"observe_vehicle": True}),
     "analytic": ("analytic", {}, {}),
 }
+_PLAIN = "hybrid implicitfast"  # beside which those with options of the task are
 _PICTURE: dict[str, Any] = {"width": 640, "height": 480, "camera": "hero"}
 
 
@@ -109,55 +110,73 @@ def environments(repeats: int, seed: int, vehicle: Vehicle | None = None) -> lis
 
     The environment is `BatchVecEnv` (task, reward, resets, episode statistics) under random actions.
     Each of its blocks is replayed at once, from the same states with the same commands, by the bare
-    plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else. `in_engine` is the share of vehicle steps
-    that MuJoCo made.
+    plant: for MuJoCo `mujoco.batch.Batch.step` and nothing else. The blocks of all environments take turns.
+    `in_engine` is the share of vehicle steps that MuJoCo made, `over_plain` what options of the task add to
+    the time of the environment without them.
     """
-    return [_environment(label, *how, repeats, seed, vehicle) for label, how in _ENVIRONMENTS.items()]
-
-
-def _environment(label: str, kind: str, options: dict, task_options: dict, repeats, seed, vehicle) -> dict:
-    rng = np.random.default_rng(seed)
-    task = make_task("landing", vehicle, pwm_centre="hover", **task_options)
-    options = task.plant_options | options
-    plant, bare = (make_plant(kind, VEHICLES, task.vehicle, **options) for _ in range(2))
-    env = BatchEnv(task, plant, seed)
-    face = BatchVecEnv(env)
-    face.reset()
-    env.length[:] = rng.integers(0, task.max_steps, VEHICLES)  # so that resets spread evenly
-    whole, physics, contact, engine = [], [], [], []
+    rows = {label: _Environment(*how, seed, vehicle) for label, how in _ENVIRONMENTS.items()}
     for repeat in range(repeats + 2):
-        actions = rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(task.action_names)))
+        for row in rows.values():
+            row.block(kept=repeat >= 2)  # the first blocks compile and warm up
+    plain = np.array(rows[_PLAIN].whole)
+    return [{"plant": label} | row.result(plain if row.optional else None) for label, row in rows.items()]
+
+
+class _Environment:
+    """An environment and a bare plant of its kind; `whole` and `physics`: seconds of their blocks."""
+
+    def __init__(self, kind: str, options: dict, task_options: dict, seed: int, vehicle: Vehicle | None):
+        self._rng = np.random.default_rng(seed)
+        self.optional = bool(task_options)
+        task = make_task("landing", vehicle, pwm_centre="hover", **task_options)
+        options = task.plant_options | options
+        self._plant, self._bare = (make_plant(kind, VEHICLES, task.vehicle, **options) for _ in range(2))
+        self._env = BatchEnv(task, self._plant, seed)
+        self._face = BatchVecEnv(self._env)
+        self._face.reset()
+        self._env.length[:] = self._rng.integers(0, task.max_steps, VEHICLES)  # so that resets spread evenly
+        self.whole: list[float] = []
+        self.physics: list[float] = []
+        self._contact: list[float] = []
+        self._in_engine: list[float] = []
+
+    def block(self, kept: bool) -> None:
+        """Step the environment, then replay it by the bare plant."""
+        plant, env = self._plant, self._env
+        actions = self._rng.uniform(-1, 1, (_BLOCK, VEHICLES, len(env.task.action_names)))
         commands = []
         before = plant.save()
         flown_by_engine = np.zeros(_BLOCK)
         began = time.perf_counter()
         for k, a in enumerate(actions):
-            face.step(a)
+            self._face.step(a)
             commands.append(env.commands)
             flown_by_engine[k] = _in_engine(plant)
         between = time.perf_counter()
-        bare.restore(before)
-        advance = _bare(bare)
+        self._bare.restore(before)
+        advance = _bare(self._bare)
         middle = time.perf_counter()
         for u in commands:
             advance(u)
         ended = time.perf_counter()
-        if repeat >= 2:  # the first blocks compile and warm up
-            whole.append(between - began)
-            physics.append(ended - middle)
-            contact.append(float(plant.contacts.touch.any(axis=(1, 2)).mean()))
-            engine.append(flown_by_engine.mean())
-    steps = _BLOCK * VEHICLES
-    whole, physics = np.array(whole), np.array(physics)
-    return {
-        "plant": label,
-        "vehicles": VEHICLES,
-        "steps_per_second": spread(steps / whole),
-        "bare_steps_per_second": spread(steps / physics),
-        "overhead": spread(whole / physics - 1.0),
-        "in_contact": float(np.mean(contact)),
-        "in_engine": float(np.mean(engine)),
-    }
+        if kept:
+            self.whole.append(between - began)
+            self.physics.append(ended - middle)
+            self._contact.append(float(plant.contacts.touch.any(axis=(1, 2)).mean()))
+            self._in_engine.append(float(flown_by_engine.mean()))
+
+    def result(self, plain: np.ndarray | None) -> dict:
+        """Return the row of the report; plain: seconds of the blocks of the task without options."""
+        whole, physics = np.array(self.whole), np.array(self.physics)
+        return {
+            "vehicles": VEHICLES,
+            "steps_per_second": spread(_BLOCK * VEHICLES / whole),
+            "bare_steps_per_second": spread(_BLOCK * VEHICLES / physics),
+            "overhead": spread(whole / physics - 1.0),
+            "over_plain": None if plain is None else spread(whole / plain - 1.0),
+            "in_contact": float(np.mean(self._contact)),
+            "in_engine": float(np.mean(self._in_engine)),
+        }
 
 
 def _in_engine(plant) -> float:

@@ -9,7 +9,7 @@ from inclined_landing.envs.shared.tables import new_table, printer, spread_cell
 
 _ENVIRONMENTS = (
     *("plant, options of the task", "environment", "bare stepping", "task, reward, resets [%]"),
-    *("by MuJoCo [%]", "in contact [%]"),
+    *("over no options [%]", "by MuJoCo [%]", "in contact [%]"),
 )
 _SIDES = {
     "": "landing-train",
@@ -32,7 +32,8 @@ def show(report: dict[str, Any]) -> None:
     for row in rows:
         rates = [_range(row[key], 0) for key in ("steps_per_second", "bare_steps_per_second")]
         shares = f"{100 * row['in_engine']:.1f}", f"{100 * row['in_contact']:.0f}"
-        table.add_row(row["plant"], *rates, _range(row["overhead"], factor=100), *shares)
+        added = "" if row["over_plain"] is None else _range(row["over_plain"], factor=100)
+        table.add_row(row["plant"], *rates, _range(row["overhead"], factor=100), added, *shares)
     console.print(table)
     table = new_table("Policy, pictures, training", "", "")
     for part in (_policy(report["policy"]), _pictures(report["video"]), _training(report)):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
+import numba
 import numpy as np
 
 from inclined_landing.models import equations, geometry, perturbation
@@ -52,12 +53,23 @@ class Contacts:
     @property
     def platform(self) -> np.ndarray:
         """(n,) bool: any part touches slab or base."""
-        return self.touch[:, :2].any(axis=(1, 2))
+        return _at_platform(self.touch)
 
     @property
     def platform_near(self) -> np.ndarray:
         """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
-        return self.near[:, :2].any(axis=(1, 2))
+        return _at_platform(self.near)
+
+
+@numba.njit(cache=True)
+def _at_platform(met):
+    """Return (n,) bool: is any part at slab or base in `met` (n, 3, 3)."""
+    out = np.zeros(len(met), np.bool_)
+    for i in range(len(met)):
+        for surface in range(2):
+            for part in range(3):
+                out[i] |= met[i, surface, part]
+    return out
 
 
 @dataclasses.dataclass

@@ -133,7 +133,7 @@ class HybridPlant(MujocoPlant):
             model.actuator_historyadr,
             self._load_joint,
         )
-        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, np.array(self._mocap))
+        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, self._mocap)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
@@ -212,6 +212,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(results.state[i], y)
         equations.take_load(s, results.load, i, v)
+        turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
         out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):
             if step == 0 or not held:
@@ -219,7 +220,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
                     low, high = vehicles.command_range[k, 0], vehicles.command_range[k, 1]
                     u[k] = min(high, max(low, period.commands[step, i, k]))
             # Distance to spare > dt |v| before the step, and > dt (max(|v|, |v'|) + |v' - v|) after it.
-            platform = geometry.platform_distance(y, d[ROLL], d[PITCH], d[YAW], poses, boxes, sizes)
+            platform = geometry.platform_distance(y, turns, poses, boxes, sizes)
             platform = platform - vehicles.keep_out - (step + 1) * approach
             spare = min(platform, y[Z]) - radius - _MARGIN
             vx, vy, vz = y[VX], y[VX + 1], y[VZ]

@@ -108,7 +108,7 @@ class MujocoPlant(Plant):
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
         self._load_joint = load_joint(self.model)
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
-        self._mocap = [int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES]
+        self._mocap = np.array([int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES])
         self.platforms = None  # of a moving plant
         if moving:
             self.platforms = Platforms(self.model, self.batch, self.vehicle, self.platform, self.substeps)
@@ -212,9 +212,8 @@ class MujocoPlant(Plant):
             self._place_platforms(ids)
             return
         position, quat = self._platform_poses(ids)
-        for k, mocap in enumerate(self._mocap):
-            self._mocap_pos[ids, mocap] = position[:, k]
-            self._mocap_quat[ids, mocap] = quat[:, k]
+        rows = self._everyone[ids][:, None]
+        self._mocap_pos[rows, self._mocap], self._mocap_quat[rows, self._mocap] = position, quat
 
     @property
     def motion(self) -> Motion | None:

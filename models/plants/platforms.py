@@ -90,7 +90,8 @@ class Platforms:
     def stop(self, ids, rest: np.ndarray) -> None:
         """Stop the platforms `ids` at `rest` (k, 12)."""
         self.rest[ids], self.begun[ids] = rest, 0.0
-        self.motion[ids] = Motion.still(len(rest))
+        for array in self.motion.arrays:
+            array[ids] = 0.0
 
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
@@ -122,10 +123,24 @@ class Platforms:
         The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
         angles, each of which turns about an axis, times the reach of the slab.
         """
-        _, amplitude, frequency, _ = self.motion.arrays
-        gained = self._period * (np.abs(amplitude[ids]) * frequency[ids] ** 2).sum(axis=2)
-        speed = np.abs(self._joints.qvel[np.ix_(ids, self._joints.dofs)]) + gained
-        return np.linalg.norm(speed[:, :3], axis=1) + self._reach * speed[:, 3:].sum(axis=1)
+        return _fastest(ids, self.motion.arrays, self._joints, self._period, self._reach, np.empty(len(ids)))
+
+
+@numba.njit(cache=True)
+def _fastest(ids, waves, joints, period, reach, out):
+    for row in range(len(ids)):
+        i, square, turning = ids[row], 0.0, 0.0
+        for mode in range(6):
+            gained = 0.0
+            for k in range(waves.amplitude.shape[2]):
+                gained += abs(waves.amplitude[i, mode, k]) * waves.frequency[i, mode, k] ** 2
+            speed = abs(joints.qvel[i, joints.dofs[mode]]) + period * gained
+            if mode < 3:
+                square += speed**2
+            else:
+                turning += speed
+        out[row] = math.sqrt(square) + reach * turning
+    return out
 
 
 @numba.njit(cache=True)
@@ -134,7 +149,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
     arrays.
     """
     qpos, qvel, force, positions, dofs, inertia = joints
-    now, then, middle = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 6))
+    now, speed, gain = np.empty((3, 6)), np.empty(6), np.empty(6)
     for i in ids:
         t = clock.now[i]
         motion.displacement(i, t, waves, now)
@@ -144,24 +159,25 @@ def _place(ids, clock, present, waves, rest, platform, joints):
                 qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0
             qpos[i, positions[Z]] = PARKED
             continue
-        then[:] = now
+        speed[:], gain[:] = now[1], now[2]
         if clock.late > 0.0:
-            motion.displacement(i, t - clock.late, waves, then)
-        motion.displacement(i, t + 0.5 * clock.step - clock.late, waves, middle)
+            motion.rate(i, t - clock.late, waves, speed)
+        else:
+            motion.acceleration(i, t + 0.5 * clock.step, waves, gain)
         for k in range(6):
             qpos[i, positions[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
-            qvel[i, dofs[k]] = then[1, k]
-            force[i, dofs[k]] = inertia * middle[2, k]  # F = I a
+            qvel[i, dofs[k]] = speed[k]
+            force[i, dofs[k]] = inertia * gain[k]  # F = I a
 
 
 @numba.njit(cache=True)
 def _forces(ids, clock, present, waves, joints, out):
     """Write the forces of every time step, from the accelerations in its middle, into `out`."""
-    now = np.empty((3, 6))
+    now = np.empty(6)
     for row in range(len(ids)):
         i = ids[row]
         for s in range(out.shape[1]):
             t = clock.now[i] + (s + 0.5) * clock.step - clock.late
-            motion.displacement(i, t, waves, now)
+            motion.acceleration(i, t, waves, now)
             for k in range(6):
-                out[row, s, joints.dofs[k]] = joints.inertia * now[2, k] if present[i] else 0.0
+                out[row, s, joints.dofs[k]] = joints.inertia * now[k] if present[i] else 0.0
