@@ -1,4 +1,4 @@
-"""`make_batch`: a task in a plant by name, with every option checked; `make_for`: a policy with its environment."""
+"""`make_batch`: a task in a plant by name, options checked; `make_for`: a policy with its environment."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ starts. Everything is observed from the centre of the surface, along level axes 
 | 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
 
 The goal lies 0.10 m over the surface along its normal, as 0.10 m straight above would leave 6.4 cm over a
-slope of 50 deg. In space the goal box bounds y, vy and roll too, with the half widths of x, vx and pitch, about
-the attitude of a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg: `angle_limit` [rad] takes the
-place of the vehicle's.
+slope of 50 deg. In space the goal box bounds y, vy and roll too, with the half widths of x, vx and pitch,
+about the attitude of a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg:
+`angle_limit` [rad] takes the place of the vehicle's.
 """
 
 from __future__ import annotations
