@@ -6,9 +6,9 @@ begins with a package, as in `inclined_landing:InclinedLanding-v0`, has Gymnasiu
     gymnasium.make("InclinedLanding-v0")
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64)
 
-The options are in `gym_env.py`. Public: `make_for` (a policy with its environment), `make_batch` and `BatchEnv`
-(n vehicles, one call a step), `BatchVecEnv` (the same for Stable-Baselines3), `Task`, `make_task` and
-`import_task`, `load_policy`, `save_policy`, `record_flights`.
+The options are in `gym_env.py`. Public: `make_for` (a policy with its environment), `make_batch` and
+`BatchEnv` (n vehicles, one call a step), `BatchVecEnv` (the same for Stable-Baselines3), `Task`, `make_task`
+and `import_task`, `load_policy`, `save_policy`, `record_flights`.
 """
 
 from importlib import import_module

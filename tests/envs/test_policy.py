@@ -291,5 +291,5 @@ def test_make_for_gives_a_policy_the_environment_it_was_trained_for():
     assert make_for("landing", inclination=-0.2, plant="analytic")[1].task.inclination == -0.2
     with pytest.raises(UserError, match="has no option 'slope'"):
         make_for("landing", slope=-0.2)
-    with pytest.raises(UserError, match="policy nothing.zip does not exist"):
+    with pytest.raises(UserError, match=r"policy nothing\.zip does not exist"):
         make_for("nothing.zip")
