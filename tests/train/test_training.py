@@ -451,7 +451,7 @@ def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, m
 
 
 def test_what_the_landing_trains_on_unless_told(tmp_path):
-    """Drawn vehicles, a history to tell them by, all commands; --nominal the paper's task; or what is given."""
+    """Drawn vehicles, a history and all commands; --nominal the paper's task; or what is given."""
 
     def said(**options):
         resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
