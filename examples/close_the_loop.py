@@ -57,16 +57,16 @@ def main() -> None:
         )
         return json.loads((folder / "fly.json").read_text("utf-8"))["flights"]
 
-    before = fly("before", "landing", BEFORE, seed)
+    before = fly("before", "landing-nominal", BEFORE, seed)
     logs = sorted(map(str, (out / "before").glob("flight_*.csv")))
     run("landing-eval", "gap", *logs, "--platform", "--out", str(out / "report"))
     corrected = str(out / "report" / "vehicle.toml")
     run(
-        *("landing-train", "landing", "--vehicle", corrected, "--from", "landing"),
+        *("landing-train", "landing", "--vehicle", corrected, "--nominal", "--from", "landing-nominal"),
         *("--seed", str(seed), "--out", str(out / "policy"), "--no-report"),
     )
     run("landing-eval", "export", policy, "--format", "c", "--out", str(out / "export"))
-    again = fly("again", "landing", AFTER, seed + 1)
+    again = fly("again", "landing-nominal", AFTER, seed + 1)
     after = fly("after", policy, AFTER, seed + 1)
 
     diagnosis = json.loads((out / "report" / "report.json").read_text("utf-8"))

@@ -140,6 +140,7 @@ class ProgressCallback(BaseCallback):
         super().__init__()
         self.total, self.curriculum = total_steps, curriculum
         self.notice = ""
+        self.finished = False  # did the run come to its end
 
     def _on_training_start(self) -> None:
         self.bar = Progress(
@@ -166,4 +167,7 @@ class ProgressCallback(BaseCallback):
     def close(self) -> None:
         """Stop drawing (also after an interruption)."""
         if getattr(self, "bar", None) is not None:
+            done = self.bar.tasks[0].completed
+            if self.finished:  # success ends a run before its most steps
+                self.bar.update(self.item, total=done)
             self.bar.stop()

@@ -79,6 +79,8 @@ def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
     if due:
         _report(run, metrics)
     if metrics.get("reached") is not False:
+        word = "Training succeeded" if metrics.get("reached") else "Training"
+        print(f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.")
         return 0
     more = "" if metrics["finished"] or not run.config.resumable else "; --resume with the same --out goes on"
     print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)

@@ -215,7 +215,7 @@ class Run:
                     reset_num_timesteps=not resumed,
                 )
         except _Reached:  # before a rollout: policy, vehicles and random states belong together
-            pass
+            progress.finished = True
         finally:
             progress.close()
             model.logger.close()

@@ -14,6 +14,7 @@ _GROUPS = {
     "grid": "frozen grid",
     "slopes": "frozen, all slopes",
 }
+ENOUGH = 0.95  # share of landings at which an effect is survived
 
 
 def _interval(error: dict) -> str:
@@ -87,7 +88,8 @@ def show(report: dict) -> None:
         share = f"{100 * result['share']:.1f}"
         if "of" in result:
             share += f" ({result['count']} of {result['of']})"
-        table.add_row("paper's results", "", "", share)
+        of_which = "three" if "of" in result else "+-0.1 m"
+        table.add_row(f"in the paper, {of_which}", "", "", share)
     caption = _CAPTIONS["goal_box" if kind == "slopes" else kind]
     if "at_rest_on_feet" in blocks[0][0][1]:
         caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
@@ -95,6 +97,34 @@ def show(report: dict) -> None:
     console.print(table)
     if "entry" in report.get("conditions", [{}])[0]:
         console.print(_entry(report["conditions"]))
+    print(answer(report))
+
+
+def answer(report: dict) -> str:
+    """Return in one sentence what came out, of the report of `success.evaluate` or `evaluate_effects`."""
+    if "effects" in report:
+        rows = report["effects"][1:]
+        counted, what = ("within", "Within 5 cm") if report["table"] == "error" else ("strict", "Lands")
+        poor = [row for row in rows if row[counted]["share"] < ENOUGH]
+        said = f"{what} in {100 * ENOUGH:.0f} % or more under {len(rows) - len(poor)} of {len(rows)} effects"
+        worst = min(rows, key=lambda row: row[counted]["share"], default=None)
+        return f"{said}; least under {worst['effect']}: {_of(worst[counted])}." if worst else f"{said}."
+    parts = []
+    for condition in report["conditions"]:
+        name = next((name for name in ("grid", "slopes") if name in condition), None)
+        row = condition if name is None else condition[name]
+        if report["table"] == "error":
+            part = f"{100 * row['error']['mean']:.1f} cm off after 3 s; within 5 cm {_of(row['within'])}"
+        elif "strict" in row:
+            part = f"landed without a touch before: {_of(row['strict'])}"
+        else:
+            part = f"succeeded: {_of(row['success'])}"
+        parts.append(part if len(report["conditions"]) == 1 else f"thrust {_thrust(condition)}, {part}")
+    return ("; ".join(parts) + ".").capitalize() if len(parts) == 1 else "; ".join(parts).capitalize() + "."
+
+
+def _of(share: dict) -> str:
+    return f"{share['count']} of {share['of']} ({share_cell(share).replace(' [', ' % [')})"
 
 
 def _title(report: dict) -> str:

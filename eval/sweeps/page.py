@@ -118,7 +118,7 @@ def write_page(sweeps: Sequence[Path], out: Path | None, site: Path | None) -> N
         ("title", [one.anchor for one in found]),
     ):
         if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise UserError(f"the {what} {twice[0]} stands there twice")
+            raise UserError(f"the {what} {twice[0]} is there twice")
     if site is not None:
         (site / NAME).mkdir(parents=True, exist_ok=True)
         for path in _write_pictures(found, site / NAME):

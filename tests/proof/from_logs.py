@@ -66,7 +66,15 @@ def run(name: str, number: int, folder: Path) -> dict:
     seconds = [
         timed("landing-eval", "gap", *logs, "--out", str(report)),
         timed(
-            *("landing-train", "landing", "--vehicle", str(report / "vehicle.toml"), "--from", "landing"),
+            *(
+                "landing-train",
+                "landing",
+                "--nominal",
+                "--vehicle",
+                str(report / "vehicle.toml"),
+                "--from",
+                "landing-nominal",
+            ),
             *("--seed", str(number), "--out", str(policy), "--no-report", *OPTIONS.get(name, ())),
         ),
     ]
@@ -75,7 +83,7 @@ def run(name: str, number: int, folder: Path) -> dict:
     flown = {"corrected": load_vehicle(report / "vehicle.toml")}
     if name not in SIZED_OTHERWISE:
         flown["true"] = LIBRARY[name].apply(load_vehicle(), hidden.parameters)
-    policies = {"before": "landing", "after": policy / "final.zip"}
+    policies = {"before": "landing-nominal", "after": policy / "final.zip"}
     return {
         "case": name,
         "hidden": hidden.parameters,

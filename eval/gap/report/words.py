@@ -162,7 +162,11 @@ def _shortened(names: Sequence[str]) -> list[str]:
 def _headline_entry(effect: NamedEffect) -> str:
     """Return a named effect for the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
     names = listed(_shortened([label(name) for name in effect.members]), "or")
-    why = ": only their ratio shows" if len(effect.members) > 1 and _only_the_ratio(effect.members) else ""
+    why = (
+        ": flights show only their ratio"
+        if len(effect.members) > 1 and _only_the_ratio(effect.members)
+        else ""
+    )
     return f"{names} ({probability(effect.probability)}{why})"
 
 
@@ -180,13 +184,15 @@ def headline(d: Diagnosis) -> str:
     count = len(d.effects) - len(large)
     smaller = f"{count} smaller effect{'s' * (count > 1)}" if count else ""
     if rest and not sure and d.verdict != "unknown":
-        return f"The model possibly lacks {rest}{smaller and f', and {smaller}'}."
+        return f"Possibly wrong or missing in the model: {rest}{smaller and f', and {smaller}'}."
     parts = [part for part in (sure, rest and f"possibly {rest}", smaller) if part]
     if not parts:
         return "Something is missing that no effect of the library explains."
     if d.verdict == "unknown":
         parts.append("something that no effect of the library explains")
-    return f"The model lacks {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."
+    return (
+        f"Wrong or missing in the model: {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."
+    )
 
 
 ANSWER_HEADS = ("what is wrong", "how sure", "costs after 1 s", "what to do")

@@ -140,17 +140,17 @@ def test_every_effect_is_said_in_words_with_its_numbers():
 
 
 def test_headlines_say_what_is_known_and_what_is_not():
-    ratio = "thrust scale or mass (97 %: only their ratio shows)"
-    assert words.headline(example()) == f"The model lacks {ratio} and attitude trim (97 %)."
+    ratio = "thrust scale or mass (97 %: flights show only their ratio)"
+    assert words.headline(example()) == f"Wrong or missing in the model: {ratio} and attitude trim (97 %)."
     assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
     assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
     little = dataclasses.replace(
         example(), effects=(named("wind", {"x": 0.3, "y": 0.0}, 0.5), example().effects[1])
     )
     little = dataclasses.replace(little, effects=(little.effects[0], named("attitude_trim", TRIM, 0.001)))
-    assert words.headline(little) == "The model lacks wind (97 %) and 1 smaller effect."
+    assert words.headline(little) == "Wrong or missing in the model: wind (97 %) and 1 smaller effect."
     unsure = dataclasses.replace(little, effects=(dataclasses.replace(little.effects[0], probability=0.6),))
-    assert words.headline(unsure) == "The model possibly lacks wind (60 %)."
+    assert words.headline(unsure) == "Possibly wrong or missing in the model: wind (60 %)."
     assert words.answer_rows(unsure)[0][:2] == ("wind", "possible, 60 %")
     assert "Something is missing" in words.headline(
         dataclasses.replace(example("nothing"), verdict="unknown")
@@ -228,7 +228,7 @@ def test_flights_that_contradict_the_others_are_said_first(capsys):
     assert "Beside a model of b, in the others thrust commands act 10.00 ms after" in out
     text = page(d, None, versions={}).replace("\u00a0", " ")
     assert text.index("b contradicts the other 2 flights.") < text.index(
-        "The model lacks", text.index("<body>")
+        "Wrong or missing in the model:", text.index("<body>")
     )
     record = json.loads(storage.to_json(d.to_json()))["contradictions"][0]
     assert record["flights"] == ["b"] and record["differences"][0]["ci95"]["scale"] == [0.84, 0.88]

@@ -460,7 +460,7 @@ def test_the_page_says_where_it_cannot_stand(folder, tmp_path, capsys):
     assert train(["sweep", str(folder), "--page", str(tmp_path / "o"), "--record"]) == 2
     assert "--page and --site run nothing" in capsys.readouterr().err
     assert train(["sweep", str(folder), str(folder), "--page", str(tmp_path / "o")]) == 2
-    assert "stands there twice" in capsys.readouterr().err
+    assert "is there twice" in capsys.readouterr().err
     assert train(["sweep", str(folder), "--page", str(folder)]) == 2
     assert "not empty" in capsys.readouterr().err
 
