@@ -20,7 +20,13 @@ from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import render_flight, strobe, write_picture, write_video
+from inclined_landing.eval.pictures.frames import (
+    flight_view,
+    render_flight,
+    strobe,
+    write_picture,
+    write_video,
+)
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.policies import success, success_table, touchdown
 from inclined_landing.eval.policies.evaluators import evaluator_of
@@ -71,7 +77,8 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     for name, flight in zip(task.figure_starts, flights):
         files += figure.draw(flight, folder, name)
     filmed = to_rest(fly_from(policy, task.film_starts[:1], "mujoco")[0])
-    with make_renderer(**_LOOK, vehicle=task.vehicle) as renderer:
+    view = flight_view([filmed], **_LOOK)
+    with make_renderer(**_LOOK, camera=view, vehicle=task.vehicle) as renderer:
         frames, _, rate = video.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
         files.append(write_video(folder / f"{task.name}.mp4", frames, fps=rate))
         files.append(write_picture(folder / "picture.png", strobe(filmed, renderer=renderer)))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import pathlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,15 @@ from PIL import Image
 
 from inclined_landing.envs.flights import Flight, Track
 from inclined_landing.envs.mission import Mission
-from inclined_landing.envs.rendering import Ghost, make_renderer, pose_from_state, qpos_of_state
+from inclined_landing.envs.rendering import (
+    Ghost,
+    View,
+    look_at,
+    make_renderer,
+    pose_from_state,
+    qpos_of_state,
+)
+from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.eval.pictures.labels import (
     MOTORS_CUT,
     Label,
@@ -28,10 +37,32 @@ from inclined_landing.eval.pictures.to_rest import LandedFlight
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
+FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 FPS = 50.0  # one frame for every control step
 _CODECS = {".mp4": "h264", ".gif": "gif"}
+_HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
+_ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
+_FILLED = 0.88  # of a picture's height; the caption has the rest
 _SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
+
+
+def flight_view(flights: Sequence[Track], width: int, height: int) -> View:
+    """Return the nearest view, from where the hero camera looks, that has flights and their platforms."""
+    points = [np.zeros((0, 3))]
+    for flight in flights:
+        points.append(flight.state[:, :3])
+        if flight.platform is not None:
+            v = flight.task.vehicle
+            reach = np.array([v.slab_half_length, 0.5 * v.platform_depth, 0.0])
+            corners = reach * [[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]]
+            points += [flight.platform[k, :3] + corners for k in (0, -1)]
+    seen = np.concatenate(points)
+    room = (seen + _ROOM * offset for offset in itertools.product((-1, 1), repeat=3))
+    direction = look_at(np.zeros(3), _HERO, width, height, fovy=42.0)
+    half = 0.5 * direction.extent
+    spot = nearest_position(np.concatenate(list(room)), direction.axes, half * width / height, _FILLED * half)
+    return dataclasses.replace(direction, origin=spot - (1.0 - _FILLED) * 0.5 * half * direction.axes[1])
 
 
 def pose_at(flight: Track, k: int):
@@ -65,7 +96,7 @@ def labels_of(flight: Flight | Mission, k: int) -> list[Label]:
 def render_flight(
     flight: Flight | Mission,
     *,
-    camera: str = "arena",
+    camera: str | View = "arena",
     width: int = 640,
     height: int = 480,
     backend: str = "auto",
@@ -86,6 +117,8 @@ def render_flight(
     ghosts = (
         [] if close or flight.motion is not None else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
     )
+    if camera == FITTED:
+        camera = flight_view([flight], width, height)
     colours = leg_colours(flight) if isinstance(flight, Mission) else None
     with _opened(renderer, flight, width, height, camera, backend) as drawing:
         for k in frames:

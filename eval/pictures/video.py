@@ -29,7 +29,7 @@ from inclined_landing.eval.pictures.flights import (
     print_outcome,
     start_points,
 )
-from inclined_landing.eval.pictures.frames import FPS, render_flight, write_videos
+from inclined_landing.eval.pictures.frames import FITTED, FPS, flight_view, render_flight, write_videos
 from inclined_landing.eval.pictures.touchdown import STEP, Touchdown, record_touchdown
 from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
 from inclined_landing.models import storage
@@ -48,7 +48,7 @@ def command(
     start: Starts = (),
     drawn: Drawn = 0,
     seed: Seed = 0,
-    look: Flat[Look] = Look(camera="arena", width=960, height=540),
+    look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
     gif: Flag = False,
     slow: Annotated[float, Range(0.1, 20)] = 1.0,
     forces: Flag = False,
@@ -81,7 +81,9 @@ def command(
     check_ending(until)
     check_random_starts(drawn, start)
     storage.check_file(out)
-    if look.camera != "touch":
+    if look.camera == FITTED and (forces or look.backend == "gl"):  # a view is drawn with rays
+        look = dataclasses.replace(look, camera="hero")
+    if look.camera not in ("touch", FITTED):
         check_picture_options(**dataclasses.asdict(look))
     if beside and (forces or flown.vehicle is not None):
         raise UserError(
@@ -136,6 +138,8 @@ def film(
     sampled: frames for a second of flight. The last frame of each flight stays for a moment.
     """
     rest = round(_REST * sampled / slow)
+    if look.get("camera") == FITTED:
+        look["camera"] = flight_view(flights, look["width"], look["height"])
 
     def frames():
         for flight in flights:

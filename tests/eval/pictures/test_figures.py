@@ -15,7 +15,7 @@ from PIL import Image
 from stable_baselines3 import PPO
 
 from inclined_landing.envs import policy
-from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import Conditions
@@ -34,7 +34,7 @@ from inclined_landing.eval.pictures.figures import (
 from inclined_landing.eval.pictures.figures.curves import median_and_range
 from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import render_flight
+from inclined_landing.eval.pictures.frames import flight_view, render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -507,3 +507,13 @@ def test_commands_name_what_is_wrong(hover_policy, tmp_path, monkeypatch, capsys
     err = capsys.readouterr().err.strip().splitlines()[-1]
     assert err.startswith("landing-eval: ") and sentence in err
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_flight_camera_sees_the_whole_flight_from_nearer_than_the_arena_camera():
+    """Every position of the flight and the platform's corners lie in the picture."""
+    flown = policy.load_policy("landing-nominal")
+    flight = record_flights(flown, "analytic", flown.task.states_at([(3.0, 2.1)]))[0]
+    view = flight_view([flight], 320, 180)
+    pixels, depth = view.project(flight.state[:, :3])
+    assert (depth > 0).all() and (pixels > 0).all() and (pixels < [320, 180]).all()
+    assert np.ptp(pixels[:, 0]) > 0.4 * 320  # it fills the picture, and the platform is beside it
