@@ -135,9 +135,16 @@ def _is_policy(source: str) -> bool:
 
 
 def _title(sources: tuple[str, ...]) -> str:
-    names = [shown(source if source in SHIPPED else Path(source).name, 60) for source in sources]
+    names = [shown(_name(source), 60) for source in sources]
     rest = f" and {len(names) - 2} more" if len(names) > 2 else ""
     return ", ".join(names[:2]) + rest
+
+
+def _name(source: str) -> str:
+    """Return what a policy or a log is called: that of a run is called after the run's folder."""
+    path = Path(source)
+    of_a_run = path.name in ("final.zip", "best.zip") and path.parent.name
+    return source if source in SHIPPED else path.parent.name if of_a_run else path.name
 
 
 def _load_policy(source: str, start: Starts, drawn: int, seed: int, flown: Flown) -> tuple[Policy, Start]:

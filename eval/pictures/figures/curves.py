@@ -46,7 +46,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
-_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
+_REWARD = ScoreCurve("episode_reward", "episode reward,\nharder as the level rises", 1.0, None)
 _LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
 
 
