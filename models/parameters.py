@@ -222,7 +222,8 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     """Return every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml`.
 
     Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
-    these tables and entries stay what they were; one that begins with `based_on`, a shipped name, may lack any.
+    these tables and entries stay what they were; one that begins with `based_on`, a shipped name, may lack
+    any.
     Its ranges and units are the shipped ones; an entry may repeat its range.
     Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
     or not what it should be.

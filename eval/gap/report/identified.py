@@ -148,7 +148,7 @@ def write_posterior(vehicle: Path, reference: Reference) -> None:
 
 
 def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str, Any]]:
-    """Return the vehicle with the disturbance of its flights; sources and uncertainties of what was fitted."""
+    """Return the vehicle with its flights' disturbance; sources and uncertainties of what was fitted."""
     by_field: dict[str, list[Identified]] = {}
     for p in found.parameters:
         by_field.setdefault(p.field, []).append(p)

@@ -1,4 +1,4 @@
-"""`identified`: the identified vehicles of models/vehicles, made anew from public flights and judged on others."""
+"""`identified`: those vehicles of models/vehicles, made anew from public flights and judged on others."""
 
 from __future__ import annotations
 
@@ -145,17 +145,18 @@ def heading(name: str, entry: Mapping, found: Identification, judged: Sequence[M
         f"Flights: {public.repository}, commit {public.commit[:7]}, licence: {public.licence}. "
         f"{', '.join(found.flights)}; {entry['command']}.",
         f"Made by `python -m tests.proof identified DATA --only {name}` (landing-eval identify from "
-        f"{entry['base']} with a mass of {entry['mass']:g} kg), inclined-landing {version('inclined-landing')}, "
+        f"{entry['base']} with a mass of {entry['mass']:g} kg), version {version('inclined-landing')}, "
         f"{date.today().isoformat()}. Its posterior lies beside it.",
-        "Position error one second after an open-loop start, on flights left out, from the base file with this mass to this one: "
+        "Position error one second after an open-loop start, on flights left out, from the base file with "
+        "this mass to this one: "
         + "; ".join(f"{_cm(j, 0)} to {_cm(j, 1)} ({j['name']}, {j['flights']} flights)" for j in judged)
         + ".",
         f"Not identified: {entry['missing']}.",
     ]
     if entry["lean"]:
         paragraphs.append(
-            "The attitude loops are those of a Lee controller, a form that the library does not have: estimator_lean "
-            "stands for what is missing there, and the gain is another with the firmware's PID."
+            "The attitude loops are those of a Lee controller, a form that the library does not have: "
+            "estimator_lean stands for what is missing there. The firmware's PID has another gain and lag."
         )
     return "\n\n".join(
         textwrap.fill(p, 110, break_long_words=False, break_on_hyphens=False) for p in paragraphs
