@@ -28,7 +28,7 @@ _LATER = {"effects", "rotor", "disturbance", "attitude.yaw_gain", "attitude.damp
 _OLD_TABLES = {"disturbance": "unrest"}  # still read
 _SHIPPED = "crazyflie.toml"
 Size = Annotated[float, Meta(ge=0, le=1e300)]
-_BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # what a vehicle file that holds only what differs begins with
+_BASE, _BASED_ON = "crazyflie-2.1", "based_on"  # the latter begins a file that holds only what differs
 _FOLDER = Path(str(resources.files("inclined_landing.models").joinpath("vehicles")))
 
 
@@ -222,7 +222,8 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     """Return every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml`.
 
     Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
-    these tables and entries stay what they were; one with `based_on = "crazyflie-2.1"` on top may lack any.
+    these tables and entries stay what they were; one that begins with `based_on`, a shipped name, may lack
+    any.
     Its ranges and units are the shipped ones; an entry may repeat its range.
     Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
     or not what it should be.
@@ -235,8 +236,9 @@ def constants(path: str | Path | None = None) -> list[Constant]:
         if before in tables:
             tables.setdefault(now, tables.pop(before))
     based_on = tables.pop(_BASED_ON, None)
-    if based_on not in (None, _BASE):
-        raise UserError(f'{what}: {_BASED_ON} can only be "{_BASE}", not {shown(repr(based_on), 40)}')
+    if based_on is not None and based_on not in vehicle_names():
+        names = ", ".join(vehicle_names())
+        raise UserError(f"{what}: {_BASED_ON} can be {names}, not {shown(repr(based_on), 40)}")
     given = schema.parse(tables, dict[str, dict[str, Entry]], f"{what}: ")
     found = {f"{section}.{name}": entry for section, table in given.items() for name, entry in table.items()}
     known = {c.label for c in shipped.values()}
@@ -250,7 +252,7 @@ def constants(path: str | Path | None = None) -> list[Constant]:
         )
     return [
         _constant(found[like.label], like, f"{what}: {like.label}") if like.label in found else like
-        for like in shipped.values()
+        for like in (constants(based_on) if based_on else shipped.values())
     ]
 
 
@@ -349,18 +351,24 @@ def write_vehicle(
     *,
     base: str | Path | None = None,
     heading: str = "",
+    brief: bool = False,
 ) -> None:
     """Write `vehicle` as a file that `load_vehicle` reads back exactly, whole or not at all.
 
     The file has no ranges: they are not the vehicle's.
     sources, uncertainties: of the fields (`body_mass`) that differ from the vehicle file `base`
     (default: the shipped one); entries that do not differ keep theirs. heading: a comment on top.
+    brief: based on `base`, a shipped name, and without the entries that do not differ.
     Raises UserError when the file cannot be written.
     """
     sources, uncertainties = sources or {}, uncertainties or {}
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
+    if brief:
+        lines += ["", f"{_BASED_ON} = {_toml(str(base or _BASE))}"]
     section = None
     for c in constants(base):
+        if brief and getattr(vehicle, c.field) == c.value:
+            continue
         if c.section != section:
             section = c.section
             lines += ["", f"[{section}]"]

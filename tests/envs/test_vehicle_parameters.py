@@ -20,7 +20,12 @@ from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
-FLEET = [load_vehicle(name) for name in vehicle_names()]
+# Those without effects: what is told is the linear drag, and their hover that of the transfer function.
+FLEET = [
+    vehicle
+    for vehicle in map(load_vehicle, vehicle_names())
+    if all(value == getattr(V, name) for name, value in vars(vehicle).items() if name.startswith("effects_"))
+]
 
 
 def pilot(task, seed=0) -> Policy:

@@ -6,7 +6,7 @@ import pytest
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle, vehicle_names
+from inclined_landing.models.parameters import load_vehicle, vehicle_names, write_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.scene import compile_scene
 
@@ -86,10 +86,24 @@ def test_a_file_that_is_based_on_the_shipped_one_holds_only_what_differs(tmp_pat
     path.write_text(f"[body]\n{mass}\n", "utf-8")
     with pytest.raises(UserError, match=r'lacks entries: .*begins with based_on = "crazyflie-2.1"'):
         load_vehicle(path)
-    for wrong in ('"hummingbird"', "1", '["crazyflie-2.1"]'):
+    path.write_text(f'based_on = "hummingbird"\n[body]\n{mass}\n', "utf-8")
+    assert load_vehicle(path) == load_vehicle("hummingbird").changed(body_mass=0.03)
+    for wrong in ('"sparrow"', "1", '["crazyflie-2.1"]'):
         path.write_text(f"based_on = {wrong}\n[body]\n{mass}\n", "utf-8")
-        with pytest.raises(UserError, match=r'based_on can only be "crazyflie-2\.1", not '):
+        with pytest.raises(UserError, match=r"based_on can be crazyflie-2\.0, .*, not "):
             load_vehicle(path)
+
+
+def test_a_brief_file_is_the_same_vehicle(tmp_path):
+    brushless = load_vehicle("crazyflie-2.1-brushless")
+    for base, vehicle in (
+        ("crazyflie-2.1", V.changed(body_mass=0.03)),
+        ("crazyflie-2.1-brushless", brushless),
+    ):
+        path = tmp_path / "brief.toml"
+        write_vehicle(path, vehicle.changed(attitude_gain=0.7), base=base, brief=True)
+        assert load_vehicle(path) == vehicle.changed(attitude_gain=0.7)
+        assert path.read_text("utf-8").count("value") == 1 + (base == "crazyflie-2.1")
 
 
 def test_shipped_vehicles_are_found_by_name():

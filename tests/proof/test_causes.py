@@ -145,7 +145,7 @@ def test_halves_are_kept_apart(name, tmp_path):
     assert mine
     for r in mine:
         reference, flights = (
-            {p.relative_to(tmp_path / name).as_posix() for p in rows.paths_of(tmp_path, r, patterns)}
+            {p.relative_to(tmp_path / name).as_posix() for p in rows.paths_of(tmp_path / r.set, patterns)}
             for patterns in (r.reference, r.flights)
         )
         if r.half == "development":
@@ -165,9 +165,12 @@ def test_patterns_keep_zeros_and_missing_files_are_one_sentence(tmp_path):
     for n in (8, 9, 10):
         (after / f"flight{n:02d}.csv").write_text("x")
     (after / "flight12.csv").touch()  # empty: cut short before its first row
-    assert [p.name for p in rows.paths_of(tmp_path, ROW, ROW.flights)] == ["flight08.csv", "flight10.csv"]
+    assert [p.name for p in rows.paths_of(tmp_path / ROW.set, ROW.flights)] == [
+        "flight08.csv",
+        "flight10.csv",
+    ]
     with pytest.raises(UserError, match=r"lab: no file like after/flight12\.csv$"):
-        rows.paths_of(tmp_path, ROW, ["after/flight12.csv"])
+        rows.paths_of(tmp_path / ROW.set, ["after/flight12.csv"])
 
 
 def effect(name, members, sure=True, **parameters):

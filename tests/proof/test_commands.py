@@ -33,6 +33,10 @@ def test_one_command_runs_them_from_the_root():
         (["gap-agreement", "--out", "{out}", "--cases", "0"], "--cases must lie "),
         (["plan-proof", "--out", "{out}", "--family", "moon"], "unknown family 'moon'; known are dev, fresh"),
         (["from-logs", "--out", "{out}", "--cases", "moon"], "unknown case 'moon'; known are thrust_scale, "),
+        (
+            ["identified", "{folder}", "--out", "{out}", "--only", "moon"],
+            "unknown vehicle 'moon'; known are ",
+        ),
         (["gap-blind", "--out", "{file}"], "the run folder {file} exists and is not a folder; choose "),
         (["gap-example", "--out", "{folder}"], "the run folder {folder} exists and is not empty; choose "),
     ],

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -17,9 +19,9 @@ from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import say
-from inclined_landing.eval.gap.search.reference import posterior_path
+from inclined_landing.eval.gap.search.reference import Reference, posterior_path
 from inclined_landing.models import storage
-from inclined_landing.models.parameters import load_vehicle, write_vehicle
+from inclined_landing.models.parameters import Vehicle, load_vehicle, write_vehicle
 
 _HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights", "the paper")
 
@@ -134,6 +136,19 @@ def show(found: Identification, notes: Sequence[str] = ()) -> None:
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:
     """Write vehicle.toml and its posterior into `folder`; base: the vehicle file that it started from."""
+    heading = "Identified by landing-eval identify.\nEvery command takes it with --vehicle."
+    write_vehicle(folder / VEHICLE, *described(found), base=base, heading=heading)
+    write_posterior(folder / VEHICLE, found.reference)
+
+
+def write_posterior(vehicle: Path, reference: Reference) -> None:
+    """Write the posterior of an identified vehicle beside its file."""
+    text = json.dumps(reference.to_json(load_vehicle(vehicle)), allow_nan=False, separators=(",", ":"))
+    storage.write_text(posterior_path(vehicle), text + "\n")
+
+
+def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str, Any]]:
+    """Return the vehicle with its flights' disturbance; sources and uncertainties of what was fitted."""
     by_field: dict[str, list[Identified]] = {}
     for p in found.parameters:
         by_field.setdefault(p.field, []).append(p)
@@ -146,17 +161,10 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
     }
     disturbance, widths = disturbance_fields(found.disturbance)
     lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
-    write_vehicle(
-        folder / VEHICLE,
+    return (
         dataclasses.replace(found.vehicle, **disturbance),
         sources | dict.fromkeys(disturbance, lines),
         found.fields | widths,
-        base=base,
-        heading="Identified by landing-eval identify.\nEvery command takes it with --vehicle.",
-    )
-
-    storage.write_json(
-        posterior_path(folder / VEHICLE), found.reference.to_json(load_vehicle(folder / VEHICLE))
     )
 
 

@@ -25,7 +25,7 @@ from inclined_landing.eval.gap.search.residual import TARGETS, Basis, ReferenceR
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Constant, Vehicle, constants
+from inclined_landing.models.parameters import Constant, Vehicle, constants, load_vehicle, locate_vehicle
 
 SUFFIX = ".posterior.json"
 VERSION = 2
@@ -143,9 +143,18 @@ class Reference:
 
 
 def digest(vehicle: Vehicle) -> str:
-    """Return a hash of all constants of a vehicle but its disturbance."""
-    values = {f.name: getattr(vehicle, f.name) for f in dataclasses.fields(vehicle)}
-    text = repr(sorted((n, v) for n, v in values.items() if not n.startswith("disturbance")))
+    """Return a hash of all constants of a vehicle but its disturbance and its neutral effects.
+
+    So it stays what it was when the library grows.
+    """
+    neutral = load_vehicle()
+    values = {
+        name: value
+        for name, value in vars(vehicle).items()
+        if not name.startswith("disturbance")
+        and not (name.startswith("effects_") and value == getattr(neutral, name))
+    }
+    text = repr(sorted(values.items()))
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
@@ -155,10 +164,11 @@ def posterior_path(path: Path) -> Path:
 
 
 def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]:
-    """Return the posterior of a vehicle file, and a sentence where it belongs to another vehicle.
+    """Return the posterior of a vehicle file or shipped name, and a sentence where it is another vehicle's.
 
     Raises UserError for a posterior that is damaged.
     """
+    path = None if path is None else locate_vehicle(path)
     if path is None or not (file := posterior_path(path)).exists():
         return Reference.of_file(path, vehicle), ""
     table = storage.read_json(file, "posterior")

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.evidence import BASE, Column
 from inclined_landing.eval.gap.search.posterior import SHAPE_COVARIANCE, Bounds, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import Reference, posterior_path, read_reference
+from inclined_landing.eval.gap.search.reference import Reference, digest, posterior_path, read_reference
 from inclined_landing.eval.gap.search.residual import (
     Basis,
     ReferenceResidual,
@@ -428,6 +429,25 @@ def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
     posterior_path(file).write_text(text.replace('"mean"', '"means"'))
     with pytest.raises(UserError, match="posterior"):
         read_reference(file, VEHICLE)
+
+
+def test_a_posterior_stays_with_its_vehicle_where_an_effect_is_neutral(reference, tmp_path):
+    """So a shipped one outlives a new effect of the library."""
+    hash_of = reference.to_json(VEHICLE)["vehicle"]
+    assert reference.to_json(VEHICLE.changed(disturbance_acceleration=(0.1, 0.1, 0.1)))["vehicle"] == hash_of
+    for field, value in (("effects_wind", (0.1, 0.0)), ("attitude_gain", 0.9), ("body_mass", 0.04)):
+        assert reference.to_json(VEHICLE.changed(**{field: value}))["vehicle"] != hash_of
+    older = {name: value for name, value in vars(VEHICLE).items() if name != "effects_wind"}
+    assert digest(types.SimpleNamespace(**older)) == hash_of  # from before the library had wind
+
+
+@pytest.mark.parametrize(
+    "name", ["crazyflie-2.1-lee", "crazyflie-2.1-upgraded-lee", "crazyflie-2.1-brushless-flown"]
+)
+def test_a_shipped_vehicle_that_was_identified_has_its_posterior(name):
+    found, said = read_reference(Path(name), load_vehicle(name))
+    assert found.from_flights and not said
+    assert found.covariance.any() and found.repeating.bases
 
 
 @pytest.mark.parametrize(

@@ -79,15 +79,15 @@ def _rows_of(entry: Mapping, common: Mapping) -> Iterator[Row]:
             )
 
 
-def paths_of(data: Path, row: Row, patterns: Sequence[str]) -> list[Path]:
-    """Return the files of a row below the folder of its set. Raises UserError where there are none."""
+def paths_of(folder: Path, patterns: Sequence[str]) -> list[Path]:
+    """Return the files of a repository that match some patterns. Raises UserError where there are none."""
     found: list[Path] = []
     for pattern in patterns:
         for one in _expanded(pattern):
-            found += sorted((data / row.set).glob(one))
+            found += sorted(folder.glob(one))
     found = [p for p in dict.fromkeys(found) if p.is_file() and p.stat().st_size]
     if not found:
-        raise UserError(f"{data / row.set}: no file like {patterns[0]}")
+        raise UserError(f"{folder}: no file like {patterns[0]}")
     return found
 
 
@@ -127,8 +127,8 @@ def answer(data: Path, row: Row) -> dict:
     Raises UserError where flights are missing or none can be used.
     """
     began = time.perf_counter()
-    reference, refused = read(paths_of(data, row, row.reference), row.reference_above or row.above)
-    flights, more = read(paths_of(data, row, row.flights), row.above)
+    reference, refused = read(paths_of(data / row.set, row.reference), row.reference_above or row.above)
+    flights, more = read(paths_of(data / row.set, row.flights), row.above)
     if not reference or not flights:
         raise UserError((refused + more)[0])
     base = base_vehicle(row)
