@@ -61,8 +61,6 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     usual = task.training.start_from
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
-    if policy.task.history and wanted != task.name:
-        raise UserError(f"policy {policy.path} needs a history of observations; {task.name} begins without")
     return policy
 
 
@@ -139,11 +137,15 @@ def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int) ->
         own.copy_(value)
 
 
-def lesson(context: StepContext, landing: Policy) -> np.ndarray:
-    """Return the actions (n, a) to imitate in n states, over their platforms."""
+def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None = None) -> np.ndarray:
+    """Return the actions (n, a) to imitate in n states, over their platforms.
+
+    observation (n, o): what the landing policy is given there, with its history where it has one.
+    """
     task = landing.task
     v, state, platform = task.vehicle, context.state, context.platform
-    action = landing.predict(task.observe(context)).astype(float)
+    observation = task.observe(context) if observation is None else observation
+    action = landing.predict(observation).astype(float)
     action[:, 0] = np.maximum(action[:, 0], _LOWEST)
     place = surface.on_platform(state, platform)
     over = (place[:, Z] < CUT_HEIGHT) & (np.abs(place[:, X]) < v.slab_half_length)
@@ -162,15 +164,23 @@ def lesson(context: StepContext, landing: Policy) -> np.ndarray:
 def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
     """Teach what a task needs besides the teacher's weights: in touchdown the motor cut, or the whole law."""
     if isinstance(teacher, Descent):
-        teach_law(model, env, lambda context: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
+        teach_law(model, env, lambda context, _: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
     elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
-        teach_law(model, env, lambda context: lesson(context, teacher), seed)
+        known = len(teacher.centre)  # the learner may have a longer history
+        teach_law(model, env, lambda context, seen: lesson(context, teacher, seen[:, :known]), seed)
 
 
 def teach_law(
-    model: PPO, env: BatchEnv, law: Callable[[StepContext], np.ndarray], seed: int, rounds: int = _ROUNDS
+    model: PPO,
+    env: BatchEnv,
+    law: Callable[[StepContext, np.ndarray], np.ndarray],
+    seed: int,
+    rounds: int = _ROUNDS,
 ) -> None:
-    """Teach the model's actor a law on the states it meets in `env`, whose conditions are set back."""
+    """Teach the model's actor a law on the states it meets in `env`, whose conditions are set back.
+
+    law: actions (n, a) from the states and what the actor is given there (n, o).
+    """
     rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     actor = model.policy
     before = env.task.conditions
@@ -184,7 +194,7 @@ def teach_law(
     for lap in range(rounds):
         for _ in range(_STEPS):
             seen.append(env.observe())
-            taught.append(law(StepContext(env.plant.state, platform=env.plant.platform)))
+            taught.append(law(StepContext(env.plant.state, platform=env.plant.platform), seen[-1]))
             action = taught[-1] if lap == 0 else _mean(actor, torch.as_tensor(seen[-1])).detach().numpy()
             step = env.step(action + rng.normal(0.0, _NOISE, action.shape))
             done = step.terminated | step.truncated
