@@ -316,8 +316,11 @@ class Task(abc.ABC):
 
     def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32: those of `observation_names` that the state has."""
-        columns = [COLUMNS[name] for name in self.observation_names if name in COLUMNS]
-        return context.state[:, columns].astype(np.float32)
+        return context.state[:, self._observed].astype(np.float32)
+
+    @functools.cached_property
+    def _observed(self) -> np.ndarray:
+        return np.array([COLUMNS[name] for name in self.observation_names if name in COLUMNS], int)
 
     # --- what training and evaluation ask --------------------------------------------------------
 

@@ -325,13 +325,13 @@ class InclinedLanding(Task):
         outside, cut = np.zeros_like(goal), np.zeros_like(goal)
         if c.leave_limit < math.inf:
             outside = self.near_bounds(state, -c.leave_limit) | context.contacts.touch[:, 2].any(axis=1)
-            outside &= ~goal
+            outside &= paid
         if c.contact_limit:
             cut = context.in_contact >= c.contact_limit
         if c.out_of_bounds_penalty:
             terms["out_of_bounds"] = -c.out_of_bounds_penalty * outside
-            return Evaluation(terms, goal, goal | outside, cut & ~goal & ~outside)
-        return Evaluation(terms, goal, goal, (cut | outside) & ~goal)
+            return Evaluation(terms, goal, goal | outside, cut & paid & ~outside)
+        return Evaluation(terms, goal, goal, (cut | outside) & paid)
 
     def score(self, flights: Sequence) -> dict[str, float]:
         """Return the shares of the flights that reach the goal box without a touch before, and at all."""

@@ -269,6 +269,7 @@ def test_benchmark_rows(landing_policy):
     for row in rows:
         assert row["in_engine"] == 1 if row["plant"].startswith("mujoco") else row["in_engine"] < 0.5
         assert 0 < row["steps_per_second"]["median"] < 2 * row["bare_steps_per_second"]["median"]
+        assert (row["over_plain"] is None) != row["plant"].startswith("  ")
     latency = benchmark.policy_latency(policy.load_policy(landing_policy), 20, 0)
     assert latency["predict_us"]["median"] < latency["sb3_predict_us"]["median"]
     abroad = latency["exported_us"]
