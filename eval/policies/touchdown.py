@@ -67,15 +67,19 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     recorder = Recorder(plant, states)
     cut, ended = np.zeros(n, bool), np.zeros(n, bool)
     past = History(task, n)
-    past.reset(slice(None), task.observe(StepContext(plant.state, plant.contacts)))
+
+    def seen() -> np.ndarray:
+        return task.observe(StepContext(plant.state, plant.contacts, platform=plant.platform))
+
+    past.reset(slice(None), seen())
     held, last, time = np.zeros(n, int), np.full(n, task.max_steps), np.full(n, np.nan)
     for tick in range(1, task.max_steps + SETTLING + 1):
-        observation = task.observe(StepContext(plant.state, plant.contacts))
+        observation = seen()
         actions = policy.predict(past.stack(observation)).astype(float)
         past.record(observation, actions)
-        commands = task.commands(actions)
+        commands = task.body_commands(task.commands(actions), plant.state, plant.platform)
         if cutting:
-            entered = ~cut & task.in_goal(plant.state, GOAL_SIZE)
+            entered = ~cut & task.in_goal(plant.state, GOAL_SIZE, plant.platform)
             last[entered] = tick - 1 + SETTLING
             cut |= entered
             commands[cut, PWM] = 0.0

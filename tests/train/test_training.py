@@ -268,7 +268,7 @@ def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_pa
     assert again.config.history == 2
     with pytest.raises(UserError, match="goes on with --history 2 or more"):
         Run(config(tmp_path / "c", start_from=saved, history=1))
-    with pytest.raises(UserError, match="touchdown begins without"):
+    with pytest.raises(UserError, match="goes on with --history 2 or more"):
         Run(config(tmp_path / "d", task="touchdown", start_from=saved))
 
 
