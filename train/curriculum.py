@@ -19,6 +19,7 @@ from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_S
 from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
+SETTLING_DRAWN = 800_000  # the same on drawn vehicles, of which there is more to learn
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
@@ -35,6 +36,7 @@ class Curriculum(Protocol):
     """What the training callback needs."""
 
     name: str
+    settling: int  # environment steps in which the learning rate falls, where success ends the run
 
     @property
     def level(self) -> float:
@@ -71,13 +73,13 @@ class Curriculum(Protocol):
         """Continue from a `state`."""
 
 
-def settling(steps: int) -> float:
+def settling(steps: int, within: int = SETTLING) -> float:
     """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
 
     Falls linearly, as policies that learn at full rate to their end are brittle, and stays at a tenth, as
     nobody knows when that end comes.
     """
-    return max(0.1, 1.0 - steps / SETTLING)
+    return max(0.1, 1.0 - steps / within)
 
 
 def rising_gamma(steps: int) -> float:
@@ -90,6 +92,7 @@ class NoCurriculum:
 
     name = "none"
     level = 1.0
+    settling = SETTLING
 
     def __init__(self, gamma: float, conditions: Any = None):
         self._gamma, self._conditions = gamma, conditions
@@ -110,7 +113,7 @@ class NoCurriculum:
         return
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
-        return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
+        return settling(steps, self.settling) if total is None else max(0.0, 1.0 - steps / total)
 
     def gamma(self, steps: int) -> float:
         return self._gamma
@@ -159,7 +162,7 @@ class AdaptiveCurriculum:
         creep: float = 0.003,
         back: float = 0.01,
     ):
-        self._gamma, self.gate, self.floor = gamma, gate, floor
+        self._gamma, self.gate, self.floor, self.settling = gamma, gate, floor, SETTLING
         self.step, self.creep, self.back = step, creep, back
         self.level = 0.0
         self._recent: deque[bool] = deque(maxlen=window)
@@ -214,7 +217,7 @@ class AdaptiveCurriculum:
         if self._full_at is None:
             return 1.0
         if total is None:
-            return settling(steps - self._full_at)
+            return settling(steps - self._full_at, self.settling)
         if total <= self._full_at:
             return 1.0
         return max(0.0, (total - steps) / (total - self._full_at))
@@ -447,11 +450,13 @@ _CURRICULA: dict[str, Callable[[float], Curriculum]] = {
 }
 
 
-def make_curriculum(name: str, task: str, gamma: float | str, without: str = "") -> Curriculum:
+def make_curriculum(
+    name: str, task: str, gamma: float | str, without: str = "", *, drawn: bool = False
+) -> Curriculum:
     """Return a curriculum by name, one of those that the task names.
 
     gamma: the discount, or "paper" for one that rises as the paper's. without: parts to leave out, as
-    "tilt,goal".
+    "tilt,goal". drawn: is it for drawn vehicles.
     """
     kind = task_class(task)
     if name not in kind.curricula:
@@ -463,5 +468,6 @@ def make_curriculum(name: str, task: str, gamma: float | str, without: str = "")
         curriculum: Curriculum = NoCurriculum(first, kind.training_conditions)
     else:
         curriculum = _CURRICULA[name](first)
+    curriculum.settling = SETTLING_DRAWN if drawn else SETTLING
     parts = [part.strip() for part in without.split(",")] if without else []
     return Changed(curriculum, parts, rising) if parts or rising else curriculum

@@ -124,7 +124,13 @@ class Run:
         if config.start_from and fresh:
             vehicle = load_vehicle(config.vehicle) if config.vehicle is not None else None
             self.teacher = warm_start.teacher(config.start_from, self.env.env.task, vehicle)
-        self.curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
+        self.curriculum = make_curriculum(
+            config.curriculum,
+            config.task,
+            config.gamma,
+            config.without or "",
+            drawn=config.randomise is not None,
+        )
         build = ppo.build_model if config.algorithm == "ppo" else off_policy.build_model
         self.model = build(config, self.env)
         if isinstance(self.teacher, Policy):
