@@ -186,11 +186,12 @@ def test_policies_fly_the_assigned_vehicles():
 def test_robust_spans_the_library():
     """Every effect of the library at its plausible size lies in its ranges; seeds can be drawn.
 
-    But for a load's length, of which any is neutral where there is no load.
+    But for slung loads, which the file says why to leave out.
     """
     ranges = read_ranges("robust")
-    assert list(ranges.effects) == list(LIBRARY) and "robust" in randomise.shipped()
-    for name, effect in LIBRARY.items():
+    library = {name: effect for name, effect in LIBRARY.items() if name != "slung_load"}
+    assert list(ranges.effects) == list(library) and "robust" in randomise.shipped()
+    for name, effect in library.items():
         for parameter in effect.parameters:
             low, high = ranges.effects[name][parameter.name]
             assert low <= parameter.plausible <= high, (name, parameter.name)

@@ -538,7 +538,7 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
 
     assert ends() == [None, 0.99, 1_000_000, 3_000_000]  # on drawn vehicles
     assert ends(nominal=True) == [None, 0.99, 300_000, 3_000_000]
-    assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [1_000_000, None, None, None]
+    assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [2_000_000, None, None, None]
     assert ends(success=0.5, max_steps=9) == [None, 0.5, 9, 9]
     assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
     for wrong, sentence in (
