@@ -161,7 +161,7 @@ def command(
     policy: PolicyFile,
     /,
     *,
-    baseline: PolicyName = "landing",
+    baseline: PolicyName = "landing-nominal",
     vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,
     restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = RESTITUTIONS,
@@ -172,7 +172,7 @@ def command(
 
     Args:
         policy: touchdown policy file, or the shipped one (touchdown).
-        baseline: landing policy file, or the shipped one (landing).
+        baseline: landing policy file, or a shipped one; landing-nominal is what touchdown began from.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         friction: between feet and slope.
         restitution: of the feet on the slope, 0 to 0.6.
