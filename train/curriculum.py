@@ -19,7 +19,9 @@ from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_S
 from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
-SETTLING_DRAWN = 800_000  # the same on drawn vehicles, of which there is more to learn
+# Success at which the adaptive curriculum goes on, and below which it goes back: on one vehicle, and on drawn
+# ones, of which nobody lands all.
+GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
@@ -36,7 +38,6 @@ class Curriculum(Protocol):
     """What the training callback needs."""
 
     name: str
-    settling: int  # environment steps in which the learning rate falls, where success ends the run
 
     @property
     def level(self) -> float:
@@ -73,13 +74,13 @@ class Curriculum(Protocol):
         """Continue from a `state`."""
 
 
-def settling(steps: int, within: int = SETTLING) -> float:
+def settling(steps: int) -> float:
     """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
 
     Falls linearly, as policies that learn at full rate to their end are brittle, and stays at a tenth, as
     nobody knows when that end comes.
     """
-    return max(0.1, 1.0 - steps / within)
+    return max(0.1, 1.0 - steps / SETTLING)
 
 
 def rising_gamma(steps: int) -> float:
@@ -92,7 +93,6 @@ class NoCurriculum:
 
     name = "none"
     level = 1.0
-    settling = SETTLING
 
     def __init__(self, gamma: float, conditions: Any = None):
         self._gamma, self._conditions = gamma, conditions
@@ -113,7 +113,7 @@ class NoCurriculum:
         return
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
-        return settling(steps, self.settling) if total is None else max(0.0, 1.0 - steps / total)
+        return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
 
     def gamma(self, steps: int) -> float:
         return self._gamma
@@ -156,13 +156,13 @@ class AdaptiveCurriculum:
         gamma: float = 0.98,
         *,
         window: int = 60,
-        gate: float = 0.7,
-        floor: float = 0.4,
+        gate: float = GATE[0],
+        floor: float = FLOOR[0],
         step: float = 0.08,
         creep: float = 0.003,
         back: float = 0.01,
     ):
-        self._gamma, self.gate, self.floor, self.settling = gamma, gate, floor, SETTLING
+        self._gamma, self.gate, self.floor = gamma, gate, floor
         self.step, self.creep, self.back = step, creep, back
         self.level = 0.0
         self._recent: deque[bool] = deque(maxlen=window)
@@ -217,7 +217,7 @@ class AdaptiveCurriculum:
         if self._full_at is None:
             return 1.0
         if total is None:
-            return settling(steps - self._full_at, self.settling)
+            return settling(steps - self._full_at)
         if total <= self._full_at:
             return 1.0
         return max(0.0, (total - steps) / (total - self._full_at))
@@ -468,6 +468,7 @@ def make_curriculum(
         curriculum: Curriculum = NoCurriculum(first, kind.training_conditions)
     else:
         curriculum = _CURRICULA[name](first)
-    curriculum.settling = SETTLING_DRAWN if drawn else SETTLING
+    if isinstance(curriculum, AdaptiveCurriculum) and drawn:
+        curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
     parts = [part.strip() for part in without.split(",")] if without else []
     return Changed(curriculum, parts, rising) if parts or rising else curriculum
