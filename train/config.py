@@ -169,7 +169,7 @@ class TrainConfig:
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
-    (default: landing robust)."""
+    (default: landing in the plane robust)."""
     nominal: bool = False
     """The paper's landing: one vehicle, no history, actions around its hover."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -244,15 +244,13 @@ class TrainConfig:
         _check_gamma(self.gamma)
         if self.start_from is None and self.fastest is not None and training.start_from is not None:
             filled["start_from"] = descent.NAME
-        if self.start_from is None and self.dimensions == 3 and self.fastest is None:
-            filled["start_from"] = kind.start_in_space
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start if start is not None and trained_task(start) == kind.name else None
         least = training.min_steps if same is None else CARRIED_ON
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
-        in_space = self.dimensions == 3 and self.fastest is None
-        drawn = not self.nominal and (kind.drawn_vehicles or (in_space and kind.drawn_in_space))
+        # In space one of three seeds lands drawn vehicles, and on one vehicle all do.
+        drawn = kind.drawn_vehicles and self.dimensions != 3 and not self.nominal
         if self.nominal and self.randomise is not None:
             raise UserError("--nominal trains on one vehicle, and --randomise draws many: leave one out")
         ranges = ROBUST if drawn and self.randomise is None else self.randomise

@@ -395,6 +395,9 @@ def recipe_of(metadata: dict) -> tuple[Recipe, str] | None:
     return None
 
 
+ONCE_DEFAULT = {("--nominal",), ("--history", "0")}  # said since the landing draws vehicles unless told
+
+
 def _words(words: list[str]) -> set[tuple[str, ...]]:
     """Options with their values, in no order, without those of a run alone."""
     groups: list[tuple[str, ...]] = []
@@ -403,7 +406,7 @@ def _words(words: list[str]) -> set[tuple[str, ...]]:
             groups.append((word,))
         else:
             groups[-1] += (word,)
-    return {group for group in groups if group[0] not in OF_THE_RUN}
+    return {group for group in groups if group[0] not in OF_THE_RUN and group not in ONCE_DEFAULT}
 
 
 def _recipe(recipe: Recipe, variant: str) -> str:

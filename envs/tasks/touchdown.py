@@ -101,8 +101,7 @@ class InclinedTouchdown(InclinedLanding):
     idle_action = IDLE_ACTION
     cut_at_success = False
     table = "touchdown"
-    drawn_vehicles, drawn_in_space = False, True  # in the plane nothing answers what pushes sideways
-    start_in_space = "landing-3d"
+    drawn_vehicles = False
     training = Training(
         steps=1_500_000,
         curriculum="touchdown",

@@ -91,14 +91,3 @@ def test_wrong_input(tmp_path, options, sentence):
     with pytest.raises(UserError, match=sentence):
         train(TrainConfig(out=tmp_path / "run", steps=512, **(TINY | options)))
     assert not list(tmp_path.rglob("*.zip"))
-
-
-def test_in_space_it_goes_on_from_the_policy_in_space_on_drawn_vehicles(tmp_path, monkeypatch):
-    """With that policy's history and commands; a lesson is what it does with its history."""
-    monkeypatch.setattr(warm_start, "_STEPS", 20)
-    folder, _ = train(TrainConfig(task="touchdown", dimensions=3, steps=128, out=tmp_path / "a", **TINY))
-    landed, began = load_policy(folder / "final.zip"), load_policy("landing-3d")
-    assert landed.task.history == began.task.history == 3 and landed.task.pwm_centre == 35_000
-    assert landed.metadata["ranges"]["nominal"] == 0.2 and not landed.task.is_planar
-    alone = TrainConfig(task="touchdown", nominal=True).resolved()
-    assert (alone.randomise, alone.history, alone.start_from) == (None, 0, "landing-nominal")
