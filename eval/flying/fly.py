@@ -18,7 +18,6 @@ from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
     NewFolder,
-    PolicyFile,
     PolicyName,
     Range,
     Starts,
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
     from inclined_landing.eval.flying.interfaces import Clock, MotionCapture
     from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
+    from inclined_landing.eval.flying.planned import PlannedFlight
 
 CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse of the markers can happen
 ARM_WORD = "arm"  # typed before the motors may turn
@@ -38,7 +38,7 @@ Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(met
 
 
 def command(
-    policy: PolicyFile = "landing",
+    policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None,
     *,
     simulated: Flag = False,
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None,
@@ -51,6 +51,8 @@ def command(
     arena: VehicleFile = None,
     stand: Annotated[float | None, Range(0.0, 2.0), tyro.conf.arg(metavar="M")] = None,
     heading: Annotated[float | None, Range(-360.0, 360.0), tyro.conf.arg(metavar="DEG")] = None,
+    plan: VehicleFile = None,
+    no_platform: Flag = False,
     dry_run: Flag = False,
     yes: Flag = False,
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None,
@@ -58,12 +60,13 @@ def command(
     seed: Annotated[int | None, Range(0, 2**32 - 1), tyro.conf.arg(metavar="SEED")] = None,
     out: NewFolder = None,
 ) -> int:
-    """Fly a Crazyflie, or a simulated one: to the start, and onto the slope; logged as CSV.
+    """Fly a Crazyflie, or a simulated one: to the start, and onto the slope, or as planned; logged as CSV.
 
     Ctrl-C switches the motors off. docs/flying.md says what is needed, and what ends a flight.
 
     Args:
-        policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself).
+        policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself);
+            the shipped landing policy by default.
         simulated: fly a simulated Crazyflie, in virtual time.
         uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
         mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
@@ -76,6 +79,8 @@ def command(
         arena: vehicle file (TOML) with arena and platform, where they are not the shipped ones.
         stand: height of what the vehicle stands on, in metres; 0 by default.
         heading: direction of its nose, in degrees from x, where motion capture shows no attitude.
+        plan: flight.csv of landing-eval plan, flown in the place of a landing.
+        no_platform: no platform stands in the arena; for planned flights alone.
         dry_run: everything but motors; carry the vehicle by hand and read what would be commanded.
         yes: no confirmation; for simulated vehicles alone.
         vehicle: simulated vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
@@ -86,6 +91,7 @@ def command(
     from inclined_landing.envs.shared.runs import check_new_run, new_run
     from inclined_landing.eval.flying.link import check_uri
     from inclined_landing.eval.flying.pilot import Plan
+    from inclined_landing.eval.flying.planned import PlannedFlight
     from inclined_landing.models import storage
 
     if simulated:
@@ -109,11 +115,16 @@ def command(
         check_uri(uri)
         if yes and not uri.startswith("udp://"):
             raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
-    landing, hover, starts = load_policies(policy, setpoint, start, inclination, arena)
+    if plan is not None:
+        _reject_options("of landings and not of --plan", policy=policy, start=start or None)
+    elif no_platform:
+        raise UserError("--no-platform is for planned flights alone; a landing needs the platform")
+    landing, hover, starts = load_flight(policy, setpoint, start, inclination, arena, plan, not no_platform)
     if out is not None:
         check_new_run(out)
     if uri is None or mocap is None:
-        session = _simulated("nominal" if vehicle is None else vehicle, inclination, fault, seed or 0)
+        named = "nominal" if vehicle is None else vehicle
+        session = _simulated(named, inclination, not no_platform, fault, seed or 0)
     else:
         session = _real(uri, mocap, mocap_latency or 0.0)
     logging.getLogger("cflib").setLevel(
@@ -122,18 +133,20 @@ def command(
     folder: Path | None = None  # not before a vehicle is there, and ready
     results: list[dict[str, Any]] = []
     for k in range(flights):
-        plan = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
-        print(f"flight {k + 1} of {flights}, landing from x {plan.start[0]:g}, z {plan.start[1]:g} m")
-        with session.prepared(k, plan, dry_run, yes) as pilot:
+        flight = Plan(landing, hover, starts[k % len(starts)], stand or 0.0, math.radians(heading or 0.0))
+        what = "as planned" if plan is not None else "landing"
+        print(f"flight {k + 1} of {flights}, {what} from x {flight.start[0]:g}, z {flight.start[1]:g} m")
+        with session.prepared(k, flight, dry_run, yes) as pilot:
             folder = folder or new_run(out, "fly")
             log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
             report = pilot.fly(log)
-        results.append(summary(report, plan, log))
+        results.append(summary(report, flight, log))
         storage.write_json(
             folder / "fly.json",
             {
                 "command": "fly",
-                "policy": str(landing.path),
+                "policy": None if isinstance(landing, PlannedFlight) else str(landing.path),
+                "plan": None if plan is None else str(plan),
                 "simulated": simulated,
                 "seed": seed,
                 "flights": results,
@@ -145,18 +158,26 @@ def command(
         if report.error:
             print(report.error, file=sys.stderr)
             return 1
-    landed = sum(result["landed"] for result in results)
+    succeeded = sum(result["landed"] or result["outcome"] == "plan flown" for result in results)
     if not dry_run:
-        print(f"{landed} of {flights} landed; logs in {folder}")
-    return 0 if dry_run or landed == flights else 3
+        done = "landed" if plan is None else "flown as planned"
+        print(f"{succeeded} of {flights} {done}; logs in {folder}")
+    return 0 if dry_run or succeeded == flights else 3
 
 
-def load_policies(
-    policy: str, setpoint: str, start: tuple[str, ...], inclination: float | None, arena: Path | None
-) -> tuple[Policy, Policy, list[tuple[float, float]]]:
-    """Return the two policies and the starts (x, z) [m]; inclination [deg] of the platform in the arena.
+def load_flight(
+    policy: str | None,
+    setpoint: str,
+    start: tuple[str, ...],
+    inclination: float | None,
+    arena: Path | None,
+    plan: Path | None = None,
+    platform: bool = True,
+) -> tuple[Policy | PlannedFlight, Policy, list[tuple[float, float]]]:
+    """Return what is flown, the set-point policy and the starts (x, z) [m].
 
-    Raises UserError for a policy that is for another task or another slope.
+    inclination [deg] of the platform in the arena, and whether it stands there. Raises UserError for a policy
+    that is for another task or another slope, and for a planned flight that cannot be flown in the arena.
     """
     from inclined_landing.envs.policy import (
         action_map,
@@ -167,6 +188,7 @@ def load_policies(
     )
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.envs.tasks.landing import PAPER_STARTS
+    from inclined_landing.eval.flying.planned import read_planned
     from inclined_landing.models.parameters import load_vehicle
 
     room = load_vehicle(arena) if arena is not None else load_vehicle()
@@ -185,8 +207,13 @@ def load_policies(
         return load_policy(name, make_task(task, room, **options))
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
-    landing = built(policy, ("landing", "touchdown"), inclination=room.check_inclination(angle))
+    slope = room.check_inclination(angle)
     hover = built(setpoint, ("setpoint",))
+    if plan is not None:
+        planned = read_planned(plan, room, slope, platform)
+        x, _, z = planned.reference.position[0]
+        return planned, hover, [(float(x), float(z))]
+    landing = built(policy or "landing", ("landing", "touchdown"), inclination=slope)
     starts = [landing.task.parse_start(text) for text in start] or list(PAPER_STARTS)
     return landing, hover, [(point[0], point[1]) for point in starts]
 
@@ -210,7 +237,7 @@ class Connection:
         from inclined_landing.eval.flying import safety
         from inclined_landing.eval.flying.pilot import Pilot
 
-        radio, clock, mocap = self.connect(k, plan.landing.task.vehicle.command_angle_limit, dry)
+        radio, clock, mocap = self.connect(k, plan.vehicle.command_angle_limit, dry)
         try:
             patience = VIRTUAL_PATIENCE if self.simulated else safety.HANG_LIMIT
             pilot = Pilot(radio, clock, mocap, plan, hang_limit=patience)
@@ -252,6 +279,8 @@ def summary(report: Report, plan: Plan, log: Path | None) -> dict[str, Any]:
 
 def describe(report: Report) -> str:
     """Return the outcome of a flight in one line."""
+    if report.outcome == "plan flown":
+        return f"flown as planned, at most {100 * (report.astray or 0.0):.0f} cm off, and set down"
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
         vx, vz = report.goal[3], report.goal[5]
@@ -278,7 +307,9 @@ def _reject_options(why: str, **options: object) -> None:
             raise UserError(f"--{name.replace('_', '-')} is {why}")
 
 
-def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], seed: int) -> Connection:
+def _simulated(
+    vehicle: str, inclination: float | None, platform: bool, fault: tuple[str, ...], seed: int
+) -> Connection:
     """Return a connection to simulated Crazyflies, a new one with its own seed for every flight."""
     from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
     from inclined_landing.eval.flying.simulated.faults import Fault
@@ -287,9 +318,8 @@ def _simulated(vehicle: str, inclination: float | None, fault: tuple[str, ...], 
     from inclined_landing.eval.flying.vehicle import Radio
 
     faults = [Fault.parse(text) for text in fault]
-    setting = Setting(
-        named_vehicle(vehicle), inclination=None if inclination is None else math.radians(inclination)
-    )
+    angle = None if inclination is None else math.radians(inclination)
+    setting = Setting(named_vehicle(vehicle), inclination=angle, platform=platform)
 
     def connect(k: int, angle_limit: float, dry: bool) -> tuple[Radio, Any, Any]:
         flight_seed = int(np.random.SeedSequence((seed, k)).generate_state(1)[0])

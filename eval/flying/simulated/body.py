@@ -30,7 +30,7 @@ class Body:
     """One simulated vehicle beside the platform, at first on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
-    file's; seed of the disturbance of the air.
+    file's, and whether it stands there; seed of the disturbance of the air.
     Raises UserError for a start outside the arena or under the platform.
     """
 
@@ -41,6 +41,7 @@ class Body:
         start: tuple[float, float],
         heading: float = 0.0,
         inclination: float | None = None,
+        platform: bool = True,
         seed: int = 0,
     ):
         self.vehicle = vehicle
@@ -55,8 +56,9 @@ class Body:
             disturbance=seed if restless else None,
             threads=1,
         )
-        if inclination is not None:
-            self.plant.set_platform([0], vehicle.check_inclination(inclination))
+        angle = vehicle.platform_inclination if inclination is None else inclination
+        if inclination is not None or not platform:
+            self.plant.set_platform([0], vehicle.check_inclination(angle), platform)
         _check_start(start, vehicle)
         state = np.zeros((1, 13))
         state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading

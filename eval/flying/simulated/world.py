@@ -48,6 +48,7 @@ class Setting:
     start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
     heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
+    platform: bool = True  # does it stand there
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
@@ -155,6 +156,7 @@ class World:
             start=setting.start,
             heading=heading,
             inclination=setting.inclination,
+            platform=setting.platform,
             seed=int(start.integers(2**31)),
         )
         self.body.voltage_drop = setting.charge

@@ -22,6 +22,7 @@ from inclined_landing.eval.gap.search.evidence import Candidates, Column, Proble
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
 
@@ -170,6 +171,14 @@ class ModelDiscrimination(Candidates):
         """Return set-points as a measured flight of the vehicle, tracked perfectly."""
         return prepare(points.log("planned", self.noise_levels.noise), self.vehicle, platform=platform)
 
+    def flown_grams(self, logs: Sequence[FlightLog], *, platform: bool = False) -> np.ndarray:
+        """Return the Gram matrices (K, P, P) of one plan as flown under the sets.
+
+        logs: of the first sets, one each; sets beyond them are taken to fly as the first does.
+        """
+        grams = [self.gram(prepare(log, self.vehicle, platform=platform)) for log in logs]
+        return np.stack([grams[k if k < len(grams) else 0] for k in range(len(self))])
+
     def gram(self, flight: MeasuredFlight) -> np.ndarray:
         """Return the Gram matrix (P, P) of the white directions on a flight."""
         noise_levels = self.noise_levels
@@ -188,18 +197,24 @@ class ModelDiscrimination(Candidates):
         return white @ white.T
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Return (K, K): the expected posterior probability of every set j where the set i is true."""
-        return self._simulated_posteriors(gram, _matrix_root(gram), seed).mean(axis=1)
+        """Return (K, K): the expected posterior probability of every set j where the set i is true.
+
+        gram (P, P), or (K, P, P) where the flight is another one under every set.
+        """
+        return self._after(gram, 1.0, seed).mean(axis=1)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
-        """Return the expected information gain [nat], averaged over INFORMATION_SHARES."""
+        """Return the expected information gain [nat], averaged over INFORMATION_SHARES; gram as above."""
         # I = H(p) - E H(p | data),  H(p) = -sum_j p_j log p_j  (Lindley 1956)
-        root, p = _matrix_root(gram), self.probabilities
-        after = [
-            p @ _entropy(self._simulated_posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
-            for share in INFORMATION_SHARES
-        ]
+        p = self.probabilities
+        after = [p @ _entropy(self._after(gram, share, seed)).mean(axis=1) for share in INFORMATION_SHARES]
         return float(_entropy(p) - np.mean(after))
+
+    def _after(self, gram: np.ndarray, share: float, seed: int) -> np.ndarray:
+        """Return posterior probabilities (K, DRAWS, K) after a share of the information of a flight."""
+        if gram.ndim == 2:
+            return self._simulated_posteriors(share * gram, _matrix_root(share * gram), seed)
+        return np.stack([self._after(one, share, seed)[k] for k, one in enumerate(gram)])
 
     def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
         """Return posterior probabilities (K, DRAWS, K) after flights simulated with each set."""

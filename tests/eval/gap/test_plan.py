@@ -9,7 +9,6 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
-from inclined_landing.eval.gap.plan.command import csv
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
@@ -129,7 +128,8 @@ def test_a_plan_through_the_slab_or_a_wall_is_refused():
     assert "surface" in safety.plan_violation(run, through).text
     aside = dataclasses.replace(FREE, home=FREE.home + [0.0, 1.0, 0.0])
     run = pieces.Piece("run", (0.5, 0.5, 0.75, 0.5))  # towards +y
-    assert "space" in safety.plan_violation(setpoints(pieces.joined_path([run], aside), VEHICLE), aside).text
+    wrong = safety.plan_violation(setpoints(pieces.joined_path([run], aside), VEHICLE), aside)
+    assert "fence" in wrong.text  # before it is out of the free space
 
 
 def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
@@ -137,15 +137,15 @@ def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
     plan, noise_levels = points("low_hover"), NoiseLevels.typical()
     assert safety.simulate_plan(plan, [VEHICLE], FREE, noise_levels)[0] is None
     wrong, _ = safety.simulate_plan(plan, [VEHICLE, weak], FREE, noise_levels)
-    assert "touches" in wrong.text or "surface" in wrong.text
+    assert "strays" in wrong.text or "surface" in wrong.text
 
 
 def test_simulated_flights_follow_the_plan():
     plan = points("tilts", "run", "low_hover")
-    states = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
+    states = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0).states
     assert states.shape == (safety.COPIES, len(plan.path.yaw[::2]), 13)
     assert np.abs(states[..., :3] - plan.path.position[::2]).max() < 0.15
-    again = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
+    again = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0).states
     assert np.array_equal(states, again)
 
 
@@ -168,6 +168,32 @@ def test_the_scale_tells_mass_from_thrust():
     assert "Weigh the vehicle" in " ".join(words.indistinguishable(discrimination, expected))
 
 
+def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
+    """Drag is told anywhere; the ground effect nowhere else, and higher than the least height does."""
+    assert not any(span.piece.near for span in plan.path.spans)
+    assert plan.without is None and words.why_near(plan) == []
+    strong = LIBRARY["ground_effect"].plausible | {"strength": 12.0}
+    ground = ScoredSet(("ground_effect",), 0.5, {"ground_effect": strong})
+    low = design([ScoredSet((), 0.5, {}), ground], VEHICLE, seconds=10.0)
+    near = [span.piece for span in low.path.spans if span.piece.near]
+    assert near and max(piece.height for piece in near) > 0.1
+    assert low.expected[1, 1] > 0.9 > low.without[1, 1] + 0.2
+    (said,) = words.why_near(low)
+    assert "because ground_effect cannot be told higher up" in said
+
+
+def test_what_is_promised_is_that_of_the_closed_loop(plan):
+    """The matrices are of the simulated flights: each tracks the plan, none to the last centimetre."""
+    gaps = [np.abs(one.states[0, :, :3] - plan.path.position[1::2]).max() for one in plan.flown]
+    assert all(0.001 < gap < safety.ASTRAY for gap in gaps)
+    logs = [one.log(plan.discrimination.noise_levels.noise) for one in plan.flown]
+    grams = plan.discrimination.flown_grams(logs)
+    assert plan.discrimination.expected(grams) == pytest.approx(plan.expected)
+    open_loop = plan.discrimination.gram(plan.discrimination.flight(plan.points))
+    ratio = grams[0, 1, 1] / open_loop[1, 1]  # of the information about the second set
+    assert 0.5 < ratio < 2.0 and ratio != 1.0
+
+
 def report(tmp_path, *hypotheses, **more):
     folder = tmp_path / "report"
     folder.mkdir()
@@ -185,7 +211,7 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     said = capsys.readouterr().out
     assert "rotor_drag (0.50) or body_drag (0.50)" in said and "Expected afterwards" in said
     assert {p.name for p in out.iterdir()} == {"flight.csv", "plan.json", "plan.png"}
-    assert (out / "flight.csv").read_text() == csv(plan)
+    assert (out / "flight.csv").read_text() == plan.points.reference.csv()
     log = read_log(out / "flight.csv")
     assert log.missing == () and len(log) == 1000
     written = json.loads((out / "plan.json").read_text())
