@@ -132,7 +132,7 @@ def right(cause: str, sets: Sequence[Mapping]) -> float:
 def markdown(rows: Sequence[Mapping]) -> str:
     """Return the table."""
     lines = [
-        "| hidden cause | P before | one planned flight | two ordinary flights | planning | lowest, simulated |",
+        "| hidden cause | P before | one planned flight | two ordinary flights | planning | lowest |",
         "|---|---|---|---|---|---|",
     ]
     for row in rows:

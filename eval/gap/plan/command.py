@@ -85,6 +85,7 @@ def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
             vary=plan_input.vary,
             seconds=seconds,
             platform=plan_input.platform,
+            reference=plan_input.reference,
             seed=seed,
             tick=lambda what: bar.update(task, description=what),
         )

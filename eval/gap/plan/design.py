@@ -15,6 +15,7 @@ from inclined_landing.eval.gap.plan.information import ModelDiscrimination, Nois
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -29,7 +30,7 @@ MOST_OF_A_KIND = 3  # pieces of a kind: varied flights also excite what is not i
 MOST_SETS = 12  # most probable sets that are discriminated between
 LEAST_SHARE = 0.01  # of the first one's probability, for the others
 SIMULATED = 6  # most probable sets under which the flight is simulated
-NEAR_WORTH = 0.2  # share of the gain that pieces close to a surface must bring, or none is flown
+WORTH = 0.2  # share of the gain that pieces close to a surface must bring, or turns, or none is flown
 NEAR_KEPT, NEAR_SHARE = 0.9, 0.3  # share of what they add to the right set's probability kept when raised,
 # expected with this share of the information: a real flight has less than the linear model promises
 RAISED = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # heights tried, shares of their bounds
@@ -71,6 +72,7 @@ def design(
     vary: Sequence[str] = (),
     seconds: float = SECONDS,
     platform: bool = False,
+    reference: Reference | None = None,
     library: Mapping[str, Effect] = LIBRARY,
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
@@ -78,8 +80,8 @@ def design(
     """Return the safe flight with the largest expected information about which set of effects is missing.
 
     noise_levels: of the flights at hand. vary: regressors of an unexplained residual, which the flight varies
-    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. tick: called with
-    every stage. The same arguments give the same plan.
+    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. reference: posterior
+    of the vehicle's identification. tick: called with every stage. The same arguments give the same plan.
     Raises UserError when there is no room, the battery does not last, or no safe flight is found.
     """
     space = Space.of(vehicle, platform)
@@ -89,7 +91,8 @@ def design(
             "plan a shorter flight"
         )
     known = probable_sets(hypotheses)
-    discrimination = ModelDiscrimination(known, vehicle, noise_levels or NoiseLevels.typical(), library)
+    levels = noise_levels or NoiseLevels.typical()
+    discrimination = ModelDiscrimination(known, vehicle, levels, library, reference)
     tick("pieces")
     coverage = RegressorCoverage(vary, space, discrimination.noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
@@ -107,8 +110,8 @@ def design(
             tick("information")
             logs = [one.log(discrimination.noise_levels.noise) for one in flown]
             grams = discrimination.flown_grams(logs, platform=platform)
-            expected, gain = discrimination.expected(grams), discrimination.gain(grams)
-            without = None if far is None else discrimination.expected(far)
+            expected, gain = discrimination.forecast(grams), discrimination.gain(grams)
+            without = None if far is None else discrimination.forecast(far)
             return Plan(points, discrimination, expected, gain, flown, without, tuple(refused))
         refused.append(violation)
         search.exclude(path, violation.time)
@@ -145,8 +148,14 @@ class _Search:
     ):
         self.discrimination, self.coverage, self.space = discrimination, coverage, space
         self.seconds, self.rng = seconds, rng
+        self.turning = True  # may the pieces turn the nose
         self._information: dict[Piece, tuple[np.ndarray, np.ndarray] | None] = {}
-        self.pool = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind, drawn)]
+        found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind, drawn)]
+        # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
+        held = [p.steady if k % 2 else p for k, p in enumerate(found)]
+        self.pool = list(
+            dict.fromkeys(p for p in held if p is not None and self._safe_setpoints(p) is not None)
+        )
         self._add_information(self.pool)
 
     def _safe_pieces(self, kind: str, drawn: int) -> list[Piece]:
@@ -197,25 +206,36 @@ class _Search:
     def best(self) -> tuple[list[Piece], np.ndarray | None]:
         """Return the pieces of the largest information gain: greedy choice, then random local search.
 
-        Pieces close to a surface are among them only where they are needed, and no lower than needed. Where
-        they are, also the Gram matrix (P, P) of the best flight without them.
+        Turns and headings, and pieces close to a surface, are among them only where they are needed: what a
+        flight shows beside what is in doubt makes new doubt. Pieces close to a surface are no lower than
+        needed; where there are any, also the Gram matrix (P, P) of the best flight without them.
         """
-        chosen = self._refined(self._greedy_choice(self.pool))
+        every, self.turning = self._greedy_choice(self.pool), True
+        held = [p for p in self.pool if p.steady == p]
+        steady = self._greedy_choice(held)
+        if not self._worth(every, steady):
+            every, self.turning = steady, False
+        chosen = self._refined(every)
         if not any(p.near for p in chosen):
             return chosen, None
-        far = self._greedy_choice([p for p in self.pool if not p.near])
-        least = max(0.0, self.gain(far))
-        if self.gain(chosen) - least < NEAR_WORTH * self.gain(chosen):
+        far = self._greedy_choice([p for p in (self.pool if self.turning else held) if not p.near])
+        if not self._worth(chosen, far):
             return self._refined(far), None
         grams = [g[0] for p in far if (g := self._information[p]) is not None]
         none = np.zeros(2 * self.discrimination.free.shape[1:])
         return self._raised(chosen), np.sum([none, *grams], axis=0)
+
+    def _worth(self, more: Sequence[Piece], less: Sequence[Piece]) -> bool:
+        """Return whether one choice of pieces tells so much more than another that it is worth flying."""
+        return self.gain(more) - max(0.0, self.gain(less)) > WORTH * self.gain(more)
 
     def _refined(self, chosen: list[Piece]) -> list[Piece]:
         """Return the pieces after random steps of their parameters that raise the gain."""
         for step in STEPS:
             for k in range(len(chosen)):
                 moved = [pieces.perturbed(chosen[k], self.rng, step) for _ in range(MOVES)]
+                if not self.turning:
+                    moved = [p for piece in moved if (p := piece.steady) is not None]
                 chosen = self._better(chosen, k, moved)
         return chosen
 

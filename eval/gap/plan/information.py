@@ -21,6 +21,7 @@ from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -103,8 +104,9 @@ class ModelDiscrimination(Candidates):
     """Bayesian discrimination between sets of effects (Box and Hill 1967), in a linear-Gaussian model.
 
     The P directions of a prediction are the K sets, each at its values, then free parameters: negligible
-    sizes of all effects of the library, and the parameters of each set. free (K, P): their standard
-    deviations under every set.
+    sizes of all effects of the library with the uncertainty of the vehicle's identification, and the
+    parameters of each set. free (K, P): their standard deviations under every set. reference: of the vehicle;
+    None: its constants are exact.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class ModelDiscrimination(Candidates):
         vehicle: Vehicle,
         noise_levels: NoiseLevels,
         library: Mapping[str, Effect] = LIBRARY,
+        reference: Reference | None = None,
     ):
         total = sum(h.probability for h in hypotheses)
         self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]
@@ -128,12 +131,24 @@ class ModelDiscrimination(Candidates):
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self.corrected(best.values)
         self._pairs: list[tuple[Vehicle, Vehicle, float]] = []
-        standard_errors: list[np.ndarray] = []
+        columns: list[Column] = []
+        negligible: list[float] = []
         for name, effect in self.library.items():
             for p in effect.parameters:
                 if not p.is_reference:
-                    self._add(best.values, Column(name, p.name))
-                    standard_errors.append(np.full(len(self), math.hypot(SPIKE, BETWEEN) * p.negligible))
+                    columns.append(Column(name, p.name))
+                    self._add(best.values, columns[-1])
+                    negligible.append(math.hypot(SPIKE, BETWEEN) * p.negligible)
+        # What the vehicle's identification left uncertain comes on top, in all sets alike. The directions are
+        # turned to the covariance's principal axes, in which they are independent.
+        covariance = np.diag(np.square(negligible))
+        if reference is not None:
+            covariance += reference.along(columns)[1]
+        unit = np.sqrt(covariance.diagonal())
+        size, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+        self._axes = unit[:, None] * axes  # (L, L), of unit size along `size`
+        deviations = np.sqrt(np.maximum(size, 0.0))
+        standard_errors = [np.full(len(self), s) for s in deviations]
         for k, h in enumerate(self.hypotheses):
             for name in h.effects:
                 for p in self.library[name].parameters:
@@ -194,6 +209,8 @@ class ModelDiscrimination(Candidates):
         slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
         weight = 1.0 / np.sqrt(noise_levels.inflation)[:, None]
         white = np.stack([(weight * white_by(flight.cut(s))).ravel() for s in slopes])
+        shared = slice(len(self), len(self) + len(self._axes))
+        white[shared] = self._axes.T @ white[shared]
         return white @ white.T
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -202,6 +219,11 @@ class ModelDiscrimination(Candidates):
         gram (P, P), or (K, P, P) where the flight is another one under every set.
         """
         return self._after(gram, 1.0, seed).mean(axis=1)
+
+    def forecast(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Return `expected` (K, K) averaged over INFORMATION_SHARES, as a real flight has less than all."""
+        each = [self._after(gram, share, seed).mean(axis=1) for share in INFORMATION_SHARES]
+        return np.mean(each, axis=0)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
         """Return the expected information gain [nat], averaged over INFORMATION_SHARES; gram as above."""

@@ -24,7 +24,7 @@ def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bo
     """Return sentences on the manoeuvre that discriminates between the probable sets of a posterior."""
     hypotheses, noise_levels = set_hypotheses(problem, found)
     discrimination = ModelDiscrimination(
-        probable_sets(hypotheses), problem.vehicle, noise_levels, problem.library
+        probable_sets(hypotheses), problem.vehicle, noise_levels, problem.library, problem.reference
     )
     return discrimination_text(discrimination, platform)
 
@@ -108,7 +108,8 @@ def why_near(plan: Plan) -> list[str]:
         return []
     low = min(near, key=lambda piece: piece.height)
     with_it, without = np.diag(plan.expected), np.diag(plan.without)
-    k = int(np.argmax(with_it - without))
+    named = [bool(h.effects) for h in plan.discrimination.hypotheses]  # "nothing" needs no going anywhere
+    k = int(np.argmax(np.where(named, with_it - without, -1.0)))
     what = plan.discrimination.hypotheses[k].text
     surface = "slope" if low.kind == "slope_hover" else "floor"
     return [

@@ -13,6 +13,9 @@ from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.gap.search.evidence import Column
+from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.residual import ReferenceResidual
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -122,6 +125,16 @@ def test_more_noise_tells_less():
     assert noise_levels > 1.5 * noisy
 
 
+def test_a_badly_known_vehicle_leaves_more_in_doubt():
+    """What the identification left uncertain is in all sets alike: it can pass for the drag."""
+    columns = tuple(Column("rotor_drag", name) for name in ("lateral", "axial"))
+    unknown = Reference(columns, np.zeros(2), np.diag([1.0, 1.0]), ReferenceResidual({}, {}))
+    sets, levels, run = [DRAG, ScoredSet((), 0.5, {})], NoiseLevels.typical(), points("run")
+    exact, vague = (ModelDiscrimination(sets, VEHICLE, levels, reference=r) for r in (None, unknown))
+    told = [np.diag(d.expected(gram(d, run))).mean() for d in (exact, vague)]
+    assert told[0] > 0.9 and told[1] < 0.75  # sizes of 0.6 with a deviation of 1 on both sides
+
+
 def test_a_plan_through_the_slab_or_a_wall_is_refused():
     through = dataclasses.replace(SLAB, home=FREE.home)
     run = setpoints(pieces.joined_path([pieces.midpoint("run")], through), VEHICLE)
@@ -157,7 +170,7 @@ def plan():
 def test_the_design_is_safe_repeatable_and_tells(plan):
     assert plan.path.seconds == 10.0
     assert safety.plan_violation(plan.points, FREE) is None
-    assert plan.expected_accuracy > 0.9
+    assert plan.expected_accuracy > 0.6  # of flights with all, a tenth and a hundredth of the information
     kinds = {span.piece.kind for span in plan.path.spans}
     assert kinds & {"run", "circle"}
 
@@ -177,7 +190,7 @@ def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
     low = design([ScoredSet((), 0.5, {}), ground], VEHICLE, seconds=10.0)
     near = [span.piece for span in low.path.spans if span.piece.near]
     assert near and max(piece.height for piece in near) > 0.1
-    assert low.expected[1, 1] > 0.9 > low.without[1, 1] + 0.2
+    assert low.expected[1, 1] > low.without[1, 1] + 0.2
     (said,) = words.why_near(low)
     assert "because ground_effect cannot be told higher up" in said
 
@@ -188,7 +201,8 @@ def test_what_is_promised_is_that_of_the_closed_loop(plan):
     assert all(0.001 < gap < safety.ASTRAY for gap in gaps)
     logs = [one.log(plan.discrimination.noise_levels.noise) for one in plan.flown]
     grams = plan.discrimination.flown_grams(logs)
-    assert plan.discrimination.expected(grams) == pytest.approx(plan.expected)
+    assert plan.discrimination.forecast(grams) == pytest.approx(plan.expected)
+    assert np.diag(plan.discrimination.expected(grams)).min() > 0.8  # with all of the information
     open_loop = plan.discrimination.gram(plan.discrimination.flight(plan.points))
     ratio = grams[0, 1, 1] / open_loop[1, 1]  # of the information about the second set
     assert 0.5 < ratio < 2.0 and ratio != 1.0
@@ -215,7 +229,7 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     log = read_log(out / "flight.csv")
     assert log.missing == () and len(log) == 1000
     written = json.loads((out / "plan.json").read_text())
-    assert written["sets"][0]["expected"] > 0.8 and written["simulated"]["flights"] == 2 * safety.COPIES
+    assert written["sets"][0]["expected"] > 0.6 and written["simulated"]["flights"] == 2 * safety.COPIES
     assert main(["plan", str(folder), "--out", str(out)]) == 2
     assert "not empty" in capsys.readouterr().err
 
