@@ -34,6 +34,7 @@ from inclined_landing.eval.flying.finals import Landing, Planned
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
 from inclined_landing.eval.flying.kalman import NoiseModel
+from inclined_landing.eval.flying.onboard import LIGHTHOUSE, NOISE, OnboardPosition
 from inclined_landing.eval.flying.planned import PlannedFlight
 from inclined_landing.eval.flying.policies import InvalidAction, SetpointFollower
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
@@ -147,7 +148,9 @@ class Pilot:
         self.home: np.ndarray | None = None
         self._print, self._hang_limit = say, hang_limit
         self._log: FlightLogWriter | None = None
-        self._estimator = Estimator(NoiseModel.of(self.vehicle), plan.heading)
+        self._own = mocap.deck if isinstance(mocap, OnboardPosition) else None
+        noise = NoiseModel.of(self.vehicle, NOISE) if self._own else NoiseModel.of(self.vehicle)
+        self._estimator = Estimator(noise, None if self._own == LIGHTHOUSE else plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)
@@ -181,7 +184,8 @@ class Pilot:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
-        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate)
+        source = f"onboard position ({self._own} deck)" if self._own else "motion capture"
+        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate, source)
         found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
