@@ -12,6 +12,8 @@ from inclined_landing.eval.base.options import Degrees, Range, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.storage import check_file
 
+DeckName = Annotated[str | None, tyro.conf.arg(metavar="{lighthouse,flow}")]
+
 
 def command(
     *,
@@ -20,6 +22,7 @@ def command(
     vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE")] = "nominal",
     start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
     inclination: Degrees = None,
+    deck: DeckName = None,
     fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")] = (),
     seconds: Annotated[float | None, Range(0.0, 1e6, open=True), tyro.conf.arg(metavar="S")] = None,
     seed: Seed = 0,
@@ -36,12 +39,14 @@ def command(
         vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
+        deck: that it positions itself by: lighthouse or flow.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
         seed: of noise, delays and dropouts.
         out: file for the ground truth, as the documented CSV (.csv, .csv.gz).
     """
     from inclined_landing.eval.flying.pose_stream import resolved
+    from inclined_landing.eval.flying.simulated.deck import check_deck
     from inclined_landing.eval.flying.simulated.faults import Fault
     from inclined_landing.eval.flying.simulated.server import SimulatorServer
     from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
@@ -49,7 +54,9 @@ def command(
 
     address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
-    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle)
+    if deck is not None:
+        check_deck(deck)
+    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle, deck=deck)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
             raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
@@ -69,10 +76,10 @@ def command(
     return 0
 
 
-def parse_start(text: str) -> tuple[float, float]:
-    """Return x, y [m] from the text X,Y. Raises UserError."""
+def parse_start(text: str, option: str = "--start") -> tuple[float, float]:
+    """Return x, y [m] from the text X,Y of an option. Raises UserError."""
     try:
         x, y = (float(number) for number in text.split(","))
     except ValueError:
-        raise UserError(f"--start must be X,Y in metres, like 1,0, not {shown(repr(text), 60)}") from None
+        raise UserError(f"{option} must be X,Y in metres, like 1,0, not {shown(repr(text), 60)}") from None
     return x, y

@@ -75,9 +75,10 @@ class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
     heading [rad]: where the nose points when the first attitude comes; used while no pose has an attitude.
+    None: the vehicle's own heading is the arena's.
     """
 
-    def __init__(self, noise: NoiseModel, heading: float = 0.0):
+    def __init__(self, noise: NoiseModel, heading: float | None = 0.0):
         self.filter = KalmanFilter(noise)
         self.last_pose: Pose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
@@ -108,7 +109,8 @@ class Estimator:
             return
         self.attitude = attitude
         if self._offset is None and not self.heading_measured:
-            self._offset = self._heading - frames.heading_of(attitude.rotation)
+            seen = frames.heading_of(attitude.rotation)
+            self._offset = 0.0 if self._heading is None else self._heading - seen
 
     def predict(self, time: float) -> StateEstimate:
         """Return the state estimate for `time` [s]."""

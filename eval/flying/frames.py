@@ -64,6 +64,14 @@ def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     )
 
 
+def in_heading(command: np.ndarray, heading: float) -> np.ndarray:
+    """Return a command (4,) whose roll and pitch are of heading 0 as one in a heading [rad]."""
+    turned = about_z(-heading) @ thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
+    result = np.array(command, float)
+    result[[ROLL_COMMAND, PITCH_COMMAND]] = tilt(turned)
+    return result
+
+
 def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
     """Return the rotation matrix (3, 3) of a quaternion (4,) w, x, y, z of any length but 0."""
     w, x, y, z = np.asarray(quaternion, float) / np.linalg.norm(quaternion)

@@ -1,11 +1,13 @@
-"""The pilot: one flight from the floor to the slope.
+"""The pilot: one flight from the floor to the slope, or along a planned flight.
 
 Phases: the set-point policy takes off and flies to the start (approach); near it and slow for some time, the
 landing policy has the vehicle (landing) until the goal box is entered, where the motors are cut, or until it
-rests on the slope by its own command (touchdown). Whatever `safety` names ends the flight by its reaction:
-motors off, or the set-point policy sets the vehicle down beside the platform (retreat).
+rests on the slope by its own command (touchdown). A planned flight is tracked instead (plan), and the
+set-point policy then sets the vehicle down (retreat). Whatever `safety` names ends the flight by its
+reaction: motors off, or the set-point policy sets the vehicle down beside the platform (retreat).
 
-The pilot holds the heading at 0, and in the landing, which is planar, y at 0 by the set-point policy's roll.
+The pilot holds the heading at 0 but where a plan turns, and in the landing, which is planar, y at 0 by the
+set-point policy's roll.
 """
 
 from __future__ import annotations
@@ -24,14 +26,17 @@ import numpy as np
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
-from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION, REST_SPEED
+from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.consistency import ConsistencyMonitor
 from inclined_landing.eval.flying.estimate import Attitude, Estimator, StateEstimate
+from inclined_landing.eval.flying.finals import Landing, Planned
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
 from inclined_landing.eval.flying.kalman import NoiseModel
-from inclined_landing.eval.flying.policies import InvalidAction, PolicyRunner, SetpointFollower
+from inclined_landing.eval.flying.onboard import LIGHTHOUSE, NOISE, OnboardPosition
+from inclined_landing.eval.flying.planned import PlannedFlight
+from inclined_landing.eval.flying.policies import InvalidAction, SetpointFollower
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
 from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget, Surroundings
@@ -47,6 +52,7 @@ from inclined_landing.models.attitude import (
     X,
     Z,
 )
+from inclined_landing.models.parameters import Vehicle
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
@@ -63,20 +69,39 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Policies, start and standing height of one flight."""
+    """Policies, start and standing height of one flight; a planned flight in the place of a landing."""
 
-    landing: Policy  # for the task landing or touchdown
+    landing: Policy | PlannedFlight  # a policy for the task landing or touchdown
     setpoint: Policy
     start: tuple[float, float]  # x, z where the landing begins, m
     stand: float = 0.0  # height of what the vehicle stands on, m
     heading: float = 0.0  # of the standing vehicle where motion capture does not show it, rad
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """Return the vehicle, with its room."""
+        return self.landing.vehicle if isinstance(self.landing, PlannedFlight) else self.landing.task.vehicle
+
+    @property
+    def start_point(self) -> np.ndarray:
+        """Return the point (3,) [m] that the set-point policy flies to."""
+        if isinstance(self.landing, PlannedFlight):
+            return self.landing.reference.position[0]
+        return np.array([self.start[0], 0.0, self.start[1]])
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """Return what stands in the room."""
+        if isinstance(self.landing, PlannedFlight):
+            return Surroundings(self.landing.vehicle, self.landing.inclination, self.landing.present)
+        return Surroundings(self.landing.task.vehicle, self.landing.task.inclination)
 
 
 @dataclasses.dataclass
 class Report:
     """The outcome of a flight."""
 
-    outcome: str  # "goal box", "at rest", "dry run", or the name of the cause
+    outcome: str  # "goal box", "at rest", "plan flown", "dry run", or the name of the cause
     cause: Cause | None = None  # that ended it early
     error: str | None = None  # of the cause `error`
     retreat: Cause | None = None  # that it went to land for, where it did
@@ -87,11 +112,17 @@ class Report:
     final: np.ndarray | None = None  # (3,) last position, m
     rests: bool | None = None  # does it lie still on the platform, as far as its position tells
     seconds: float = 0.0  # from the first command to motors off
+    astray: float | None = None  # m, the farthest that it was off its plan
 
     @property
     def landed(self) -> bool:
         """Whether the landing reached the goal of its task."""
         return self.outcome in ("goal box", "at rest")
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the flight did what it was for."""
+        return self.landed or self.outcome == "plan flown"
 
 
 class Pilot:
@@ -111,18 +142,23 @@ class Pilot:
         hang_limit: float = safety.HANG_LIMIT,
     ):
         self.radio, self.clock, self.mocap, self.plan = radio, clock, mocap, plan
-        self.task = plan.landing.task
-        self.vehicle = self.task.vehicle
+        self.vehicle, self.surroundings = plan.vehicle, plan.surroundings
         self.phase = Phase.APPROACH
         self.report = Report("")
-        self.surroundings = Surroundings(self.vehicle, self.task.inclination)
         self.home: np.ndarray | None = None
         self._print, self._hang_limit = say, hang_limit
         self._log: FlightLogWriter | None = None
-        self._estimator = Estimator(NoiseModel.of(self.vehicle), plan.heading)
+        self._own = mocap.deck if isinstance(mocap, OnboardPosition) else None
+        noise = NoiseModel.of(self.vehicle, NOISE) if self._own else NoiseModel.of(self.vehicle)
+        self._estimator = Estimator(noise, None if self._own == LIGHTHOUSE else plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
-        self._follower, self._landing_policy = SetpointFollower(plan.setpoint), PolicyRunner(plan.landing)
+        self._follower = SetpointFollower(plan.setpoint)
+        self._final: Landing | Planned = (
+            Planned(plan.landing)
+            if isinstance(plan.landing, PlannedFlight)
+            else Landing(plan.landing, self._follower)
+        )
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
@@ -131,7 +167,7 @@ class Pilot:
         self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
         self._airborne = False
-        self._steps_at_start = self._idle_steps = 0  # control steps in a row
+        self._steps_at_start = 0  # control steps in a row
         self._recent_positions: list[np.ndarray] = []  # of the last HOLD_STEPS control steps
         self._resting_time = self._stuck_time = 0.0
         self._announced: Cause | None = None
@@ -148,14 +184,13 @@ class Pilot:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
-        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate)
+        source = f"onboard position ({self._own} deck)" if self._own else "motion capture"
+        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate, source)
         found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
-            start = np.array([self.plan.start[0], 0.0, self.plan.start[1]])
-            self._target = MovingTarget(
-                self.home, self.surroundings.path_to(self.home, start), APPROACH_SPEED
-            )
+            way = self.surroundings.path_to(self.home, self.plan.start_point)
+            self._target = MovingTarget(self.home, way, APPROACH_SPEED)
         return found
 
     # --- the flight ------------------------------------------------------------------------------
@@ -171,12 +206,13 @@ class Pilot:
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
         try:  # which also compiles what is not compiled yet
-            self._landing_policy.act(self._estimator.predict(self.clock.now()).state)
-            self._follower.roll_command_to_hold(self._estimator.predict(self.clock.now()).state, 0.0)
+            here = self._estimator.predict(self.clock.now()).state
+            self._final.step(0.0, here, False)
+            self._follower.roll_command_to_hold(here, 0.0)
         except InvalidAction:
             self._end(safety.BAD_ACTION)
             return self.report
-        self._landing_policy.reset()
+        self._final.reset()
         self._follower.actor.reset()
         with contextlib.ExitStack() as stack:
             try:
@@ -230,21 +266,27 @@ class Pilot:
         try:
             command = self._command(estimate)
         except InvalidAction as bad:
-            landing = bad.policy is self.plan.landing
+            landing = bad.policy is self._final.policy
             self._react(safety.BAD_ACTION if landing else safety.BAD_SETPOINT, estimate)
             if self.phase is Phase.OVER:
                 return
             command = self._command(estimate)
         if command is None:
             return
-        heading = estimate.state[YAW]
-        limit = self.vehicle.command_yaw_rate_limit
-        command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
-        self.radio.send(command, heading)
+        if not self._turns:
+            heading, limit = estimate.state[YAW], self.vehicle.command_yaw_rate_limit
+            command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
+            command = frames.in_heading(command, heading)
+        self.radio.send(command, 0.0)
         if self._log is not None:
             self._log.command(time, command)
         if self.radio.dry:
             self._print_dry_run(time, estimate, command)
+
+    @property
+    def _turns(self) -> bool:
+        """Whether the commands of this phase are in the vehicle's heading, with a yaw rate of their own."""
+        return self._final.turns and self.phase is self._final.phase
 
     def _flight_status(self, estimate: StateEstimate) -> FlightStatus:
         """Return what the safety monitor checks in this control step."""
@@ -259,18 +301,20 @@ class Pilot:
         self._check_consistency(time, state)
         lies = still and self._airborne and self.surroundings.in_contact(state)
         self._resting_time = self._resting_time + self._period if lies else 0.0
+        since, yaw = time - self._phase_began, float(state[YAW])
         return FlightStatus(
             phase=self.phase,
-            since=time - self._phase_began,
+            since=since,
             estimate=estimate,
             airborne=self._airborne,
             linked=self.radio.lost is None,
             locked=self._locked,
             voltage=self._voltage,
-            heading_error=float(state[YAW]),
+            heading_error=self._final.heading_error(since, yaw) if self._turns else yaw,
             velocity_mismatch=self._consistency.velocity_mismatch,
             resting_time=self._resting_time,
-            landing_limit=self.task.max_steps * self._period,
+            landing_limit=self._final.limit,
+            astray=self._final.astray,
         )
 
     def _check_consistency(self, time: float, state: np.ndarray) -> None:
@@ -289,11 +333,11 @@ class Pilot:
             command = self._approach(state)
             if self._steps_at_start * self._period < HAND_OVER_TIME:
                 return command
-            self._enter(Phase.LANDING)
+            self._enter(self._final.phase)
             self.report.start = state.copy()
             self._print(f"hand-over at x {state[X]:.2f}, z {state[Z]:.2f} m")
-        if self.phase is Phase.LANDING:
-            return self._land(estimate)
+        if self.phase is self._final.phase:
+            return self._fly_final(estimate)
         return self._retreat(state)
 
     def _approach(self, state: np.ndarray) -> np.ndarray:
@@ -307,20 +351,20 @@ class Pilot:
         )
         return self._follower.command_towards(state, target, self._period)
 
-    def _land(self, estimate: StateEstimate) -> np.ndarray | None:
-        """Return the command (4,) of the landing policy, roll holding y at 0; None once it has landed."""
+    def _fly_final(self, estimate: StateEstimate) -> np.ndarray | None:
+        """Return the command (4,) of the landing or the planned flight; None once it has landed."""
         state = estimate.state
-        goal_size = self.task.goal_size
-        if goal_size is not None and self.task.in_goal(state[None], goal_size)[0]:
-            self._reach_goal("goal box", estimate)
-            return None
-        action, command = self._landing_policy.act(state)
-        command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
-        self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
-        if goal_size is None and self._idle_steps >= HOLD_STEPS and self._resting_time > 0.0:
-            self._reach_goal("at rest", estimate)
-            return None
-        return command
+        step = self._final.step(estimate.time - self._phase_began, state, self._resting_time > 0.0)
+        if isinstance(step, str):
+            if self.phase is Phase.LANDING:
+                self._reach_goal(step, estimate)
+                return None
+            self._print(f"{step}; sets down")
+            self._set_down(estimate)
+            return self._retreat(state)
+        if self.phase is Phase.PLAN:
+            self.report.astray = max(self.report.astray or 0.0, self._final.astray)
+        return step
 
     def _retreat(self, state: np.ndarray) -> np.ndarray | None:
         """Return the command (4,) that sets the vehicle down beside the platform; None once it is down."""
@@ -335,7 +379,7 @@ class Pilot:
             and self._target.position[2] < state[Z]
         )
         if down or self._stuck_time > STUCK_TIME:
-            self._end(self.report.retreat)
+            self._end(self.report.retreat, "" if self.report.retreat else "plan flown")
             return None
         return command
 
@@ -353,6 +397,10 @@ class Pilot:
             return
         self._print(f"{cause.name}: {cause.when}; {cause.reaction.value}")
         self.report.retreat = cause
+        self._set_down(estimate)
+
+    def _set_down(self, estimate: StateEstimate) -> None:
+        """Begin the way to a free place and down."""
         here = estimate.state[X : Z + 1].copy()
         self._target = MovingTarget(here, self.surroundings.path_down(here), RETREAT_SPEED)
         self._enter(Phase.RETREAT)
@@ -360,7 +408,7 @@ class Pilot:
     def _enter(self, phase: Phase) -> None:
         self.phase, self._phase_began = phase, self.clock.now()
         self._stuck_time = 0.0
-        self._landing_policy.reset()
+        self._final.reset()
         self._follower.actor.reset()
 
     def _reach_goal(self, outcome: str, estimate: StateEstimate) -> None:

@@ -39,6 +39,7 @@ class PreflightData:
     voltage: float  # V, NaN where none came
     locked: bool
     estimate: StateEstimate
+    source: str = "motion capture"  # of the poses
 
 
 def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
@@ -57,6 +58,9 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
     clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
     tilt = estimate.tilt if known else math.nan
     degrees, mismatch = math.degrees(tilt), math.degrees(estimate.attitude_mismatch)
+    # Only motion capture shows an attitude that the vehicle's own can be held against.
+    seen = any(pose.attitude is not None for pose in data.poses)
+    other = f", {mismatch:.1f} deg from what motion capture shows" if seen else ""
     frozen = "" if moved or len(times) < 2 else ", all the same: frozen"
     checks = {
         "battery": (
@@ -67,7 +71,7 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
             not data.locked,
             "locked, crashed or tumbled: switch it off and on" if data.locked else "not locked",
         ),
-        "motion capture": (
+        data.source: (
             len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
             f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms{frozen}"
             f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
@@ -82,8 +86,7 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
         ),
         "level": (
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
-            f"tilted by {degrees:.1f} deg, {mismatch:.1f} deg from what motion capture shows; at most "
-            f"{math.degrees(LEVEL):.0f} deg",
+            f"tilted by {degrees:.1f} deg{other}; at most {math.degrees(LEVEL):.0f} deg",
         ),
         "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"),
         "height": (
@@ -91,6 +94,9 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
             f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
             f"{surroundings.standing_height:.3f} m above its feet",
         ),
-        "clear of the platform": (clearance > CLEAR, f"{clearance:.2f} m; more than {CLEAR:g} m"),
+        "clear of the platform": (
+            clearance > CLEAR,
+            f"{clearance:.2f} m; more than {CLEAR:g} m" if surroundings.present else "there is none",
+        ),
     }
     return [Check(name, bool(passed), found) for name, (passed, found) in checks.items()]

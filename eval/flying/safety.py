@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
+from inclined_landing.eval.base.fence import FLOOR, beyond_fence
 from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.parameters import Vehicle
@@ -24,6 +25,7 @@ class Phase(enum.Enum):
 
     APPROACH = "approach"  # take-off and flight to the start, by the set-point policy
     LANDING = "landing"  # by the landing policy
+    PLAN = "plan"  # a planned flight, by the controller of `tracking`
     RETREAT = "retreat"  # to a free place and down, by the set-point policy
     OVER = "over"  # motors off
 
@@ -51,15 +53,13 @@ TILT_LIMIT = math.radians(60.0)  # the firmware calls a vehicle tumbled there; c
 MISMATCH_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
 DISAGREEMENT_LIMIT = math.radians(20.0)  # between the attitudes of log and motion capture
 HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not being turned to it
+ASTRAY_LIMIT = 0.5  # m off a planned flight
 SPEED_LIMIT = 4.0  # m/s: shipped landings stay below 2.8
 LOWEST_VOLTAGE = 3.0  # V under load: the firmware's critical level of one cell
 PERSISTENT = {"disagreement": 0.1, "battery": 0.5}  # s that these must last
 APPROACH_LIMIT = 25.0  # s
 RETREAT_LIMIT = 20.0  # s
 HANG_LIMIT = 0.25  # s without a sign of the control loop
-REACTION_TIME = (0.25, 0.25, 0.12)  # s along x, y, z: see `stopping_distance`
-BRAKING = 0.5  # share of the acceleration commands allow that the set-point policy brakes with
-FLOOR = 0.3  # m: descents below, in the air, are nobody's intention before the retreat
 
 _OFF, _LAND = Reaction.OFF, Reaction.LAND
 INTERRUPTED = Cause(
@@ -130,7 +130,7 @@ FENCE = Cause(
 SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, "no landing needs it")
 HEADING = Cause(
     "heading",
-    f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing",
+    f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
     _LAND,
     "yaw is not under control",
 )
@@ -140,9 +140,15 @@ BATTERY = Cause(
     _LAND,
     "the firmware's critical level: seconds of thrust are left",
 )
+ASTRAY = Cause(
+    "astray",
+    f"more than {ASTRAY_LIMIT:g} m off a planned flight",
+    _LAND,
+    "no candidate flies so in the plan's simulations, which end at 0.4 m",
+)
 TOUCHED = Cause(
     "touched",
-    "touches the platform or the floor in the landing and stays there for 0.5 s",
+    "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
     _OFF,
     "it lies somewhere: no more thrust",
 )
@@ -178,21 +184,10 @@ class FlightStatus:
     velocity_mismatch: float  # m/s, see `ConsistencyMonitor`
     resting_time: float  # s that it has touched something without moving
     landing_limit: float  # s that the landing may take
+    astray: float = 0.0  # m off a planned flight
 
 
-def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Return the stopping distance (3,) [m] along each axis from a velocity (3,) [m/s].
-
-    v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
-    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: BRAKING times
-    the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the lowest thrust
-    of an action holds, half; downwards the highest thrust less g, about half.
-    """
-    g = vehicle.environment_gravity
-    sideways = g * math.tan(vehicle.command_angle_limit)
-    brake = BRAKING * np.array([sideways, sideways, 0.5 * g])
-    speed = np.abs(velocity)
-    return speed * REACTION_TIME + speed**2 / (2.0 * brake)
+_STRICT = (Phase.LANDING, Phase.PLAN)
 
 
 class SafetyMonitor:
@@ -232,11 +227,12 @@ class SafetyMonitor:
             (DISAGREEMENT, lambda now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT),
             (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
-            (TOUCHED, lambda now: now.phase is Phase.LANDING and now.resting_time >= 0.5),
+            (TOUCHED, lambda now: now.phase in _STRICT and now.resting_time >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
             (FENCE, self._near_fence),
             (SPEED, lambda now: now.estimate.speed > SPEED_LIMIT),
-            (HEADING, lambda now: now.phase is Phase.LANDING and abs(now.heading_error) > HEADING_LIMIT),
+            (HEADING, lambda now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT),
+            (ASTRAY, lambda now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT),
             (BATTERY, lambda now: now.voltage < LOWEST_VOLTAGE),
             (OVERTIME_APPROACH, lambda now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT),
             (OVERTIME_LANDING, lambda now: now.phase is Phase.LANDING and now.since > now.landing_limit),
@@ -248,18 +244,28 @@ class SafetyMonitor:
         return bool((position < self._low - below).any() or (position > self._high).any())
 
     def _near_fence(self, now: FlightStatus) -> bool:
-        position, velocity = now.estimate.state[X : Z + 1], now.estimate.state[VX : VZ + 1]
-        room = stopping_distance(velocity, self.vehicle) + BOUND_MARGIN
-        high = (velocity > 0.0) & (position + room > self._high)
-        low = (velocity < 0.0) & (position - room < self._low)
-        low[2] &= now.airborne and position[2] > FLOOR
-        return bool(high.any() or low.any())
+        position, velocity = now.estimate.state[X : Z + 1], now.estimate.state[VX : VZ + 1].copy()
+        if not now.airborne:
+            velocity[2] = max(0.0, velocity[2])  # on what it stands
+        return bool(beyond_fence(position, velocity, self.vehicle))
 
 
 # In the order of the documentation; those of `SafetyMonitor`, and those that the pilot meets elsewhere.
 CAUSES = (
     *(INTERRUPTED, ERROR, HANG, LINK, STALE_ATTITUDE, STALE_POSE, BAD_STATE, BAD_SETPOINT, BAD_ACTION),
-    *(LOCKED, TUMBLED, DISAGREEMENT, WRONG_POSITION, OUTSIDE, FENCE, SPEED, HEADING, BATTERY, TOUCHED),
+    *(
+        LOCKED,
+        TUMBLED,
+        DISAGREEMENT,
+        WRONG_POSITION,
+        OUTSIDE,
+        FENCE,
+        SPEED,
+        HEADING,
+        ASTRAY,
+        BATTERY,
+        TOUCHED,
+    ),
     *(OVERTIME_APPROACH, OVERTIME_LANDING, OVERTIME_RETREAT),
 )
 

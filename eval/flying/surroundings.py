@@ -21,13 +21,13 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 
 class Surroundings:
-    """Platform and floor as obstacles; inclination of the platform [rad]."""
+    """Platform and floor as obstacles; inclination of the platform [rad], present: does it stand there."""
 
-    def __init__(self, vehicle: Vehicle, inclination: float):
+    def __init__(self, vehicle: Vehicle, inclination: float, present: bool = True):
         self.vehicle = vehicle
-        self.inclination = inclination
+        self.inclination, self.present = inclination, present
         self._shapes = geometry.shapes_of(compile_scene(vehicle))
-        self._platform, _ = geometry.platform_poses([inclination], [True], vehicle)
+        self._platform, _ = geometry.platform_poses([inclination], [present], vehicle)
         self.standing_height = float(
             geometry.reach_below(self._shapes, part="feet")
         )  # m, centre above the floor
@@ -66,7 +66,8 @@ class Surroundings:
         """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
         downhill = -1.0 if self.inclination < 0.0 else 1.0
         beside = self.vehicle.slab_half_length + 2 * CLEAR
-        places = [here[0]] if abs(here[0]) > beside - CLEAR else [downhill * beside, -downhill * beside]
+        free = not self.present or abs(here[0]) > beside - CLEAR
+        places = [here[0]] if free else [downhill * beside, -downhill * beside]
         for x, height in itertools.product(
             places, np.arange(here[2], max(here[2], self._highest) + 0.01, 0.1)
         ):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying import frames
+from inclined_landing.eval.flying import frames, onboard
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
 from inclined_landing.eval.flying.interfaces import Clock
 from inclined_landing.eval.flying.link import remedy
@@ -18,6 +18,7 @@ from inclined_landing.models.errors import UserError, shown
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
 STATUS_PERIOD = 100  # ms
+VARIANCE_PERIOD = 50  # ms
 STOPS = 5  # stop commands one after the other: any of them may get lost
 _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.info, see cflib's Supervisor
 
@@ -71,6 +72,23 @@ class Radio:
             self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
+
+    def find_deck(self) -> str:
+        """Return the deck that the connected vehicle positions itself by. Raises UserError for none."""
+        return onboard.find_deck(self.crazyflie.param.get_value)
+
+    def log_position(self, to: onboard.OnboardPosition) -> None:
+        """Start the logs of the vehicle's own position, and hand it on as it comes."""
+
+        def position(stamp: int, data: dict[str, float], _) -> None:
+            time = self._dates.date(stamp, self.clock.now())
+            to.add_position(time, np.array([data[name] for name in onboard.POSITION]))
+
+        def variance(stamp: int, data: dict[str, float], _) -> None:
+            to.add_variance(np.array([data[name] for name in onboard.VARIANCE]))
+
+        self._log("variance", VARIANCE_PERIOD, onboard.VARIANCE, variance)
+        self._log("position", ATTITUDE_PERIOD, onboard.POSITION, position)
 
     def received(self) -> list[Attitude | Status]:
         """Return what has arrived since the last call, in order."""

@@ -70,3 +70,5 @@ def command(
     finally:
         terminal.show(d, notes)
     print(out / "report.html")
+    if following := words.plan_command(d, out):
+        print(f"To plan the flight that tells more: {following}")

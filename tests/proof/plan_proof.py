@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.base.tracking import thrust_and_angles
 from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design
 from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
@@ -159,7 +160,12 @@ def _planned(now, vehicle: Vehicle, world: causes.Drawn, case: blind.Case, rng, 
 def reference(points: Setpoints, vehicle: Vehicle) -> np.ndarray:
     """Set-points as the reference (k, REF_SIZE) of the simulator's pilot, 50 rows a second."""
     every = slice(None, None, 2)
-    path, lead = points.path, points.lead
+    path, g = points.path, vehicle.environment_gravity
+    size, angles = thrust_and_angles(points.acceleration, path.yaw, g)
+    # What the commands have beside those of a vehicle without lags: its own pilot adds the rest.
+    lead = points.command[:, :3] - np.column_stack(
+        [vehicle.hover_pwm * size / g, angles / vehicle.attitude_gain]
+    )
     rows = np.zeros((len(path.yaw[every]), control.REF_SIZE))
     rows[:, control.REF_POSITION : control.REF_POSITION + 3] = path.position[every]
     rows[:, control.REF_VELOCITY : control.REF_VELOCITY + 3] = points.velocity[every]

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.eval.flying.consistency import TIME_CONSTANT, ConsistencyMonitor
-from inclined_landing.eval.flying.fly import load_policies
+from inclined_landing.eval.flying.fly import load_flight
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
@@ -26,7 +26,7 @@ logging.getLogger("cflib").setLevel(logging.CRITICAL)
 
 @pytest.fixture(scope="module")
 def plan():
-    landing, hover, starts = load_policies("landing", "setpoint", (), None, None)
+    landing, hover, starts = load_flight("landing", "setpoint", (), None, None)
     return Plan(landing, hover, starts[2])
 
 

@@ -30,7 +30,7 @@ class Body:
     """One simulated vehicle beside the platform, at first on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
-    file's; seed of the disturbance of the air.
+    file's, and whether it stands there; seed of the disturbance of the air.
     Raises UserError for a start outside the arena or under the platform.
     """
 
@@ -41,6 +41,7 @@ class Body:
         start: tuple[float, float],
         heading: float = 0.0,
         inclination: float | None = None,
+        platform: bool = True,
         seed: int = 0,
     ):
         self.vehicle = vehicle
@@ -55,8 +56,9 @@ class Body:
             disturbance=seed if restless else None,
             threads=1,
         )
-        if inclination is not None:
-            self.plant.set_platform([0], vehicle.check_inclination(inclination))
+        angle = vehicle.platform_inclination if inclination is None else inclination
+        if inclination is not None or not platform:
+            self.plant.set_platform([0], vehicle.check_inclination(angle), platform)
         _check_start(start, vehicle)
         state = np.zeros((1, 13))
         state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading
@@ -115,6 +117,13 @@ class Body:
         """Return position (3,) [m] and quaternion (4,) that cameras see at a time within the last step."""
         seen = _between(self._shown_before, self._shown, (time - self.time) / self.step_length + 1.0)
         return seen[:3], np.array(quaternion(*seen[ROLL : YAW + 1]))
+
+    def ground_below(self, position: np.ndarray) -> float:
+        """Return the height [m] of what a range sensor at a position (3,) [m] sees below: slab or floor."""
+        v, (x, y, z) = self.vehicle, position
+        over = abs(x) < v.slab_half_length and abs(y) < 0.5 * v.platform_depth
+        surface = v.platform_surface_height - x * math.tan(float(self.plant.inclination[0]))
+        return surface if self.plant.present[0] and over and surface < z else 0.0
 
     def estimate_at(self, time: float) -> np.ndarray:
         """Return roll, pitch, yaw (3,) [rad] of the onboard estimate, with the vehicle file's errors."""

@@ -2,8 +2,8 @@
 
 Protocol version 12, as in bitcraze/crazyflie-firmware at 2a18fc2: `crtpservice.c`, `platformservice.c`,
 `crtp_supervisor.c`, `log.c`, `param_logic.c`, `crtp_commander*.c`, and `crtp_localization_service.c` for its
-emergency stops. There are no memories, no decks and no high-level commander. A packet is (header, data): port
-and channel in one byte, and up to 30 bytes.
+emergency stops. There are no memories and no high-level commander; decks are their parameters. A packet is
+(header, data): port and channel in one byte, and up to 30 bytes.
 """
 
 from __future__ import annotations
@@ -30,6 +30,12 @@ LOGGED = {
     "stateEstimate.roll": ("float", "deg"),
     "stateEstimate.pitch": ("float", "deg, inverted"),
     "stateEstimate.yaw": ("float", "deg"),
+    "stateEstimate.x": ("float", "m"),
+    "stateEstimate.y": ("float", "m"),
+    "stateEstimate.z": ("float", "m"),
+    "kalman.varPX": ("float", "m2/s2, of the velocity"),
+    "kalman.varPY": ("float", "m2/s2, of the velocity"),
+    "kalman.varPZ": ("float", "m2/s2, of the velocity"),
     "stabilizer.roll": ("float", "deg"),
     "stabilizer.pitch": ("float", "deg, inverted"),
     "stabilizer.yaw": ("float", "deg"),
@@ -56,6 +62,8 @@ PARAMETERS = (
     "flightmode.althold",
     "flightmode.poshold",
     "flightmode.posSet",
+    "deck.bcLighthouse4",
+    "deck.bcFlow2",
 )
 _BYTE_PARAMETER = 8
 _MODES = ("flightmode.althold", "flightmode.poshold", "flightmode.posSet")

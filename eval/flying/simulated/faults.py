@@ -69,6 +69,10 @@ FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
     "mocap-stuck": ("a marker left behind: the pose stays where it was", _set("view", stuck=True)),
     "marker-swap": (f"the pose jumps by {SWAP:g} m in a random direction", _swap),
     "attitude-turned": ("the pose shows the vehicle turned by half a turn", _set("view", turned=True)),
+    "deck-blind": (
+        "the Lighthouse or Flow deck sees nothing any more: the onboard position is added up",
+        _set("deck", blind=True),
+    ),
     "attitude-wrong": ("the onboard roll and pitch have the wrong sign", _set("sensors", sign=-1.0)),
     "low-battery": (
         f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it",

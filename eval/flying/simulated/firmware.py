@@ -138,6 +138,8 @@ class Parameters:
     flightmode_althold: int = 0
     flightmode_poshold: int = 0
     flightmode_posSet: int = 0
+    deck_bcLighthouse4: int = 0  # 1 where the deck is there
+    deck_bcFlow2: int = 0
 
 
 class Firmware:

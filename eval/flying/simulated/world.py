@@ -20,6 +20,7 @@ from inclined_landing.eval.flying.interfaces import Pose
 from inclined_landing.eval.flying.simulated import crtp
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
+from inclined_landing.eval.flying.simulated.deck import FLOW, LIGHTHOUSE, Deck
 from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
 from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
@@ -27,6 +28,7 @@ from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQual
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 
 BOOT = 1.0  # s from switching on until somebody connects
@@ -48,6 +50,8 @@ class Setting:
     start: tuple[float, float] = (1.0, 0.0)  # x, y on the floor, m
     heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
+    platform: bool = True  # does it stand there
+    deck: str | None = None  # that it positions itself by, of deck.DECKS
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
@@ -85,17 +89,22 @@ class Trace:
 class OnboardSensors:
     """The vehicle's own measurements. sign: -1 for inverted roll and pitch.
 
-    The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north.
+    The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north, but by a
+    Lighthouse deck. Without a deck it knows no position: that is 0.
     """
 
     angle_noise = 0.1  # deg, standard deviation
     voltage_noise = 0.01  # V
 
-    def __init__(self, body: Body, firmware: Callable[[], Firmware], random: np.random.Generator):
+    def __init__(
+        self, body: Body, firmware: Callable[[], Firmware], random: np.random.Generator, deck: Deck | None
+    ):
         self.sign = 1.0
         self.failing = False
         self._body, self._firmware, self._random = body, firmware, random
-        self._heading = body.estimate_at(0.0)[2]
+        self._deck = deck
+        seen = deck is not None and deck.kind == LIGHTHOUSE
+        self._heading = 0.0 if seen else body.estimate_at(0.0)[2]
         self._low_since: float | None = None
         self.voltage = body.voltage
 
@@ -117,8 +126,10 @@ class OnboardSensors:
         roll, pitch, yaw = body.estimate_at(time)
         angles = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
         angles = np.add(angles, self._random.normal(0.0, self.angle_noise, 3)).tolist()
+        position, variance = (np.zeros(3), 0.0) if self._deck is None else self._deck.estimate(time)
         groups = {
-            "stateEstimate": zip(("roll", "pitch", "yaw"), angles),
+            "stateEstimate": zip(("roll", "pitch", "yaw", *"xyz"), [*angles, *position.tolist()]),
+            "kalman": zip(("varPX", "varPY", "varPZ"), [variance] * 3),
             "stabilizer": zip(("roll", "pitch", "yaw"), angles),
             "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
             "acc": zip("xyz", body.specific_force.tolist()),
@@ -146,8 +157,11 @@ class World:
     """
 
     def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
-        seeds = np.random.SeedSequence(seed).spawn(6)
-        up, down, seen, specific_force, self.random, start = (np.random.default_rng(s) for s in seeds)
+        seeds = np.random.SeedSequence(seed).spawn(7)
+        generators = (np.random.default_rng(s) for s in seeds)
+        up, down, seen, specific_force, self.random, start, positions = generators
+        if setting.deck is None and any(fault.name == "deck-blind" for fault in faults):
+            raise UserError("the fault deck-blind needs a deck")
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
         self.body = Body(
@@ -155,13 +169,15 @@ class World:
             start=setting.start,
             heading=heading,
             inclination=setting.inclination,
+            platform=setting.platform,
             seed=int(start.integers(2**31)),
         )
         self.body.voltage_drop = setting.charge
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
         self._switch_on()
-        self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force)
+        self.deck = None if setting.deck is None else Deck(setting.deck, self.body, heading, positions)
+        self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
         self.on_packet: Callable[[Packet], None] = lambda packet: None
         self.on_link_lost: Callable[[str], None] = lambda reason: None
@@ -181,6 +197,8 @@ class World:
 
     def _switch_on(self) -> None:
         self.firmware = Firmware(self._print)
+        self.firmware.parameters.deck_bcLighthouse4 = int(self.setting.deck == LIGHTHOUSE)
+        self.firmware.parameters.deck_bcFlow2 = int(self.setting.deck == FLOW)
         self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:

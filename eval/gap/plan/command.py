@@ -18,7 +18,6 @@ from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
 from inclined_landing.eval.gap.plan.picture import picture
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
-from inclined_landing.eval.gap.plan.setpoints import COLUMNS
 from inclined_landing.models import storage
 
 
@@ -32,7 +31,8 @@ def command(
 ) -> None:
     """Plan the safe flight that discriminates best between the probable sets of a report.
 
-    Takes half a minute. Where no flight discriminates, it prints what would and writes nothing.
+    Takes half a minute at most. Where no flight discriminates, it prints what would and writes nothing.
+    landing-eval fly --plan flies it.
 
     Args:
         report: folder that landing-eval gap wrote.
@@ -59,13 +59,17 @@ def command(
     ]
     if plan_input.vary:
         lines.append(words.variation(plan_input.vary))
+    lines += words.why_near(plan)
     with styled():
         figure = picture(plan, plan_input.platform)
     with runs.staged_run(out) as folder:
-        storage.write_text(folder / "flight.csv", csv(plan))
-        storage.write_json(folder / "plan.json", to_json(plan, report, seed) | {"text": lines})
+        storage.write_text(folder / "flight.csv", plan.points.reference.csv())
+        content = to_json(plan, report, seed) | {"platform": plan_input.platform, "text": lines}
+        storage.write_json(folder / "plan.json", content)
         save_figure(figure, folder / "plan.png")
-    print("\n".join([*lines, *words.flight(plan), str(out / "flight.csv")]))
+    flight, arena = str(out / "flight.csv"), plan_input.arena
+    fly = words.next_command(flight, plan_input.platform, None if arena is None else str(arena))
+    print("\n".join([*lines, *words.flight(plan), flight, f"To fly it: {fly}"]))
 
 
 def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
@@ -81,15 +85,10 @@ def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
             vary=plan_input.vary,
             seconds=seconds,
             platform=plan_input.platform,
+            reference=plan_input.reference,
             seed=seed,
             tick=lambda what: bar.update(task, description=what),
         )
-
-
-def csv(plan: Plan) -> str:
-    """Return the flight as documented log columns, velocity and acceleration: micrometres, microradians."""
-    rows = [",".join(f"{x:.6f}" for x in row) for row in plan.points.table()]
-    return "\n".join([",".join(COLUMNS), *rows]) + "\n"
 
 
 def to_json(plan: Plan, report: Path, seed: int) -> dict:

@@ -13,8 +13,9 @@ from inclined_landing.eval.gap.plan import pieces, safety
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
-from inclined_landing.eval.gap.plan.safety import Violation
+from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
@@ -29,23 +30,33 @@ MOST_OF_A_KIND = 3  # pieces of a kind: varied flights also excite what is not i
 MOST_SETS = 12  # most probable sets that are discriminated between
 LEAST_SHARE = 0.01  # of the first one's probability, for the others
 SIMULATED = 6  # most probable sets under which the flight is simulated
+WORTH = 0.2  # share of the gain that pieces close to a surface must bring, or turns, or none is flown
+NEAR_KEPT, NEAR_SHARE = 0.9, 0.3  # share of what they add to the right set's probability kept when raised,
+# expected with this share of the information: a real flight has less than the linear model promises
+RAISED = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # heights tried, shares of their bounds
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A safe flight and its expected information."""
+    """A safe flight and its expected information, in the closed loop that it is flown in."""
 
     points: Setpoints
     discrimination: ModelDiscrimination
     expected: np.ndarray  # (K, K) expected posterior probability of every set j where the set i is true
     gain: float  # nat, expected information gain: decrease of the entropy of the sets
-    trajectories: list[np.ndarray]  # states (copies, m, 13) of the simulated flights, by set
+    flown: list[Flown]  # the simulated flights, by set
+    without: np.ndarray | None  # (K, K) expected without pieces close to a surface; None where it has none
     refused: tuple[Violation, ...]  # of flights that were simulated before and not safe
 
     @property
     def path(self) -> Path:
         """Return the flight's path."""
         return self.points.path
+
+    @property
+    def trajectories(self) -> list[np.ndarray]:
+        """Return the states (copies, m, 13) of the simulated flights, by set."""
+        return [one.states for one in self.flown]
 
     @property
     def expected_accuracy(self) -> float:
@@ -61,6 +72,7 @@ def design(
     vary: Sequence[str] = (),
     seconds: float = SECONDS,
     platform: bool = False,
+    reference: Reference | None = None,
     library: Mapping[str, Effect] = LIBRARY,
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
@@ -68,8 +80,8 @@ def design(
     """Return the safe flight with the largest expected information about which set of effects is missing.
 
     noise_levels: of the flights at hand. vary: regressors of an unexplained residual, which the flight varies
-    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. tick: called with
-    every stage. The same arguments give the same plan.
+    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. reference: posterior
+    of the vehicle's identification. tick: called with every stage. The same arguments give the same plan.
     Raises UserError when there is no room, the battery does not last, or no safe flight is found.
     """
     space = Space.of(vehicle, platform)
@@ -79,23 +91,28 @@ def design(
             "plan a shorter flight"
         )
     known = probable_sets(hypotheses)
-    discrimination = ModelDiscrimination(known, vehicle, noise_levels or NoiseLevels.typical(), library)
+    levels = noise_levels or NoiseLevels.typical()
+    discrimination = ModelDiscrimination(known, vehicle, levels, library, reference)
     tick("pieces")
     coverage = RegressorCoverage(vary, space, discrimination.noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
     refused: list[Violation] = []
     for _ in range(ATTEMPTS):
         tick("choice")
-        path = search.best()
+        chosen, far = search.best()
+        path = pieces.joined_path(chosen, space, seconds)
         points = setpoints(path, vehicle)
         tick("simulated flights")
-        violation, trajectories = safety.simulate_plan(
+        violation, flown = safety.simulate_plan(
             points, discrimination.vehicles[:SIMULATED], space, discrimination.noise_levels, seed
         )
         if violation is None:
-            gram = discrimination.gram(discrimination.flight(points, platform=platform))
-            expected, gain = discrimination.expected(gram), discrimination.gain(gram)
-            return Plan(points, discrimination, expected, gain, trajectories, tuple(refused))
+            tick("information")
+            logs = [one.log(discrimination.noise_levels.noise) for one in flown]
+            grams = discrimination.flown_grams(logs, platform=platform)
+            expected, gain = discrimination.forecast(grams), discrimination.gain(grams)
+            without = None if far is None else discrimination.forecast(far)
+            return Plan(points, discrimination, expected, gain, flown, without, tuple(refused))
         refused.append(violation)
         search.exclude(path, violation.time)
     raise UserError(
@@ -131,8 +148,14 @@ class _Search:
     ):
         self.discrimination, self.coverage, self.space = discrimination, coverage, space
         self.seconds, self.rng = seconds, rng
+        self.turning = True  # may the pieces turn the nose
         self._information: dict[Piece, tuple[np.ndarray, np.ndarray] | None] = {}
-        self.pool = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind, drawn)]
+        found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind, drawn)]
+        # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
+        held = [p.steady if k % 2 else p for k, p in enumerate(found)]
+        self.pool = list(
+            dict.fromkeys(p for p in held if p is not None and self._safe_setpoints(p) is not None)
+        )
         self._add_information(self.pool)
 
     def _safe_pieces(self, kind: str, drawn: int) -> list[Piece]:
@@ -168,7 +191,7 @@ class _Search:
     def gain(self, chosen: Sequence[Piece]) -> float:
         """Return the information gain [nat] of pieces about sets and functions; -1 where one is not safe."""
         grams = [g for p in chosen if (g := self._information[p]) is not None]
-        if len(grams) < len(chosen):
+        if len(grams) < len(chosen) or not grams:
             return -1.0
         of_sets, of_functions = (np.sum(g, axis=0) for g in zip(*grams))  # information is additive
         return self.discrimination.gain(of_sets) + self.coverage.gain(of_functions)
@@ -180,27 +203,78 @@ class _Search:
         assert grams is not None  # pieces of the pool are safe
         return times * grams[0]
 
-    def best(self) -> Path:
-        """Return the flight of the largest information gain: greedy choice, then random local search."""
-        chosen = self._greedy_choice()
+    def best(self) -> tuple[list[Piece], np.ndarray | None]:
+        """Return the pieces of the largest information gain: greedy choice, then random local search.
+
+        Turns and headings, and pieces close to a surface, are among them only where they are needed: what a
+        flight shows beside what is in doubt makes new doubt. Pieces close to a surface are no lower than
+        needed; where there are any, also the Gram matrix (P, P) of the best flight without them.
+        """
+        every, self.turning = self._greedy_choice(self.pool), True
+        held = [p for p in self.pool if p.steady == p]
+        steady = self._greedy_choice(held)
+        if not self._worth(every, steady):
+            every, self.turning = steady, False
+        chosen = self._refined(every)
+        if not any(p.near for p in chosen):
+            return chosen, None
+        far = self._greedy_choice([p for p in (self.pool if self.turning else held) if not p.near])
+        if not self._worth(chosen, far):
+            return self._refined(far), None
+        grams = [g[0] for p in far if (g := self._information[p]) is not None]
+        none = np.zeros(2 * self.discrimination.free.shape[1:])
+        return self._raised(chosen), np.sum([none, *grams], axis=0)
+
+    def _worth(self, more: Sequence[Piece], less: Sequence[Piece]) -> bool:
+        """Return whether one choice of pieces tells so much more than another that it is worth flying."""
+        return self.gain(more) - max(0.0, self.gain(less)) > WORTH * self.gain(more)
+
+    def _refined(self, chosen: list[Piece]) -> list[Piece]:
+        """Return the pieces after random steps of their parameters that raise the gain."""
         for step in STEPS:
             for k in range(len(chosen)):
                 moved = [pieces.perturbed(chosen[k], self.rng, step) for _ in range(MOVES)]
-                self._add_information(moved)
-                others = [[*chosen[:k], p, *chosen[k + 1 :]] for p in moved]
-                better = [c for c in others if self.gain(c) > self.gain(chosen)]
-                better.sort(key=self.gain, reverse=True)
-                chosen = next(filter(self._feasible, better), chosen)
-        return pieces.joined_path(chosen, self.space, self.seconds)
+                if not self.turning:
+                    moved = [p for piece in moved if (p := piece.steady) is not None]
+                chosen = self._better(chosen, k, moved)
+        return chosen
 
-    def _greedy_choice(self) -> list[Piece]:
+    def _better(self, chosen: list[Piece], k: int, moved: Sequence[Piece]) -> list[Piece]:
+        """Return the pieces with the k-th replaced by the best feasible of `moved` that raises the gain."""
+        self._add_information(moved)
+        others = [[*chosen[:k], p, *chosen[k + 1 :]] for p in moved]
+        better = [c for c in others if self.gain(c) > self.gain(chosen)]
+        better.sort(key=self.gain, reverse=True)
+        return next(filter(self._feasible, better), chosen)
+
+    def _raised(self, chosen: list[Piece]) -> list[Piece]:
+        """Return the pieces, those close to a surface as high as still tells the sets apart."""
+        enough = NEAR_KEPT * self._told(chosen)
+        for k, piece in enumerate(chosen):
+            if not piece.near:
+                continue
+            raised = [p for share in RAISED if (p := piece.at_height(share)).height > piece.height]
+            self._add_information(raised)
+            others = [[*chosen[:k], p, *chosen[k + 1 :]] for p in raised]
+            chosen = next((c for c in others if self._told(c) >= enough and self._feasible(c)), chosen)
+        return chosen
+
+    def _told(self, chosen: Sequence[Piece]) -> float:
+        """Return what a flight adds to the right set's probability, by NEAR_SHARE of its information."""
+        grams = [g[0] for p in chosen if (g := self._information[p]) is not None]
+        if len(grams) < len(chosen):
+            return -1.0  # one is not safe
+        p = self.discrimination.probabilities
+        return float(p @ (np.diag(self.discrimination.expected(NEAR_SHARE * np.sum(grams, axis=0))) - p))
+
+    def _greedy_choice(self, pool: Sequence[Piece]) -> list[Piece]:
         """Return pieces added by their gain per second until time is up (lazy greedy, Minoux 1978).
 
         The gain is nearly submodular: a piece's earlier rate bounds its present one.
         """
         chosen: list[Piece] = []
         gain, taken = 0.0, pieces.joined_path([], self.space).seconds
-        candidates = [(math.inf, piece) for piece in self.pool]
+        candidates = [(math.inf, piece) for piece in pool]
         while True:
             best, rated = None, []
             for promised, piece in sorted(candidates, key=lambda row: -row[0]):

@@ -21,7 +21,9 @@ from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
+from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Vehicle
 
@@ -102,8 +104,9 @@ class ModelDiscrimination(Candidates):
     """Bayesian discrimination between sets of effects (Box and Hill 1967), in a linear-Gaussian model.
 
     The P directions of a prediction are the K sets, each at its values, then free parameters: negligible
-    sizes of all effects of the library, and the parameters of each set. free (K, P): their standard
-    deviations under every set.
+    sizes of all effects of the library with the uncertainty of the vehicle's identification, and the
+    parameters of each set. free (K, P): their standard deviations under every set. reference: of the vehicle;
+    None: its constants are exact.
     """
 
     def __init__(
@@ -112,6 +115,7 @@ class ModelDiscrimination(Candidates):
         vehicle: Vehicle,
         noise_levels: NoiseLevels,
         library: Mapping[str, Effect] = LIBRARY,
+        reference: Reference | None = None,
     ):
         total = sum(h.probability for h in hypotheses)
         self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]
@@ -127,12 +131,24 @@ class ModelDiscrimination(Candidates):
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self.corrected(best.values)
         self._pairs: list[tuple[Vehicle, Vehicle, float]] = []
-        standard_errors: list[np.ndarray] = []
+        columns: list[Column] = []
+        negligible: list[float] = []
         for name, effect in self.library.items():
             for p in effect.parameters:
                 if not p.is_reference:
-                    self._add(best.values, Column(name, p.name))
-                    standard_errors.append(np.full(len(self), math.hypot(SPIKE, BETWEEN) * p.negligible))
+                    columns.append(Column(name, p.name))
+                    self._add(best.values, columns[-1])
+                    negligible.append(math.hypot(SPIKE, BETWEEN) * p.negligible)
+        # What the vehicle's identification left uncertain comes on top, in all sets alike. The directions are
+        # turned to the covariance's principal axes, in which they are independent.
+        covariance = np.diag(np.square(negligible))
+        if reference is not None:
+            covariance += reference.along(columns)[1]
+        unit = np.sqrt(covariance.diagonal())
+        size, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+        self._axes = unit[:, None] * axes  # (L, L), of unit size along `size`
+        deviations = np.sqrt(np.maximum(size, 0.0))
+        standard_errors = [np.full(len(self), s) for s in deviations]
         for k, h in enumerate(self.hypotheses):
             for name in h.effects:
                 for p in self.library[name].parameters:
@@ -170,6 +186,14 @@ class ModelDiscrimination(Candidates):
         """Return set-points as a measured flight of the vehicle, tracked perfectly."""
         return prepare(points.log("planned", self.noise_levels.noise), self.vehicle, platform=platform)
 
+    def flown_grams(self, logs: Sequence[FlightLog], *, platform: bool = False) -> np.ndarray:
+        """Return the Gram matrices (K, P, P) of one plan as flown under the sets.
+
+        logs: of the first sets, one each; sets beyond them are taken to fly as the first does.
+        """
+        grams = [self.gram(prepare(log, self.vehicle, platform=platform)) for log in logs]
+        return np.stack([grams[k if k < len(grams) else 0] for k in range(len(self))])
+
     def gram(self, flight: MeasuredFlight) -> np.ndarray:
         """Return the Gram matrix (P, P) of the white directions on a flight."""
         noise_levels = self.noise_levels
@@ -185,21 +209,34 @@ class ModelDiscrimination(Candidates):
         slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
         weight = 1.0 / np.sqrt(noise_levels.inflation)[:, None]
         white = np.stack([(weight * white_by(flight.cut(s))).ravel() for s in slopes])
+        shared = slice(len(self), len(self) + len(self._axes))
+        white[shared] = self._axes.T @ white[shared]
         return white @ white.T
 
     def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Return (K, K): the expected posterior probability of every set j where the set i is true."""
-        return self._simulated_posteriors(gram, _matrix_root(gram), seed).mean(axis=1)
+        """Return (K, K): the expected posterior probability of every set j where the set i is true.
+
+        gram (P, P), or (K, P, P) where the flight is another one under every set.
+        """
+        return self._after(gram, 1.0, seed).mean(axis=1)
+
+    def forecast(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Return `expected` (K, K) averaged over INFORMATION_SHARES, as a real flight has less than all."""
+        each = [self._after(gram, share, seed).mean(axis=1) for share in INFORMATION_SHARES]
+        return np.mean(each, axis=0)
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
-        """Return the expected information gain [nat], averaged over INFORMATION_SHARES."""
+        """Return the expected information gain [nat], averaged over INFORMATION_SHARES; gram as above."""
         # I = H(p) - E H(p | data),  H(p) = -sum_j p_j log p_j  (Lindley 1956)
-        root, p = _matrix_root(gram), self.probabilities
-        after = [
-            p @ _entropy(self._simulated_posteriors(share * gram, math.sqrt(share) * root, seed)).mean(axis=1)
-            for share in INFORMATION_SHARES
-        ]
+        p = self.probabilities
+        after = [p @ _entropy(self._after(gram, share, seed)).mean(axis=1) for share in INFORMATION_SHARES]
         return float(_entropy(p) - np.mean(after))
+
+    def _after(self, gram: np.ndarray, share: float, seed: int) -> np.ndarray:
+        """Return posterior probabilities (K, DRAWS, K) after a share of the information of a flight."""
+        if gram.ndim == 2:
+            return self._simulated_posteriors(share * gram, _matrix_root(share * gram), seed)
+        return np.stack([self._after(one, share, seed)[k] for k, one in enumerate(gram)])
 
     def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
         """Return posterior probabilities (K, DRAWS, K) after flights simulated with each set."""

@@ -85,6 +85,30 @@ class Piece:
         return {n: a + u * (b - a) for (n, (a, b)), u in zip(bounds.items(), self.shares)}
 
     @property
+    def near(self) -> bool:
+        """Return whether the piece goes closer to a surface than MARGIN."""
+        return KINDS[self.kind].near
+
+    @property
+    def height(self) -> float:
+        """Return the height [m] above the surface that a piece is close to."""
+        return self.parameters["height"]
+
+    def at_height(self, share: float) -> Piece:
+        """Return the piece, one close to a surface, at another share of the bounds of its height."""
+        names = list(KINDS[self.kind].bounds)
+        return Piece(self.kind, tuple(share if n == "height" else x for n, x in zip(names, self.shares)))
+
+    @property
+    def steady(self) -> Piece | None:
+        """Return the piece with the nose at heading 0 throughout; None for a turn."""
+        if self.kind == "turn":
+            return None
+        still = {"heading": 0.5, "nose": 0.0}  # shares of their bounds
+        names = KINDS[self.kind].bounds
+        return Piece(self.kind, tuple(still.get(n, x) for n, x in zip(names, self.shares)))
+
+    @property
     def text(self) -> str:
         """Return a description of the piece as part of a sentence."""
         angles = ("heading", "direction", "angle", "tilt", "rate")
@@ -146,7 +170,7 @@ class Path:
         """Return (m,) bool: rows of pieces close to a surface."""
         result = np.zeros(len(self.yaw), bool)
         for span in self.spans:
-            if KINDS[span.piece.kind].near:
+            if span.piece.near:
                 result[round(span.start * RATE) : round(span.stop * RATE)] = True
         return result
 
@@ -349,9 +373,9 @@ KINDS: dict[str, Kind] = {
     "circle": Kind("circle with a radius of {radius} m at {speed} m/s for {seconds} s",
         {"radius": (0.3, 0.9), "speed": (0.5, 1.7), "seconds": (1.5, 4.0), "nose": (0.0, 1.0)}, _circle),
     "low_hover": Kind("hover {height} m above the floor for {seconds} s at a heading of {heading} deg",
-        {"height": (0.07, 0.25), "seconds": (1.2, 3.0), "heading": _TURN}, _low_hover, near=True),
+        {"height": (0.09, 0.25), "seconds": (1.2, 3.0), "heading": _TURN}, _low_hover, near=True),
     "low_pass": Kind("fly {distance} m towards {direction} deg, {height} m above the floor",
-        {"height": (0.07, 0.25), "distance": (0.5, 1.5), "direction": _TURN}, _low_pass, near=True),
+        {"height": (0.09, 0.25), "distance": (0.5, 1.5), "direction": _TURN}, _low_pass, near=True),
     "slope_hover": Kind("hover {height} m above the slope for {seconds} s at a heading of {heading} deg",
         {"height": (0.12, 0.3), "seconds": (1.2, 3.0), "heading": _TURN}, _slope_hover, near=True),
 }  # fmt: skip

@@ -12,12 +12,17 @@ from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import ScoredSet
+from inclined_landing.eval.gap.search.reference import Reference, read_reference
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.schema import Real, Table
 
+ROOM = (
+    *("arena_x", "arena_y", "arena_z", "platform_width", "platform_depth"),
+    *("platform_inclination", "platform_surface_height"),
+)
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -66,6 +71,8 @@ class PlanInput:
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
     vary: tuple[str, ...]  # regressors of an unexplained residual
+    reference: Reference  # posterior of its identification
+    arena: Path | None  # the vehicle's file, where its room is not that of the shipped one
 
 
 def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
@@ -86,12 +93,16 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
         raise UserError(f"report {path} has no sets of effects; it is none of landing-eval gap")
     older = {"platform": options.get("platform", False), "disturbance": data.get("unrest", {})}
     report = schema.parse(older | data, _Report, f"report {path}: ")
+    diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
+    same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     return PlanInput(
         _hypotheses(report, f"report {path}: "),
-        load_vehicle(vehicle),
+        diagnosed,
         _noise_levels(report),
         report.platform,
         tuple(d.on for d in report.remainder.depends_on) if report.verdict == "unknown" else (),
+        read_reference(vehicle, diagnosed)[0],
+        None if same else vehicle,
     )
 
 

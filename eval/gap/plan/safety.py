@@ -1,7 +1,7 @@
 """Safety of a planned flight: set-points within limits, and flights simulated under every set of effects.
 
-The simulated pilot tracks the set-points with PID feedback of the measured position beside the feed-forward
-commands of the plan, which are those of the nominal vehicle.
+What is simulated is the closed loop that `landing-eval fly --plan` flies: the pilot's controller on a
+measured position, beside the commands of the plan, which are those of the nominal vehicle.
 """
 
 from __future__ import annotations
@@ -12,10 +12,15 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.eval.base.fence import beyond_fence
+from inclined_landing.eval.base.tracking import Tracker
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import MARGIN, RATE, Space
-from inclined_landing.eval.gap.plan.setpoints import Setpoints, thrust_and_angles
+from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
 from inclined_landing.models.geometry import reach_below
 from inclined_landing.models.parameters import Vehicle
@@ -23,16 +28,16 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.surface import normal_of
 
 SPEED = 3.0  # m/s, at most
+FENCE = 0.15  # m kept beside the pilot's stopping distance in a plan; simulated flights have the pilot's own
+ASTRAY = 0.4  # m off the plan, at most, in simulated flights: the pilot ends them at more
 TILT = 0.8  # of the attitude limit, at most, in a plan; simulated flights may use all of it
 THRUST_MARGIN = 0.05  # of the PWM range, kept at both ends in a plan
-CLEAR, CLEAR_NEAR = 0.15, 0.02  # m, least clearance in simulated flights; in pieces near a surface
+CLEAR, CLEAR_NEAR = 0.15, 0.03  # m, least clearance in simulated flights; in pieces near a surface
 LEAST_VOLTAGE = 3.0  # V under load, at the end
 # Parameter uncertainty of the vehicle beside the effects: every simulated copy has another sample.
 COPIES = 4
 UNCERTAINTY = {"thrust_scale": 0.03, "lag_scale": 0.2, "drag_change": 0.3, "gain_scale": 0.05,
     "time_constant_scale": 0.15, "mass_scale": 0.01}  # fmt: skip
-# Gains of the pilot: proportional, derivative, integral; of the heading proportional.
-SIDEWAYS, UPWARD, HEADING = (4.0, 3.2, 1.0), (8.0, 5.0, 3.0), 1.5  # 1/s2, 1/s, 1/s3; 1/s
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +69,7 @@ def plan_violation(points: Setpoints, space: Space) -> Violation | None:
         ("asks for more tilt than can be commanded", commanded > 0.95 * limit),
         ("asks for thrust at the end of its range", pwm < 0.0),
         ("comes too close to a surface", surface < needed),
+        ("comes too close to the fence", beyond_fence(path.position, points.velocity, v, FENCE)),
     )
 
 
@@ -74,71 +80,73 @@ def battery_voltage(vehicle: Vehicle, seconds: float) -> float:
     return v.effects_voltage_open - drop - v.effects_voltage_discharge * seconds
 
 
+@dataclasses.dataclass(frozen=True)
+class Flown:
+    """Simulated flights of one vehicle with its uncertainty along a plan."""
+
+    states: np.ndarray  # (COPIES, m, 13) at the control rate; NaN after a contact
+    commands: np.ndarray  # (COPIES, m, 4)
+    period: float  # s, of a control step
+
+    def log(self, noise: np.ndarray) -> FlightLog:
+        """Return the first copy's flight, that of the set's own values, measured at RATE.
+
+        noise (6,) [m, rad] of the pose, seed 0.
+        """
+        rng = np.random.default_rng(0)
+        given = np.arange(self.states.shape[1]) * self.period
+        t = np.arange(round(given[-1] * RATE) + 1) / RATE
+        pose = np.hstack([self.states[0, :, X : Z + 1], np.unwrap(self.states[0, :, ROLL : YAW + 1], axis=0)])
+        # Rows of states are those at the end of their control step, after the command of the row.
+        pose = CubicSpline(given + self.period, pose)(t) + noise * rng.standard_normal((len(t), 6))
+        command = self.commands[0, np.minimum((t / self.period + 1e-6).astype(int), len(given) - 1)]
+        return FlightLog("simulated", t, pose[:, :3], pose[:, 3:], command, contact=np.zeros(len(t), bool))
+
+
 def simulate_plan(
     points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels, seed: int = 0
-) -> tuple[Violation | None, list[np.ndarray]]:
+) -> tuple[Violation | None, list[Flown]]:
     """Return the first violation when each of `vehicles`, with its uncertainty, flies the plan.
 
-    Also the states (COPIES, m, 13) of every one at the control rate. noise_levels: measurement noise of the
-    pilot's feedback, and disturbance.
+    Also the flights of every one. noise_levels: measurement noise of the pilot's feedback, and disturbance.
     """
     with ThreadPoolExecutor(2) as pool:
-        states_of_all = list(
+        flown = list(
             pool.map(lambda k: fly(points, vehicles[k], space, noise_levels, (seed, k)), range(len(vehicles)))
         )
-    violations = [
-        w for states in states_of_all if (w := _simulation_violation(states, points, space)) is not None
-    ]
-    return min(violations, key=lambda w: w.time, default=None), states_of_all
+    violations = [w for one in flown if (w := _simulation_violation(one.states, points, space)) is not None]
+    return min(violations, key=lambda w: w.time, default=None), flown
 
 
-def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLevels, seed) -> np.ndarray:
-    """Return the states (COPIES, m, 13) of a vehicle flown along the plan in MuJoCo; NaN after a contact."""
+def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLevels, seed) -> Flown:
+    """Return COPIES flights of a vehicle along the plan in MuJoCo; all end at the first contact.
+
+    The first copy is the vehicle itself. The others begin as far off as the pilot hands over.
+    """
     rng = np.random.default_rng(seed)
     plant = MujocoPlant(COPIES, noise_levels.disturbed(vehicle), threads=1, disturbance=rng)
-    drawn = {n: rng.uniform(-s, s, COPIES) * (np.arange(COPIES) > 0) for n, s in UNCERTAINTY.items()}
+    other = np.arange(COPIES) > 0
+    drawn = {n: rng.uniform(-s, s, COPIES) * other for n, s in UNCERTAINTY.items()}
     plant.perturb(**{n: x if n == "drag_change" else 1.0 + x for n, x in drawn.items()})
     plant.set_platform(np.arange(COPIES), vehicle.platform_inclination, space.platform)
     start = np.zeros((COPIES, STATE_SIZE))
-    start[:, X : Z + 1], start[:, YAW] = points.path.position[0], points.path.yaw[0]
+    off = rng.normal(size=(COPIES, 3))
+    off *= TOLERANCE * other[:, None] / np.linalg.norm(off, axis=1, keepdims=True)
+    start[:, X : Z + 1], start[:, YAW] = points.path.position[0] + off, points.path.yaw[0]
     start[:, LAG] = space.vehicle.hover_lag
     plant.reset(np.arange(COPIES), start)
-    stride = max(1, round(plant.control_period * RATE))
-    rows = np.arange(0, len(points.path.yaw), stride)
-    states, integral = np.full((len(rows), COPIES, STATE_SIZE), np.nan), np.zeros((COPIES, 3))
-    for i, row in enumerate(rows):
+    period, tracker = plant.control_period, Tracker(points.reference, space.vehicle, COPIES)
+    steps = math.ceil(points.path.seconds / period)
+    states, commands = np.full((steps, COPIES, STATE_SIZE), np.nan), np.zeros((steps, COPIES, 4))
+    for k in range(steps):
         measured = plant.measurement.copy()
         measured[:, X : Z + 1] += noise_levels.noise[:3] * rng.standard_normal((COPIES, 3))
-        command = _pilot(points, row, measured, integral, plant.control_period, space.vehicle)
-        plant.advance(command)
+        commands[k] = tracker.command(k * period, measured, period)
+        plant.advance(commands[k])
         if plant.diverged.any() or plant.contacts.touch.any():
             break
-        states[i] = plant.state
-    return states.swapaxes(0, 1)
-
-
-def _pilot(points: Setpoints, row: int, measured: np.ndarray, integral: np.ndarray, dt: float, v: Vehicle):
-    """Return the commands (n, 4) for measured states (n, 13); integral (n, 3) is updated in place."""
-    # a = a_d + Kp (x_d - x) + Kd (v_d - v) + Ki int (x_d - x) dt,  inverted to thrust, roll and pitch
-    error = points.path.position[row] - measured[:, X : Z + 1]
-    integral += dt * np.clip(error, -0.5, 0.5)
-    gains = np.array([SIDEWAYS, SIDEWAYS, UPWARD]).T
-    acceleration = points.acceleration[row] + gains[0] * error
-    acceleration = (
-        acceleration + gains[1] * (points.velocity[row] - measured[:, VX : VX + 3]) + gains[2] * integral
-    )
-    acceleration[:, 2] = np.maximum(acceleration[:, 2], 2.0 - v.environment_gravity)
-    size, angles = thrust_and_angles(acceleration, measured[:, YAW], v.environment_gravity)
-    turn = points.path.yaw[row] - measured[:, YAW]
-    turn = HEADING * np.arctan2(np.sin(turn), np.cos(turn))
-    limit, rate_limit = v.command_angle_limit, v.command_yaw_rate_limit
-    return np.column_stack(
-        [
-            np.clip(v.hover_pwm * size / v.environment_gravity + points.lead[row, 0], *v.command_pwm_range),
-            np.clip(angles / v.attitude_gain + points.lead[row, 1:], -limit, limit),
-            np.clip(points.command[row, 3] + turn, -rate_limit, rate_limit),
-        ]
-    )
+        states[k] = plant.state
+    return Flown(states.swapaxes(0, 1), commands.swapaxes(0, 1), period)
 
 
 def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -> Violation | None:
@@ -156,12 +164,17 @@ def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -
         speed = np.linalg.norm(states[..., VX : VX + 3], axis=2).max(axis=0)
         tilt = np.abs(states[..., [ROLL, PITCH]]).max(axis=(0, 2))
         surface = clearance(position, states[..., ROLL : YAW + 1], space).min(axis=0)
+        fence = beyond_fence(position, states[..., VX : VX + 3], v).any(axis=0)
+        planned = points.path.position[::stride][: states.shape[1]]
+        astray = np.linalg.norm(position - planned, axis=2).max(axis=0)
     return _first(
         ("touches something", lost),
         ("leaves the arena", outside > -0.5 * MARGIN),
         (f"is faster than {1.1 * SPEED:g} m/s", speed > 1.1 * SPEED),
         ("tilts beyond the attitude limit", tilt > v.command_angle_limit),
         ("comes too close to a surface", surface < np.where(near, CLEAR_NEAR, CLEAR)),
+        ("comes too close to the fence", fence),
+        (f"strays more than {ASTRAY:g} m from the plan", astray > ASTRAY),
         step=stride / RATE,
     )
 

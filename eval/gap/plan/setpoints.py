@@ -6,15 +6,10 @@ import dataclasses
 
 import numpy as np
 
+from inclined_landing.eval.base.tracking import Reference, thrust_and_angles
 from inclined_landing.eval.gap.plan.pieces import RATE, Path
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.parameters import Vehicle
-
-COLUMNS = (
-    *("t", "x", "y", "z", "roll", "pitch", "yaw"),
-    *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"),
-    *("vx", "vy", "vz", "ax", "ay", "az"),
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,14 +21,12 @@ class Setpoints:
     acceleration: np.ndarray  # (m, 3) m/s2
     attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
     command: np.ndarray  # (m, 4) PWM, roll, pitch [rad], yaw rate [rad/s]
-    lead: np.ndarray  # (m, 3) the part of PWM, roll and pitch that compensates lags and delays
 
-    def table(self) -> np.ndarray:
-        """Return the numbers of COLUMNS (m, 17): the documented log with velocity and acceleration."""
+    @property
+    def reference(self) -> Reference:
+        """Return what the pilot tracks."""
         p = self.path
-        return np.column_stack(
-            [p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration]
-        )
+        return Reference(p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration)
 
     def log(self, name: str, noise: np.ndarray) -> FlightLog:
         """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""
@@ -42,19 +35,6 @@ class Setpoints:
         measured = measured + noise * rng.standard_normal(measured.shape)
         untouched = np.zeros(len(measured), bool)
         return FlightLog(name, self.path.t, measured[:, :3], measured[:, 3:], self.command, contact=untouched)
-
-
-def thrust_and_angles(acceleration: np.ndarray, yaw: np.ndarray, gravity: float) -> tuple:
-    """Return thrust per mass (...,) [m/s2], roll and pitch (..., 2) [rad] for an acceleration (..., 3)."""
-    thrust = acceleration + np.array([0.0, 0.0, gravity])
-    size = np.linalg.norm(thrust, axis=-1)
-    d = thrust / size[..., None]
-    along = np.cos(yaw) * d[..., 0] + np.sin(yaw) * d[..., 1]
-    across = np.cos(yaw) * d[..., 1] - np.sin(yaw) * d[..., 0]
-    # Thrust along the third column of Rx Ry: (sin pitch, -sin roll cos pitch, cos roll cos pitch).
-    pitch = np.arcsin(np.clip(along, -1.0, 1.0))
-    roll = np.arctan2(-across, d[..., 2])
-    return size, np.stack([roll, pitch], axis=-1)
 
 
 def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
@@ -83,9 +63,8 @@ def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
             np.clip(_ahead(turn, v.effects_attitude_delay), -rate_limit, rate_limit),
         ]
     )
-    hover_equivalent = np.column_stack([pwm, angles / v.attitude_gain])
     attitude = np.column_stack([angles, path.yaw])
-    return Setpoints(path, velocity, acceleration, attitude, command, command[:, :3] - hover_equivalent)
+    return Setpoints(path, velocity, acceleration, attitude, command)
 
 
 def _ahead(values: np.ndarray, delay: float) -> np.ndarray:

@@ -24,7 +24,7 @@ def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bo
     """Return sentences on the manoeuvre that discriminates between the probable sets of a posterior."""
     hypotheses, noise_levels = set_hypotheses(problem, found)
     discrimination = ModelDiscrimination(
-        probable_sets(hypotheses), problem.vehicle, noise_levels, problem.library
+        probable_sets(hypotheses), problem.vehicle, noise_levels, problem.library, problem.reference
     )
     return discrimination_text(discrimination, platform)
 
@@ -99,6 +99,30 @@ def variation(names: Sequence[str]) -> str:
 def flight(plan: Plan) -> list[str]:
     """Return a line for every piece of a flight, with its time."""
     return [f"{s.start:5.1f} s  {s.piece.text}" for s in plan.path.spans]
+
+
+def why_near(plan: Plan) -> list[str]:
+    """Return a sentence on why a flight goes close to a surface; none where it does not."""
+    near = [s.piece for s in plan.path.spans if s.piece.near]
+    if not near or plan.without is None:
+        return []
+    low = min(near, key=lambda piece: piece.height)
+    with_it, without = np.diag(plan.expected), np.diag(plan.without)
+    named = [bool(h.effects) for h in plan.discrimination.hypotheses]  # "nothing" needs no going anywhere
+    k = int(np.argmax(np.where(named, with_it - without, -1.0)))
+    what = plan.discrimination.hypotheses[k].text
+    surface = "slope" if low.kind == "slope_hover" else "floor"
+    return [
+        f"It goes down to {low.height:.2f} m above the {surface} because {what} cannot be told higher up: if "
+        f"that is right, it is expected to have {with_it[k]:.2f} afterwards, without going there "
+        f"{without[k]:.2f}."
+    ]
+
+
+def next_command(flight: str, platform: bool, arena: str | None) -> str:
+    """Return the command that flies a plan; arena: vehicle file of a room that is not the shipped one."""
+    options = ["" if platform else " --no-platform", f" --arena {arena}" if arena else ""]
+    return f"landing-eval fly --plan {flight}{''.join(options)} --uri URI --mocap TYPE:HOST:BODY"
 
 
 def _joined(rows: Sequence[str], last: str) -> str:

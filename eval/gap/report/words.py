@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+from inclined_landing.eval.gap.plan.words import DECIDED
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -365,6 +367,22 @@ def sentences(d: Diagnosis) -> list[str]:
         lines.append(f"To discriminate: {manoeuvre(d)}")
     lines += [gap(plant, g) for plant, g in d.gap.items()]
     return lines + residual_sentences(d)
+
+
+def plan_command(d: Diagnosis, report: Path) -> str:
+    """Return the command that plans the flight to tell sets apart; "" where none is in doubt or none tells.
+
+    report: the folder that holds the diagnosis.
+    """
+    apart: dict[tuple[str, ...], float] = {}  # touchdowns are told by landings, which are not planned
+    for one in d.sets:
+        free = tuple(n for n in one.effects if not LIBRARY[n].contact)
+        apart[free] = apart.get(free, 0.0) + one.probability
+    doubt = bool(apart) and max(apart.values()) < DECIDED
+    weighed = (d.separating_manoeuvre or "").startswith("No flight")
+    if d.verdict != "unknown" and (weighed or not doubt):
+        return ""
+    return f"landing-eval plan {report} --out {report.with_name(report.name + '-flight')}"
 
 
 def residual_sentences(d: Diagnosis) -> list[str]:

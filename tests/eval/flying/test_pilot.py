@@ -15,17 +15,20 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
-from inclined_landing.eval.flying import motion_capture
+from inclined_landing.eval.flying import motion_capture, safety
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import RealClock
 from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
 from inclined_landing.eval.flying.pilot import Pilot, Plan
+from inclined_landing.eval.flying.planned import PlannedFlight, read_planned
 from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog
 from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.plan import pieces
+from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -42,10 +45,11 @@ def policies():
 def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, seed=1, before=None, **options):
     """A flight: pilot, report, world. before: called with the pilot before it flies."""
     flight = fly_simulated(setting, seed=seed)
-    radio = Radio(flight.crazyflie, flight.clock, policies[0].task.vehicle.command_angle_limit, dry=dry)
+    plan = Plan(*policies, start)
+    radio = Radio(flight.crazyflie, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
     radio.connect(flight.uri)
     options = {"say": lambda line: None, "hang_limit": 30.0} | options
-    pilot = Pilot(radio, flight.clock, flight.motion_capture, Plan(*policies, start), **options)
+    pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, **options)
     assert all(check.passed for check in pilot.check())
     if before is not None:
         before(pilot)
@@ -82,6 +86,81 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert log.command[0, 0] == 0.0 and log.command[-1, 0] == 0.0 and log.command[:, 0].max() > 30_000
     measured = prepare(log, load_vehicle(), platform=True)
     assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
+
+
+def reference(seconds=3.0, reach=0.3):
+    """A hover of a second and a run of so many metres along y, turning to the left."""
+    path = pieces.Path(*ways(seconds, reach), ())
+    return setpoints(path, load_vehicle()).reference
+
+
+def ways(seconds, reach):
+    t = np.arange(round(seconds * pieces.RATE)) / pieces.RATE
+    u = np.clip((t - 0.8) / (seconds - 1.6), 0.0, 1.0)
+    s = u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)  # at rest at both ends
+    return np.outer(1 - s, [-1.4, 0.0, 1.2]) + np.outer(s, [-1.4, reach, 1.2]), 1.0 * s
+
+
+def planned(**options):
+    vehicle = load_vehicle()
+    return PlannedFlight(reference(**options), vehicle, vehicle.platform_inclination)
+
+
+def test_a_planned_flight_is_followed_logged_and_set_down(policies, tmp_path):
+    """In the closed loop the vehicle stays within a few centimetres, and what was sent is in its heading."""
+    flight = planned()
+    _, report, world = flown((flight, policies[1]), tmp_path)
+    assert report.outcome == "plan flown" and report.succeeded and not report.landed
+    assert report.astray < 0.12  # 5 cm of the hand-over, and what 1.5 m/s2 for a lag of 0.2 s come to
+    truth = world.trace
+    assert world.thrust == 0.0 and truth.touching[-1, 2], "on the floor"
+    end = flight.reference.position[-1]
+    assert np.linalg.norm(truth.state[:, :3] - end, axis=1).min() < 0.05
+    log = read_log(tmp_path / "flight.csv")
+    assert not log.missing
+    turned = (log.attitude[:, 2] > 0.9) & (log.position[:, 2] > 1.0)
+    assert turned.any() and np.abs(log.attitude[:, 2]).max() < 1.2
+    assert np.abs(log.command[turned, 1:3]).max() < 0.2  # a hover at 57 deg: near level in its own heading
+
+
+def test_a_vehicle_that_leaves_its_plan_is_set_down(policies, monkeypatch):
+    monkeypatch.setattr(safety, "ASTRAY_LIMIT", 0.001)
+    _, report, world = flown((planned(), policies[1]))
+    assert report.outcome == report.retreat.name == "astray" and not report.succeeded
+    assert world.thrust == 0.0 and world.trace.touching[-1, 2], "on the floor"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace(",az", ""), "has no column az"),
+        (lambda text: text.replace(",1.2", ",x"), "without a number"),
+        (lambda text: "\n".join(text.splitlines()[:1] + text.splitlines()[100:]), "times must rise from 0"),
+        (lambda text: "\n".join(text.splitlines()[:150]), "at rest"),
+        (lambda text: text.splitlines()[0], "fewer than two rows"),
+    ],
+)
+def test_what_is_no_planned_flight_is_refused(change, said, tmp_path, capsys):
+    path = tmp_path / "flight.csv"
+    path.write_text(change(reference().csv()))
+    assert cli.main(["fly", "--simulated", "--plan", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_planned_flight_is_checked_against_the_room(tmp_path):
+    vehicle, path = load_vehicle(), tmp_path / "flight.csv"
+    slope = vehicle.platform_inclination
+    path.write_text(reference().csv())
+    found = read_planned(path, vehicle, slope)
+    assert np.abs(found.reference.table() - reference().table()).max() < 1e-6
+    near = dataclasses.replace(vehicle, arena_y=(-0.5, 0.4))
+    with pytest.raises(UserError, match="fence"):
+        read_planned(path, near, slope)
+    moved = reference()
+    path.write_text(dataclasses.replace(moved, position=moved.position + [1.4, 0.0, 0.0]).csv())
+    with pytest.raises(UserError, match="--no-platform"):
+        read_planned(path, vehicle, slope)
+    assert read_planned(path, vehicle, slope, present=False).reference.seconds == pytest.approx(2.99)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import load_policy
+from inclined_landing.eval.base.fence import stopping_distance
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.eval.flying.policies import SetpointFollower
@@ -15,7 +16,6 @@ from inclined_landing.eval.flying.safety import (
     Phase,
     Reaction,
     SafetyMonitor,
-    stopping_distance,
 )
 from inclined_landing.eval.flying.surroundings import CLEAR, MovingTarget, Surroundings
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
@@ -52,6 +52,7 @@ CASES = {
     "fence": {"state": {Z: 2.1, VZ: 1.2}},
     "speed": {"state": {VX: -4.1}},
     "heading": {"heading_error": -0.6},
+    "astray": {"phase": Phase.PLAN, "astray": 0.51},
     "battery": {"voltage": 2.95},
     "touched": {"resting_time": 0.5},
     "approach takes too long": {"phase": Phase.APPROACH, "since": 25.1},

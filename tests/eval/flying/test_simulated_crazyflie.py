@@ -284,7 +284,7 @@ def test_logging_by_cflib_and_what_it_refuses():
     assert 3.9 < rows[-1][2]["pm.vbat"] < 4.3 and rows[-1][2]["supervisor.info"] & 2
     assert 0.0029 < rows[-1][0] - stamps[-1] / 1000.0 < 0.0045  # 3 ms of radio; stamps are cut to ms
     with pytest.raises(KeyError):
-        logged(flight, 10, "stateEstimate.x")  # nothing on board knows where it is
+        logged(flight, 10, "stateEstimate.w")  # the firmware has none either
     with pytest.raises(AttributeError):
         logged(flight, 10, *(f"gyro.{axis}" for axis in "xyz"), *(f"acc.{axis}" for axis in "xyz"), "pm.vbat")
 

@@ -9,11 +9,13 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
-from inclined_landing.eval.gap.plan.command import csv
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.gap.search.evidence import Column
+from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.residual import ReferenceResidual
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -123,13 +125,24 @@ def test_more_noise_tells_less():
     assert noise_levels > 1.5 * noisy
 
 
+def test_a_badly_known_vehicle_leaves_more_in_doubt():
+    """What the identification left uncertain is in all sets alike: it can pass for the drag."""
+    columns = tuple(Column("rotor_drag", name) for name in ("lateral", "axial"))
+    unknown = Reference(columns, np.zeros(2), np.diag([1.0, 1.0]), ReferenceResidual({}, {}))
+    sets, levels, run = [DRAG, ScoredSet((), 0.5, {})], NoiseLevels.typical(), points("run")
+    exact, vague = (ModelDiscrimination(sets, VEHICLE, levels, reference=r) for r in (None, unknown))
+    told = [np.diag(d.expected(gram(d, run))).mean() for d in (exact, vague)]
+    assert told[0] > 0.9 and told[1] < 0.75  # sizes of 0.6 with a deviation of 1 on both sides
+
+
 def test_a_plan_through_the_slab_or_a_wall_is_refused():
     through = dataclasses.replace(SLAB, home=FREE.home)
     run = setpoints(pieces.joined_path([pieces.midpoint("run")], through), VEHICLE)
     assert "surface" in safety.plan_violation(run, through).text
     aside = dataclasses.replace(FREE, home=FREE.home + [0.0, 1.0, 0.0])
     run = pieces.Piece("run", (0.5, 0.5, 0.75, 0.5))  # towards +y
-    assert "space" in safety.plan_violation(setpoints(pieces.joined_path([run], aside), VEHICLE), aside).text
+    wrong = safety.plan_violation(setpoints(pieces.joined_path([run], aside), VEHICLE), aside)
+    assert "fence" in wrong.text  # before it is out of the free space
 
 
 def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
@@ -137,15 +150,15 @@ def test_a_vehicle_that_cannot_hold_its_height_is_not_safe():
     plan, noise_levels = points("low_hover"), NoiseLevels.typical()
     assert safety.simulate_plan(plan, [VEHICLE], FREE, noise_levels)[0] is None
     wrong, _ = safety.simulate_plan(plan, [VEHICLE, weak], FREE, noise_levels)
-    assert "touches" in wrong.text or "surface" in wrong.text
+    assert "strays" in wrong.text or "surface" in wrong.text
 
 
 def test_simulated_flights_follow_the_plan():
     plan = points("tilts", "run", "low_hover")
-    states = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
+    states = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0).states
     assert states.shape == (safety.COPIES, len(plan.path.yaw[::2]), 13)
     assert np.abs(states[..., :3] - plan.path.position[::2]).max() < 0.15
-    again = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0)
+    again = safety.fly(plan, VEHICLE, FREE, NoiseLevels.typical(), 0).states
     assert np.array_equal(states, again)
 
 
@@ -157,7 +170,7 @@ def plan():
 def test_the_design_is_safe_repeatable_and_tells(plan):
     assert plan.path.seconds == 10.0
     assert safety.plan_violation(plan.points, FREE) is None
-    assert plan.expected_accuracy > 0.9
+    assert plan.expected_accuracy > 0.6  # of flights with all, a tenth and a hundredth of the information
     kinds = {span.piece.kind for span in plan.path.spans}
     assert kinds & {"run", "circle"}
 
@@ -166,6 +179,33 @@ def test_the_scale_tells_mass_from_thrust():
     discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
     expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
     assert "Weigh the vehicle" in " ".join(words.indistinguishable(discrimination, expected))
+
+
+def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
+    """Drag is told anywhere; the ground effect nowhere else, and higher than the least height does."""
+    assert not any(span.piece.near for span in plan.path.spans)
+    assert plan.without is None and words.why_near(plan) == []
+    strong = LIBRARY["ground_effect"].plausible | {"strength": 12.0}
+    ground = ScoredSet(("ground_effect",), 0.5, {"ground_effect": strong})
+    low = design([ScoredSet((), 0.5, {}), ground], VEHICLE, seconds=10.0)
+    near = [span.piece for span in low.path.spans if span.piece.near]
+    assert near and max(piece.height for piece in near) > 0.1
+    assert low.expected[1, 1] > low.without[1, 1] + 0.2
+    (said,) = words.why_near(low)
+    assert "because ground_effect cannot be told higher up" in said
+
+
+def test_what_is_promised_is_that_of_the_closed_loop(plan):
+    """The matrices are of the simulated flights: each tracks the plan, none to the last centimetre."""
+    gaps = [np.abs(one.states[0, :, :3] - plan.path.position[1::2]).max() for one in plan.flown]
+    assert all(0.001 < gap < safety.ASTRAY for gap in gaps)
+    logs = [one.log(plan.discrimination.noise_levels.noise) for one in plan.flown]
+    grams = plan.discrimination.flown_grams(logs)
+    assert plan.discrimination.forecast(grams) == pytest.approx(plan.expected)
+    assert np.diag(plan.discrimination.expected(grams)).min() > 0.8  # with all of the information
+    open_loop = plan.discrimination.gram(plan.discrimination.flight(plan.points))
+    ratio = grams[0, 1, 1] / open_loop[1, 1]  # of the information about the second set
+    assert 0.5 < ratio < 2.0 and ratio != 1.0
 
 
 def report(tmp_path, *hypotheses, **more):
@@ -185,11 +225,11 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     said = capsys.readouterr().out
     assert "rotor_drag (0.50) or body_drag (0.50)" in said and "Expected afterwards" in said
     assert {p.name for p in out.iterdir()} == {"flight.csv", "plan.json", "plan.png"}
-    assert (out / "flight.csv").read_text() == csv(plan)
+    assert (out / "flight.csv").read_text() == plan.points.reference.csv()
     log = read_log(out / "flight.csv")
     assert log.missing == () and len(log) == 1000
     written = json.loads((out / "plan.json").read_text())
-    assert written["sets"][0]["expected"] > 0.8 and written["simulated"]["flights"] == 2 * safety.COPIES
+    assert written["sets"][0]["expected"] > 0.6 and written["simulated"]["flights"] == 2 * safety.COPIES
     assert main(["plan", str(folder), "--out", str(out)]) == 2
     assert "not empty" in capsys.readouterr().err
 

@@ -12,7 +12,7 @@ import numpy as np
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import statistics, tables
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
-from inclined_landing.eval.flying.fly import load_policies
+from inclined_landing.eval.flying.fly import load_flight
 from inclined_landing.eval.flying.pilot import Plan
 from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -88,7 +88,7 @@ def read(policies: Sequence[str], vehicles: Sequence[str]) -> tuple[dict[str, Lo
     if not policies or not vehicles:
         raise UserError("name at least one policy and one vehicle")
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
-    return {name: load_policies(name, "setpoint", (), None, None) for name in policies}, settings
+    return {name: load_flight(name, "setpoint", (), None, None) for name in policies}, settings
 
 
 def fly_table(
