@@ -1,6 +1,7 @@
 """The tutorial and the how-tos, followed to the letter: every command, file and Python block in its order."""
 
 import itertools
+import json
 import os
 import re
 import resource
@@ -15,9 +16,10 @@ import pytest
 from tests import ROOT, documents
 
 HOW_TOS = [name for name in documents.documents() if name.startswith("docs/howto/") and "cluster" not in name]
+HOW_TOS += ["docs/gap_plan.md"]
 # Lines of how-tos that take long beyond what they show, as they are run here.
 SHORTER = {"--steps 2000000": "--steps 100000", "cleanrl_ppo.py 201": "cleanrl_ppo.py 201 20000"}
-LEFT_OUT = ("rl_zoo3", "logs/ppo/")  # hours, of another project
+LEFT_OUT = ("rl_zoo3", "logs/ppo/", "tests.proof")  # hours, two of them of another project
 
 
 def _collected(name: str) -> list[tuple[str, str | None, str]]:
@@ -100,6 +102,16 @@ def test_a_how_to(name, tmp_path, monkeypatch):
                 (tmp_path / title).write_text(text, "utf-8")
             namespace.setdefault("__name__", "documents")
             exec(compile(text, f"{name}, block {number}", "exec"), namespace)
+    if name.endswith("gap_plan.md"):
+        likely = [
+            sum(
+                one["probability"]
+                for one in json.loads(report.read_text("utf-8"))["sets"]
+                if "motor_lag" in one["effects"]
+            )
+            for report in (tmp_path / "report" / "report.json", tmp_path / "after" / "report.json")
+        ]
+        assert likely[0] < 0.5 < likely[1], likely  # the hidden cause, before and after the planned flight
     if name.endswith("slope.md"):
         assert (tmp_path / "my_slope" / "index.html").is_file()
 

@@ -32,6 +32,10 @@ def test_one_command_runs_them_from_the_root():
         (["flight-table", "--flights", "nan"], "--flights takes a whole number, not 'nan'"),
         (["gap-agreement", "--out", "{out}", "--cases", "0"], "--cases must lie "),
         (["plan-proof", "--out", "{out}", "--family", "moon"], "unknown family 'moon'; known are dev, fresh"),
+        (
+            ["plan-loop", "--out", "{out}", "--causes", "moon"],
+            "unknown cause 'moon'; known are attitude_delay, ",
+        ),
         (["from-logs", "--out", "{out}", "--cases", "moon"], "unknown case 'moon'; known are thrust_scale, "),
         (
             ["identified", "{folder}", "--out", "{out}", "--only", "moon"],

@@ -98,7 +98,7 @@ def _probabilities(axes: Axes, plan: Plan) -> None:
     names = [" + ".join(h.effects).replace("_", " ") or "nothing" for h in sets]
     axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=7.5)
     axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
-    axes.set_title("Probability of the sets of missing effects", loc="left")
+    axes.set_title("Probability of each set of effects", loc="left")
     axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.11))
 
 
@@ -122,6 +122,7 @@ def _timeline(axes: Axes, plan: Plan) -> None:
         axes.text(middle, high, name, ha="center", va="top", fontsize=8, color=INK, rotation=leaning)
     axes.set(xlim=(0, path.seconds), ylim=(low, high), xlabel="time [s]", ylabel="height [m], speed [m/s]")
     low, high = turned.get_ylim()
+    low, high = min(low, -10.0), max(high, 10.0)  # a heading that is held is a line, not its rounding
     turned.set(ylim=(low, high + 0.28 * (high - low)), ylabel="heading [deg]")
     turned.spines["right"].set_visible(True)
     axes.legend(handles=lines, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0.1)
