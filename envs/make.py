@@ -89,13 +89,12 @@ def make_for(
     trained = load_policy(policy, vehicle=vehicle).task
     given = {"vehicle": vehicle, **trained.options, **options}
     name = f"{__package__}:{TASK_CLASSES[trained.name]}-v0"
+    env: Any
     if num_envs is None:
         env = gymnasium.make(name, **given)
-        task = env.unwrapped.task  # type: ignore[attr-defined]
     else:
         env = gymnasium.make_vec(name, num_envs=num_envs, **given)
-        task = env.unwrapped.task
-    return env, load_policy(policy, task, inclination=options.get("inclination"))
+    return env, load_policy(policy, env.unwrapped.task, inclination=options.get("inclination"))
 
 
 def _check_options(given: dict, kind: Any, what: str) -> None:
