@@ -250,7 +250,7 @@ def test_one_run_is_one_line(tmp_path):
         "strict success",
         "curriculum level",
         "episode length",
-        "episode reward",
+        "episode reward,\nharder as the level rises",
     ]
     (line,) = by_gid(axes[0].lines, "run")
     table = pd.read_csv(run / "evaluations.csv")
