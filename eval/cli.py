@@ -54,7 +54,7 @@ COMMANDS = {
     "gap-example": ("gap", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "fly": (
         "flying",
-        "Fly a Crazyflie, or a simulated one: to the start, and onto the slope, or as planned; logged as CSV.",
+        "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",
     ),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),

@@ -66,7 +66,7 @@ def command(
     seed: Annotated[int | None, Range(0, 2**32 - 1), tyro.conf.arg(metavar="SEED")] = None,
     out: NewFolder = None,
 ) -> int:
-    """Fly a Crazyflie, or a simulated one: to the start, and onto the slope, or as planned; logged as CSV.
+    """Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.
 
     Ctrl-C switches the motors off. docs/flying.md says what is needed, and what ends a flight.
 
