@@ -78,7 +78,7 @@ def command(
     runs.check_new_run(out)
     out.mkdir(parents=True, exist_ok=True)
     shell = _Shell()
-    fly(shell, out / "healthy", 1000 * seed, "landing", "--flights", HEALTHY)
+    fly(shell, out / "healthy", 1000 * seed, "landing-nominal", "--flights", HEALTHY)
     shell("landing-eval", "identify", *logs(out / "healthy"), "--platform", "--out", out / "identified")
     rows = [loop(shell, out / name, name, CAUSES[name], 1000 * seed + 10) for name in causes]
     text = markdown(rows)
@@ -104,7 +104,7 @@ def loop(shell: _Shell, folder: Path, cause: str, values: Mapping[str, float], s
         shell("landing-eval", "gap", *flown, *options)
         return json.loads((folder / name / "report.json").read_text("utf-8"))
 
-    fly(shell, folder / "first", seed, "landing", *vehicle)
+    fly(shell, folder / "first", seed, "landing-nominal", *vehicle)
     before = gap("report", "first")
     row = {"cause": cause, "values": dict(values), "before": right(cause, before["sets"]), "planned": None}
     shell("landing-eval", "plan", folder / "report", "--out", folder / "plan")
@@ -116,7 +116,7 @@ def loop(shell: _Shell, folder: Path, cause: str, values: Mapping[str, float], s
         fly(shell, folder / "planned", seed + 1, "--plan", folder / "plan" / "flight.csv", *vehicle)
         row["planned"] = right(cause, gap("after", "first", "planned")["sets"])
     row["seconds"] = sum(step["seconds"] for step in shell.steps[began:])
-    fly(shell, folder / "further", seed + 2, "landing", "--flights", ORDINARY, *vehicle)
+    fly(shell, folder / "further", seed + 2, "landing-nominal", "--flights", ORDINARY, *vehicle)
     row["ordinary"] = right(cause, gap("beside", "first", "further")["sets"])
     return row
 
