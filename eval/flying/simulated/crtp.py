@@ -94,7 +94,7 @@ class Services:
         values: Callable[[float], Mapping[str, float]],
         app: Callable[[bytes, bool], bytes] = lambda packet, flying: b"",
     ):
-        self.firmware, self._app = firmware, app
+        self.firmware, self.app = firmware, app
         self._values = values
         self._blocks: dict[int, _Block] = {}
         self._answers = {
@@ -157,7 +157,7 @@ class Services:
 
     def _platform(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
         if channel == 2:
-            if reply := self._app(data, self.firmware.is_flying):
+            if reply := self.app(data, self.firmware.is_flying):
                 yield 2, reply
             return
         command = data[0]
