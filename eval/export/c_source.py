@@ -20,7 +20,9 @@ from inclined_landing.models.errors import UserError, shown
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
 SMALL = 100_000  # bytes that are no burden beside the firmware
 SOURCES = ("landing_policy", "landing_policy_file")
-CHUNK = 24  # bytes of a policy file in one packet of the radio: 30 less command, id and number, a multiple of 4
+CHUNK = (
+    24  # bytes of a policy file in one packet of the radio: 30 less command, id and number, a multiple of 4
+)
 _STEP = 1024  # bytes: the firmware takes files up to the next multiple of the size of its own policy's
 _MEMORY = 40_000  # bytes that the firmware leaves for files: 42 KB without this app, as in docs/export.md
 _LAYERS = 4  # that firmware has room for, also where its own policy has fewer

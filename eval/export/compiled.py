@@ -67,7 +67,6 @@ class Library:
         """Return the result of a function of the header for arrays that it reads or writes."""
         return getattr(self._library, name)(*map(_pointer, arrays))
 
-
     def load(self, file: bytes, is_flying: bool = False) -> int:
         """Return the answer to a policy file."""
         return self._library.landing_policy_load(file, ctypes.c_size_t(len(file)), int(is_flying))
@@ -76,7 +75,10 @@ class Library:
         """Return actions (n, a) of the network that acts for inputs (n, i), history included."""
         active = self._library.landing_policy_active
         active.restype = ctypes.c_void_p
-        inputs, result = np.ascontiguousarray(inputs, np.float32), np.zeros((len(inputs), actions), np.float32)
+        inputs, result = (
+            np.ascontiguousarray(inputs, np.float32),
+            np.zeros((len(inputs), actions), np.float32),
+        )
         for row, action in zip(inputs, result):
             network = ctypes.c_void_p(active())
             if self._library.landing_policy_infer_with(network, _pointer(row), _pointer(action)):

@@ -18,9 +18,9 @@ All numbers are little-endian, integers of 32 bits, floats of 32 bits. `c/landin
 | 4 t (i + a) | test pairs: an input, and the policy's action |
 | 32 | SHA-256 of everything before |
 
-The contract's text holds what is compiled into the firmware: another text is refused. Not in it are the centres
-and spans of actions, which come with the file, and the constants of the vehicle's model but for its frame: a
-policy trained on the identified model of the same vehicle is what such a file is for.
+The contract's text holds what is compiled into the firmware: another text is refused. Not in it are the
+centres and spans of actions, which come with the file, and the constants of the vehicle's model but for its
+frame: a policy trained on the identified model of the same vehicle is what such a file is for.
 """
 
 from __future__ import annotations
@@ -132,7 +132,8 @@ def contract_text(contract: dict, vehicle: Vehicle) -> str:
         for name, value in (task["goal"] or {}).items()
     ]
     actions = [
-        f"{entry['name']} as {COMMAND_NAMES[entry['column']]} {_number(entry['low'])} to {_number(entry['high'])}"
+        f"{entry['name']} as {COMMAND_NAMES[entry['column']]} "
+        f"{_number(entry['low'])} to {_number(entry['high'])}"
         + ("" if entry["idle"] is None else f", 0 up to action {_number(entry['idle'])}")
         for entry in contract["action"]
     ]
@@ -181,6 +182,8 @@ def _number(value: float) -> str:
 
 
 def _ascii(text: str) -> str:
-    return "".join(c if c.isprintable() else f"\\x{ord(c):x}" for c in text).encode(
-        "ascii", "backslashreplace"
-    ).decode()
+    return (
+        "".join(c if c.isprintable() else f"\\x{ord(c):x}" for c in text)
+        .encode("ascii", "backslashreplace")
+        .decode()
+    )

@@ -1,4 +1,4 @@
-"""`landing-eval upload`: a policy to the app of a C export on a Crazyflie, by radio, in place of the one there."""
+"""`landing-eval upload`: send a policy by radio to the app of a C export, in place of the one there."""
 
 from __future__ import annotations
 
@@ -64,7 +64,9 @@ def command(policy: AnyPolicy, /, *, uri: Annotated[str, tyro.conf.arg(metavar="
         seconds = clock.now() - began
     finally:
         radio.close()
-    screen.print(f"{policy} is loaded: {len(file)} bytes in {seconds:.1f} s, SHA-256 {file[-32:].hex()[:16]}...")
+    screen.print(
+        f"{policy} is loaded: {len(file)} bytes in {seconds:.1f} s, SHA-256 {file[-32:].hex()[:16]}..."
+    )
 
 
 def policy_bytes(name: str) -> bytes:
@@ -86,7 +88,7 @@ def policy_bytes(name: str) -> bytes:
 def upload(crazyflie: Any, clock: Clock, file: bytes, tell: Callable[[int], object]) -> None:
     """Send a policy file to a connected vehicle, and have it loaded.
 
-    tell: called with the bytes received so far. Raises UserError where the vehicle does not answer, or refuses.
+    tell: called with the bytes received so far. Raises UserError where the vehicle refuses, or is silent.
     """
     from inclined_landing.eval.export.c_source import CHUNK
 

@@ -84,8 +84,8 @@ class _Block:
 class Services:
     """The CRTP services of one `Firmware`: answers to packets, and log blocks.
 
-    values: the present values of LOGGED by name, at a time [s]; read when a block is due. app: the reply of an app
-    to a packet of its channel, and to whether the vehicle flies; empty for none.
+    values: the present values of LOGGED by name, at a time [s]; read when a block is due.
+    app: the reply of an app to a packet of its channel and to whether the vehicle flies; empty for none.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The part of a C export's app that takes policies, on the simulated Crazyflie: its own C code, compiled here.
+"""The part of a C export's app that takes policies, on the simulated Crazyflie: its C code, compiled here.
 
 The simulated vehicle does not fly these policies.
 """
@@ -14,11 +14,13 @@ from inclined_landing.models.errors import UserError, shown
 
 
 class OnboardApp:
-    """Answers of the app of the C export in `folder`. Raises UserError where that is none, or not compiled."""
+    """The app of the C export in `folder`. Raises UserError where that is none, or there is no compiler."""
 
     def __init__(self, folder: Path):
         if not (folder / "src/landing_policy_file.c").is_file():
-            raise UserError(f"{shown(folder)} is no C export; landing-eval export POLICY --format c writes one")
+            raise UserError(
+                f"{shown(folder)} is no C export; landing-eval export POLICY --format c writes one"
+            )
         self._folder, self._starts = folder, 0
         self._scratch = tempfile.TemporaryDirectory()
 

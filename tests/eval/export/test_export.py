@@ -47,6 +47,7 @@ from inclined_landing.models.parameters import load_vehicle
 
 C_SOURCES = ("landing_policy.c", "landing_policy_file.c")
 POLICIES = ("landing", "landing-history", "setpoint", "touchdown")
+SAME_CONTRACT = {"landing": "landing-robust"}  # whose file fits into the export of the other
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
 TOLERANCE = 1e-5
 NO_COMPILER = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler on this machine")
@@ -269,7 +270,7 @@ def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_answers_as_the_policy(ex
     assert text < 5000 and data + bss < copies * largest + 400 < 41_000
     if shutil.which("qemu-system-arm") is None:
         pytest.skip("no emulator of a Cortex-M4")
-    other = contract.load("landing-robust" if name == "landing" else name)
+    other = contract.load(SAME_CONTRACT.get(name, name))
     file = policy_bytes(other)
     files = (file, file[:-1] + bytes([file[-1] ^ 1]), file[:5000], b"not a policy", file + bytes(largest))
     inputs = vectors.record(other).inputs[:20]
@@ -297,7 +298,9 @@ def policy_bytes(policy):
 
 def c_files(files, inputs):
     """Files and inputs (n, i) as C arrays."""
-    arrays = [f"static const uint8_t FILE_{k}[] = {{{', '.join(map(str, file))}}};" for k, file in enumerate(files)]
+    arrays = [
+        f"static const uint8_t FILE_{k}[] = {{{', '.join(map(str, file))}}};" for k, file in enumerate(files)
+    ]
     names = ", ".join(f"{{FILE_{k}, sizeof FILE_{k}}}" for k in range(len(files)))
     rows = ", ".join("{" + ", ".join(map(c_source.number, row)) + "}" for row in inputs)
     return "\n".join(
@@ -660,7 +663,7 @@ def replies(said):
 
 def test_the_app_flies_the_policy_that_it_is_sent(app):
     """Nine packets a period; then its commands are those of the other policy, about its own hover PWM."""
-    other = contract.load("landing-robust")
+    other = contract.load(SAME_CONTRACT["landing"])
     file, start = policy_bytes(other), other.task.sample(np.random.default_rng(3), 1).state
     flight = record_flights(other, "hybrid", start, steps=50)[0]
     wait, rows = line(0, flight.state[0]), range(len(flight.t) - 1)
@@ -678,7 +681,7 @@ def test_the_app_flies_the_policy_that_it_is_sent(app):
 
 
 def test_the_app_takes_no_policy_in_flight_and_says_why(app):
-    file, task = policy_bytes(contract.load("landing-robust")), contract.load("landing").task
+    file, task = policy_bytes(contract.load(SAME_CONTRACT["landing"])), contract.load("landing").task
     away, on = line(0, task.states_at([(1.5, 1.8)])[0]), line(1, task.states_at([(1.5, 1.8)])[0])
     begin, *_, commit = packets(file)
     lines = [begin, on, "flying 1", begin, away, "flying 0", begin, away, commit, away, *[begin] * 12, away]

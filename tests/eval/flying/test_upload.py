@@ -1,4 +1,4 @@
-"""Policies sent by radio: over a bad link, to the simulated Crazyflie with the app's own code, and by the command."""
+"""Policies sent by radio: over a bad link, to the simulated Crazyflie with the app's code, by the command."""
 
 import functools
 import heapq
@@ -28,16 +28,20 @@ from inclined_landing.models.errors import UserError
 pytestmark = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler on this machine")
 
 
+# Two policies of one contract, and one that needs more memory.
+PLAIN, OTHER, LONG = "landing", "landing-robust", "landing-history"
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export") / "c"
-    write(contract.load("landing"), "c", folder)
+    write(contract.load(PLAIN), "c", folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def file():
-    return policy_bytes("landing-robust")
+    return policy_bytes(OTHER)
 
 
 class BadLink:
@@ -55,7 +59,12 @@ class BadLink:
     def send_packet(self, packet):
         assert len(packet) <= 30
         self.sent += 1
-        self.travel(lambda: self.travel(lambda reply=self.app(packet, False): reply and self.callback(reply)))
+
+        def arrive():
+            if reply := self.app(packet, False):
+                self.travel(lambda: self.callback(reply))
+
+        self.travel(arrive)
 
     def travel(self, arrive):
         for _ in range(1 + (self.random.random() < self.doubled)):
@@ -108,7 +117,7 @@ def policy_bytes_of_landing(folder):
 
 
 def test_the_file_of_an_export_is_what_is_uploaded(folder):
-    assert policy_bytes("landing") == policy_bytes_of_landing(folder) == policy_bytes(str(folder / "policy.bin"))
+    assert policy_bytes(PLAIN) == policy_bytes_of_landing(folder) == policy_bytes(str(folder / "policy.bin"))
 
 
 def test_packets_of_another_upload_or_none_change_nothing(folder, file, tmp_path):
@@ -121,7 +130,17 @@ def test_packets_of_another_upload_or_none_change_nothing(folder, file, tmp_path
     assert app(commit, False)[1] == app(b"\3" + mine, False)[1] == policy_file.Answer.NO_UPLOAD
     assert app(begin, True)[1] == policy_file.Answer.FLYING and app(chunk(0), False) == b""
     assert app(begin, False)[1] == 0
-    for packet in (b"", b"\0", b"\5" + mine, b"\3", chunk(1), chunk(0)[:-1], chunk(0) + b"x", chunk(0, b"\0\0"), begin[:-1]):
+    for packet in (
+        b"",
+        b"\0",
+        b"\5" + mine,
+        b"\3",
+        chunk(1),
+        chunk(0)[:-1],
+        chunk(0) + b"x",
+        chunk(0, b"\0\0"),
+        begin[:-1],
+    ):
         assert app(packet, False) == b"", packet
         assert received(app(b"\3" + mine, False)) == 0
     app(chunk(0), True)  # in flight
@@ -158,13 +177,17 @@ def test_a_simulated_crazyflie_takes_policies_on_the_ground_alone(folder, file):
     app = flight.world.services.app
     send(flight, file)
     assert acts(app) == file[-32:][:8]
-    with pytest.raises(UserError, match="larger than this firmware has memory for; there the one with SHA-256"):
-        send(flight, policy_bytes("landing-history"))
+    with pytest.raises(
+        UserError, match="larger than this firmware has memory for; there the one with SHA-256"
+    ):
+        send(flight, policy_bytes(LONG))
     for thrust in (0, *[38000] * 50):
         flight.crazyflie.commander.send_setpoint(0, 0, 0, thrust)
         flight.clock.wait_until(flight.clock.now() + 0.02)
-    with pytest.raises(UserError, match="no policy is loaded while the vehicle flies; .* " + file[-32:][:8].hex()):
-        send(flight, policy_bytes("landing"))
+    with pytest.raises(
+        UserError, match="no policy is loaded while the vehicle flies; .* " + file[-32:][:8].hex()
+    ):
+        send(flight, policy_bytes(PLAIN))
 
 
 def test_a_restart_forgets_what_was_loaded_and_a_lost_link_is_said(folder, file):
@@ -219,7 +242,7 @@ def test_the_command_over_udp(folder, file, capsys):
     thread = threading.Thread(target=serve)
     thread.start()
     try:
-        assert cli.main(["upload", "landing-robust", f"--uri=udp://127.0.0.1:{server.port}"]) == 0
+        assert cli.main(["upload", OTHER, f"--uri=udp://127.0.0.1:{server.port}"]) == 0
         assert f"SHA-256 {file[-32:].hex()[:16]}" in capsys.readouterr().out
         assert acts(server.world.services.app) == file[-32:][:8]
     finally:
