@@ -302,7 +302,7 @@ def test_layouts_without_room_are_refused(kept):
 
 
 def test_whatever_the_bytes_nothing_undefined_happens(folder, tmp_path):
-    """Thousands of files with changed bytes and a right hash, under the compiler's sanitizers."""
+    """Some 1700 files with changed bytes and a right hash, under the compiler's sanitizers."""
     source = folder / "src"
     flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{source}")
     sources = [HERE / "files.c", source / "landing_policy.c", source / "landing_policy_file.c"]
