@@ -19,8 +19,8 @@ from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_S
 from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
-# Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn vehicles
-# in the plane, of which nobody lands all.
+# Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
+# vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
 PARTS = {
