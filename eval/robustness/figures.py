@@ -163,8 +163,8 @@ def slopes_figure(report: dict[str, Any]) -> Figure:
     """
     entries = report["policies"]
     maps = [entry for entry in entries if len(entry.get("azimuths", ())) > 2][:_MAPS]
-    shares = [p["strict"]["share"] for e in entries for p in (*e.get("curve", ()), *e["single"])]
-    lowest = 100 * min(0.9 if share is None else share for share in (0.9, *shares))
+    drawn = [p["strict"] for e in entries for p in (*e.get("curve", ()), *e["single"])]
+    lowest = 100 * min([0.9, *(share["interval"][0] for share in drawn if share["of"])])
     with styled():
         figure = Figure(figsize=(6.4 + 3.1 * len(maps), 4.3), layout="constrained")
         axes = figure.add_subplot(1, 2 + len(maps), (1, 2))
@@ -175,7 +175,7 @@ def slopes_figure(report: dict[str, Any]) -> Figure:
 
 
 def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
-    """Draw strict success [%] over the inclination [deg]; lowest: the smallest share [%]."""
+    """Draw strict success [%] over the inclination [deg]; lowest: of all intervals [%]."""
     axes.grid(True)
     for k, entry in enumerate(entries):
         curve = [p for p in entry.get("curve", []) if p["strict"]["of"]]
@@ -190,7 +190,7 @@ def _curves(axes: Axes, entries: list[dict], lowest: float) -> None:
                 fmt=marker(k), ms=6.5, mfc="white", mec=colour(k), ecolor=colour(k), elinewidth=1.2,
                 capsize=3, label=None if len(curve) > 1 else literal(entry["name"]),
             )  # fmt: skip
-    axes.set_ylim(max(-3.0, lowest - 8.0), 101.5)
+    axes.set_ylim(max(-3.0, lowest - 1.5), 101.5)
     axes.set_xlabel("inclination [deg]")
     axes.set_ylabel("strict success [%]")
     handles, labels = axes.get_legend_handles_labels()
