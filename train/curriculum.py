@@ -375,6 +375,7 @@ class TouchdownCurriculum(NoCurriculum):
             contact_limit=8,
             leave_limit=0.3,
             out_of_bounds_penalty=150.0,
+            steep=0.3,
             beside=0.3,
             close=0.2 * (1.0 - self.level),
             impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),

@@ -125,6 +125,10 @@ class SlopeLanding(InclinedLanding):
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         if self.steepest is not None:
             drawn = rng.uniform(self.least * self.steepest, self.steepest, len(start))
+            if self.conditions.steep > 0.0:
+                steep = rng.random(len(start)) < self.conditions.steep
+                among = np.copysign(self.steepest * rng.uniform(0.9, 1.0, len(start)), drawn)
+                drawn = np.where(steep, among, drawn)
             start.inclination = drawn * self.conditions.tilt
 
     def sample_over(self, rng: np.random.Generator, inclination: np.ndarray, azimuth: np.ndarray) -> Start:
