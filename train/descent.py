@@ -1,13 +1,15 @@
-"""A feedback law that touchdown over moving platforms begins with: fly onto the slope aligned with it, stop
-the motors.
+"""A feedback law that touchdown over moving platforms begins with: fly onto the platform, aligned with it, and
+stop the motors.
 
-It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew the ways
-of least squared jerk (polynomials of the fifth degree) that end on the platform, sinking into it, with the
-acceleration of a vehicle whose thrust is along the platform's normal; it begins the cheapest one, at a price
-for time, that stays clear of the platform and within what the vehicle commands. Where there is none it flies
-to where there is one: over the platform, and downhill of it. Reinforcement learning goes on from there.
+It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew: ways of
+least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the platform, sinking
+into it, with the acceleration of a vehicle whose thrust is along the platform's normal and turns no more. It
+begins the cheapest of them, at a price for time, that keeps clear of the platform and within what a vehicle
+commands. Where there is none it flies to a place from which there is one, beside the platform's normal and
+downhill of it. Reinforcement learning goes on from there.
 
-Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
+Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
+and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
 """
 
 from __future__ import annotations
@@ -21,20 +23,25 @@ from inclined_landing.models.equations import settled_hover
 
 NAME = "descent"  # as in --from
 TIMES = np.linspace(0.3, 2.5, 45)  # s that a way may take
+PRICE = 1e6  # of a second, in the integral of the squared snap [m2/s7]
 CHECKED = np.linspace(0.1, 1.0, 8)  # of a way's time, where it is checked
-PRICE = 1e6  # of a second, in (m/s4)^2 s
-DEPTH = 0.02
-SINK = 0.25  # m/s into the platform at the end
-CONE, APEX = 0.5, 0.1  # height that a way keeps over the platform, per m beside `APEX` m from its centre
-EDGE = 0.1  # m beyond the slab's edges, where it need not
-THRUST = (0.3, 1.7)  # of a way, in weights
-ABOVE, DOWNHILL = 0.45, 0.08  # m and s2 (times gravity along the slope): where ways begin, from the centre
-CLEAR = 0.35  # m over the platform's plane, kept on the way there
-STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # 1/s2, 1/s, m: to fly there
-HORIZON = 0.06
-LARGEST = 8.0
-SPOOL = 0.065  # s that thrust leads by: the motors' lag
-CUT_HEIGHT, CUT_BESIDE = 0.03, 0.35  # m over the height at rest and beside the centre: the motors stop
+LIFT = (0.3, 1.7)  # of a way, thrust in weights
+# A way ends a little inside the platform, so that it does not hover above.
+DEPTH, SINK = 0.02, 0.25  # m under the height at rest, and m/s into the platform
+SLACK = 0.01  # m further down that a way is not refused for
+CONE, APEX = (
+    0.5,
+    0.1,
+)  # height that a way keeps over the platform, per m farther than `APEX` m from its centre
+EDGE = 0.1  # m around the slab where it keeps it
+ABOVE, DOWNHILL = 0.45, 0.08  # m along the normal; s2, times gravity along the slope: where there is a way
+CLEAR = 0.35  # m over the platform's plane, that are kept on the flight there
+STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # of that flight: 1/s2, 1/s, and m that are pulled at most
+AHEAD = 0.06  # s ahead of now, where a way is read
+LARGEST = 8.0  # m/s2 of lead for the attitude loop, along each axis
+SPOOL = 0.065  # s that thrust leads by, for the motors
+CUT_HEIGHT, CUT_BESIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
+LEAST_THRUST = -0.8  # action in flight: clear of idle
 
 
 class Descent:
@@ -85,7 +92,7 @@ class Descent:
         }
         columns = [(wanted[c.name] - c.centre) / c.span for c in self._task.channels]
         actions = np.clip(np.column_stack(columns), -1.0, 1.0)
-        actions[:, 0] = np.maximum(actions[:, 0], -0.8)
+        actions[:, 0] = np.maximum(actions[:, 0], LEAST_THRUST)
         beside = np.linalg.norm(place - (place * normal).sum(axis=1, keepdims=True) * normal, axis=1)
         stop = (height < CUT_HEIGHT) & (beside < CUT_BESIDE)
         actions[stop, 0] = idle
@@ -93,7 +100,7 @@ class Descent:
 
     def _ways(self, now: np.ndarray, end: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the beginnings (3, n, 3) of the best ways: acceleration and its first two derivatives
-        `HORIZON` s ahead; and whether there is one that is clear (n,).
+        `AHEAD` s ahead; and whether there is one that is clear (n,).
 
         now, end (4, n, 3): place, velocity, acceleration and jerk; normal (n, 3): of the platforms.
         """
@@ -107,17 +114,17 @@ class Descent:
         price = ((snap / t**4) ** 2).sum(axis=3).mean(axis=0) * TIMES[:, None] + PRICE * TIMES[:, None]
         lift = lift / t**2 + [0.0, 0.0, self._gravity]
         size = np.linalg.norm(lift, axis=3)
-        wrong = (size < THRUST[0] * self._gravity) | (size > THRUST[1] * self._gravity)
+        wrong = (size < LIFT[0] * self._gravity) | (size > LIFT[1] * self._gravity)
         wrong |= lift[..., Z] < self._steepest * size
         height = (place * normal).sum(axis=3)
         beside = np.linalg.norm(place - height[..., None] * normal, axis=3)
         over = (np.abs(place[..., X]) < self._half[0]) & (np.abs(place[..., Y]) < self._half[1])
-        wrong |= over & (height < self._rest - DEPTH - 0.01 + CONE * np.maximum(0.0, beside - APEX))
+        wrong |= over & (height < self._rest - DEPTH - SLACK + CONE * np.maximum(0.0, beside - APEX))
         wrong[-1] = False  # the end is given
         price = np.where(wrong.any(axis=0), np.inf, price)
         best, rows = price.argmin(axis=0), np.arange(now.shape[1])
         way, taken = way[:, best, rows], TIMES[best]
-        soon = np.array([_basis(HORIZON / taken, d) for d in (2, 3, 4)])  # (3, n, 8)
+        soon = np.array([_basis(AHEAD / taken, d) for d in (2, 3, 4)])  # (3, n, 8)
         begun = np.einsum("dnk,knx->dnx", soon, way) / np.array([taken**2, taken**3, taken**4])[..., None]
         return begun, np.isfinite(price[best, rows])
 
@@ -136,6 +143,4 @@ _SOLVED = np.linalg.inv(_ENDS[:, 4:])
 
 def _axes(roll: np.ndarray, pitch: np.ndarray) -> np.ndarray:
     """Return thrust axes (n, 3) of attitudes without yaw, and normals of surfaces they stand on."""
-    return np.column_stack(
-        [np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)]
-    )
+    return np.column_stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)])

@@ -63,6 +63,9 @@ def _in_goal(state, platform, goal_size, is_planar, out):
     return out
 
 
+NEARLY = (0.9, 1.0)  # of the steepest slope, what is drawn more often with `Conditions.steep`
+
+
 class SlopeLanding(InclinedLanding):
     """The landing in the plane on slopes that differ from episode to episode."""
 
@@ -127,7 +130,7 @@ class SlopeLanding(InclinedLanding):
             drawn = rng.uniform(self.least * self.steepest, self.steepest, len(start))
             if self.conditions.steep > 0.0:
                 steep = rng.random(len(start)) < self.conditions.steep
-                among = np.copysign(self.steepest * rng.uniform(0.9, 1.0, len(start)), drawn)
+                among = np.copysign(self.steepest * rng.uniform(*NEARLY, len(start)), drawn)
                 drawn = np.where(steep, among, drawn)
             start.inclination = drawn * self.conditions.tilt
 
