@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs.tasks import StepContext, Task
+from inclined_landing.envs.tasks import StepContext
+from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
 from inclined_landing.models.equations import settled_hover
@@ -47,7 +48,7 @@ LEAST_THRUST = -0.8  # action in flight: clear of idle
 class Descent:
     """The law, as actions of a touchdown task in three dimensions."""
 
-    def __init__(self, task: Task):
+    def __init__(self, task: InclinedTouchdown):
         v = task.vehicle
         self._task, self._rest = task, task.goal_height
         self._hover, self._gravity = settled_hover(v), v.environment_gravity
