@@ -22,10 +22,11 @@ TILT_RATE = 0.4  # rad/s, at most
 STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incline a platform
 
 
-def draw(rng: np.random.Generator, k: int, fastest: float, swell: float) -> Motion:
+def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarray) -> Motion:
     """Return motions of k platforms: travel at 0 to fastest [m/s], and waves of `swell` times the sizes
-    above.
+    above, but roll and pitch together never by more than room (k,) [rad].
     """
+    k = len(room)
     # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.
     shape = (k, len(MODES), WAVES)
     speed, heading = fastest * rng.random(k), rng.uniform(-math.pi, math.pi, k)
@@ -34,5 +35,12 @@ def draw(rng: np.random.Generator, k: int, fastest: float, swell: float) -> Moti
     largest = np.zeros(shape)
     largest[:, 2] = np.minimum(HEAVE_SPEED / frequency[:, 2], HEAVE)
     largest[:, 3:5] = np.minimum(TILT_RATE / frequency[:, 3:5], TILT)
+    tilt = largest_tilt(share * largest)
+    share[:, 3:5] *= np.minimum(1.0, room / np.maximum(tilt, 1e-9))[:, None, None]
     velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(k)])
     return Motion(velocity, share * largest, frequency, rng.uniform(-math.pi, math.pi, shape))
+
+
+def largest_tilt(amplitude: np.ndarray) -> np.ndarray:
+    """Return the angle (k,) [rad] that waves (k, 6, W) incline a level platform by at most."""
+    return np.hypot(*amplitude[:, 3:5].sum(axis=2).T)

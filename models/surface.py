@@ -136,6 +136,16 @@ def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
     return np.einsum("nji,nj->ni", frames, state[:, : Z + 1] - platform[:, : Z + 1])
 
 
+def thrust_turning(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
+    """Return how fast the thrust axes (n, 3) of vehicles turn [1/s], along the axes of `heading_frame`."""
+    frames = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))
+    # omega x (0, 0, 1) in the body's axes: (wy, -wx, 0)
+    turning = frames[:, :, 0] * state[:, WX + 1, None] - frames[:, :, 1] * state[:, WX, None]
+    sin, cos = np.sin(platform[:, YAW]), np.cos(platform[:, YAW])
+    x, y, z = turning.T
+    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+
+
 def slope_of(platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return inclination (n,) and azimuth (n,) [rad] of slopes with the normals of platforms (n, 12)."""
     x, y, z = normals(platform).T

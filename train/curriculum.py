@@ -356,8 +356,9 @@ class TouchdownCurriculum(NoCurriculum):
     The price of a hard touchdown grows to the task's over the first half of a run of RAMP steps, so that
     coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
     0.2 down to none at RAMP. Three tenths begin around the raised edge: most of the starts that failed lie
-    there, as the edge has to be passed at once, and few uniform starts show it. Friction and restitution
-    are drawn for every episode. Leaving the arena, falling to the floor or lying on the slab the wrong way
+    there, as the edge has to be passed at once, and few uniform starts show it. Where slopes are drawn, three
+    tenths are among the steepest, as nothing else is as hard to rest on. Friction and restitution are drawn
+    for every episode. Leaving the arena, falling to the floor or lying on the slab the wrong way
     terminates the episode with a penalty: a truncation would bootstrap from states whose value the critic
     never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the
     critic learns at first (`warm_start.CRITIC_FIRST`).
@@ -375,6 +376,7 @@ class TouchdownCurriculum(NoCurriculum):
             contact_limit=8,
             leave_limit=0.3,
             out_of_bounds_penalty=150.0,
+            steep=0.3,
             beside=0.3,
             close=0.2 * (1.0 - self.level),
             impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),

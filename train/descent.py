@@ -1,53 +1,147 @@
-"""A feedback law that touchdown over moving platforms begins with: stay over the platform, sink, stop the
-motors.
+"""A feedback law that touchdown over moving platforms begins with: fly onto the platform, aligned with it,
+and stop the motors.
 
-It sees what the policy sees and remembers nothing, so that a network can take it over by imitation. It
-knows nothing of the slope: the vehicle comes down level. Reinforcement learning goes on from there.
+It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew: ways of
+least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the platform, sinking
+into it, with the acceleration of a vehicle whose thrust is along the platform's normal and turns no more. It
+begins the cheapest of them, at a price for time, that keeps clear of the platform and within what a vehicle
+commands. Where there is none it flies to a place from which there is one, beside the platform's normal and
+downhill of it. Reinforcement learning goes on from there.
+
+Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
+and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.envs.tasks import StepContext, Task
+from inclined_landing.envs.tasks import StepContext
+from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import VX, VZ, X, Y, Z
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
 from inclined_landing.models.equations import settled_hover
 
 NAME = "descent"  # as in --from
-STIFFNESS, DAMPING = 4.0, 3.0  # 1/s2, 1/s
-LARGEST = 4.0  # m/s2 along each axis
-FUNNEL = 4.0  # m of height per metre beside the platform's centre, beyond
-CENTRE, HIGHEST = 0.05, 0.4  # m, and up to m
-CUT_HEIGHT, CUT_BESIDE = 0.06, 0.2  # m over and beside the centre, where the motors stop
+TIMES = np.linspace(0.3, 2.5, 45)  # s that a way may take
+PRICE = 1e6  # of a second, in the integral of the squared snap [m2/s7]
+CHECKED = np.linspace(0.1, 1.0, 8)  # of a way's time, where it is checked
+LIFT = (0.3, 1.7)  # of a way, thrust in weights
+# A way ends a little inside the platform, so that it does not hover above.
+DEPTH, SINK = 0.02, 0.25  # m under the height at rest, and m/s into the platform
+SLACK = 0.01  # m further down that a way is not refused for
+CONE, APEX = (
+    0.5,
+    0.1,
+)  # height that a way keeps over the platform, per m farther than `APEX` m from its centre
+EDGE = 0.1  # m around the slab where it keeps it
+ABOVE, DOWNHILL = 0.45, 0.08  # m along the normal; s2, times gravity along the slope: where there is a way
+CLEAR = 0.35  # m over the platform's plane, that are kept on the flight there
+STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # of that flight: 1/s2, 1/s, and m that are pulled at most
+AHEAD = 0.06  # s ahead of now, where a way is read
+LARGEST = 8.0  # m/s2 of lead for the attitude loop, along each axis
+SPOOL = 0.065  # s that thrust leads by, for the motors
+CUT_HEIGHT, CUT_BESIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
+LEAST_THRUST = -0.8  # action in flight: clear of idle
 
 
 class Descent:
-    """The law, as actions of a task in three dimensions."""
+    """The law, as actions of a touchdown task in three dimensions."""
 
-    def __init__(self, task: Task):
+    def __init__(self, task: InclinedTouchdown):
         v = task.vehicle
-        self._task = task
+        self._task, self._rest = task, task.goal_height
         self._hover, self._gravity = settled_hover(v), v.environment_gravity
         slope, least = v.motor_pwm_to_speed
         turning = v.motor_count * (slope * self._hover + least)  # rad/s, of all rotors
         self._drag = -v.drag_coefficients[0] * turning / (v.body_mass + v.effects_load_mass)  # 1/s
+        self._hover_lag, self._lead, self._gain = v.hover_lag, v.attitude_time_constant, v.attitude_gain
+        self._bandwidth = v.attitude_bandwidth
+        self._steepest = np.cos(v.command_angle_limit * v.attitude_gain)
+        self._half = v.slab_half_length + EDGE, 0.5 * v.platform_depth + EDGE
 
     def __call__(self, context: StepContext, idle: float) -> np.ndarray:
         """Return actions (n, a) in n states over their platforms; idle: that of stopped motors."""
         seen = surface.heading_frame(context.state, context.platform)
-        beside = np.hypot(seen[:, X], seen[:, Y])
-        place = seen[:, : Z + 1].copy()
-        place[:, Z] -= np.clip(FUNNEL * (beside - CENTRE), 0.0, HIGHEST)
-        push = np.clip(-STIFFNESS * place - DAMPING * seen[:, VX : VZ + 1], -LARGEST, LARGEST)
-        push[:, :Z] += self._drag * surface.platform_motion(context.platform)[:, :Z]
+        place, velocity = seen[:, : Z + 1], seen[:, VX : VZ + 1]
+        down = np.array([0.0, 0.0, -self._gravity])
+        normal = _axes(seen[:, surface.SLOPE_ROLL], seen[:, surface.SLOPE_PITCH])
+        thrust = self._gravity * context.state[:, LAG, None] / self._hover_lag
+        drag = self._drag * (velocity + surface.platform_motion(context.platform)[:, :3])
+        now = thrust * _axes(seen[:, ROLL], seen[:, PITCH]) + down - drag
+        jerk = thrust * surface.thrust_turning(context.state, context.platform)
+        along = down - (normal @ down)[:, None] * normal
+        end = np.array([(self._rest - DEPTH) * normal, -SINK * normal, along, np.zeros_like(along)])
+        (push, jerk, snap), clear = self._ways(np.array([place, velocity, now, jerk]), end, normal)
+
+        first = (self._rest + ABOVE) * normal + DOWNHILL * along
+        behind = first - place
+        far = np.linalg.norm(behind, axis=1, keepdims=True)
+        behind *= np.minimum(1.0, FARTHEST / np.maximum(far, 1e-9))
+        height = (place * normal).sum(axis=1) - self._rest
+        behind += np.maximum(0.0, CLEAR - height)[:, None] * normal
+        there = STIFFNESS * behind - DAMPING * velocity
+
+        change = (self._lead + 1.0 / self._bandwidth) * jerk + self._lead / self._bandwidth * snap
+        ahead = np.where(clear[:, None], push + np.clip(change, -LARGEST, LARGEST), there) + drag - down
+        lift = np.where(clear[:, None], push + SPOOL * jerk, there) + drag - down
+        ahead[:, Z] = np.maximum(ahead[:, Z], 0.3 * self._gravity)
         wanted = {
-            "thrust": self._hover * (1.0 + push[:, Z] / self._gravity),
-            "roll": -push[:, Y] / self._gravity,
-            "pitch": push[:, X] / self._gravity,
+            "thrust": self._hover * np.linalg.norm(lift, axis=1) / self._gravity,
+            "roll": np.arctan2(-ahead[:, Y], ahead[:, Z]) / self._gain,
+            "pitch": np.arcsin(ahead[:, X] / np.linalg.norm(ahead, axis=1)) / self._gain,
         }
         columns = [(wanted[c.name] - c.centre) / c.span for c in self._task.channels]
         actions = np.clip(np.column_stack(columns), -1.0, 1.0)
-        stop = (seen[:, Z] < CUT_HEIGHT) & (beside < CUT_BESIDE)
+        actions[:, 0] = np.maximum(actions[:, 0], LEAST_THRUST)
+        beside = np.linalg.norm(place - (place * normal).sum(axis=1, keepdims=True) * normal, axis=1)
+        stop = (height < CUT_HEIGHT) & (beside < CUT_BESIDE)
         actions[stop, 0] = idle
         return actions
+
+    def _ways(self, now: np.ndarray, end: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the beginnings (3, n, 3) of the best ways: acceleration and its first two derivatives
+        `AHEAD` s ahead; and whether there is one that is clear (n,).
+
+        now, end (4, n, 3): place, velocity, acceleration and jerk; normal (n, 3): of the platforms.
+        """
+        t = TIMES[:, None, None]
+        scale = np.array([t**0, t, t**2, t**3])  # derivatives by the share of the way's time that is past
+        known = now[:, None] * scale / _FACTORIALS[:4, None, None, None]
+        left = end[:, None] * scale - np.einsum("dk,ktnx->dtnx", _ENDS[:, :4], known)
+        way = np.concatenate([known, np.einsum("kd,dtnx->ktnx", _SOLVED, left)])  # (8, times, n, 3)
+
+        place, lift, snap = (np.einsum("ck,ktnx->ctnx", _basis(CHECKED, d), way) for d in (0, 2, 4))
+        price = ((snap / t**4) ** 2).sum(axis=3).mean(axis=0) * TIMES[:, None] + PRICE * TIMES[:, None]
+        lift = lift / t**2 + [0.0, 0.0, self._gravity]
+        size = np.linalg.norm(lift, axis=3)
+        wrong = (size < LIFT[0] * self._gravity) | (size > LIFT[1] * self._gravity)
+        wrong |= lift[..., Z] < self._steepest * size
+        height = (place * normal).sum(axis=3)
+        beside = np.linalg.norm(place - height[..., None] * normal, axis=3)
+        over = (np.abs(place[..., X]) < self._half[0]) & (np.abs(place[..., Y]) < self._half[1])
+        wrong |= over & (height < self._rest - DEPTH - SLACK + CONE * np.maximum(0.0, beside - APEX))
+        wrong[-1] = False  # the end is given
+        price = np.where(wrong.any(axis=0), np.inf, price)
+        best, rows = price.argmin(axis=0), np.arange(now.shape[1])
+        way, taken = way[:, best, rows], TIMES[best]
+        soon = np.array([_basis(AHEAD / taken, d) for d in (2, 3, 4)])  # (3, n, 8)
+        begun = np.einsum("dnk,knx->dnx", soon, way) / np.array([taken**2, taken**3, taken**4])[..., None]
+        return begun, np.isfinite(price[best, rows])
+
+
+def _basis(u: np.ndarray, d: int) -> np.ndarray:
+    """Return the d-th derivatives (c, 8) of 1, u ... u^7 at u (c,)."""
+    k = np.arange(8)
+    falling = np.prod([k - i for i in range(d)], axis=0) if d else np.ones(8)
+    return falling * np.asarray(u)[:, None] ** np.maximum(k - d, 0)
+
+
+_FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])
+_ENDS = np.concatenate([_basis(np.ones(1), d) for d in range(4)])  # (4, 8)
+_SOLVED = np.linalg.inv(_ENDS[:, 4:])
+
+
+def _axes(roll: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+    """Return thrust axes (n, 3) of attitudes without yaw, and normals of surfaces they stand on."""
+    return np.column_stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)])

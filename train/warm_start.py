@@ -185,7 +185,7 @@ def teach_law(
     actor = model.policy
     before = env.task.conditions
     env.task.conditions = Conditions(
-        contact_limit=8, leave_limit=0.3, close=0.3, friction=FRICTION, restitution=RESTITUTION
+        contact_limit=8, leave_limit=0.3, steep=0.3, close=0.3, friction=FRICTION, restitution=RESTITUTION
     )
     learned = [p for name, p in actor.named_parameters() if "policy_net" in name or "action_net" in name]
     optimizer = torch.optim.Adam(learned, lr=_RATE)

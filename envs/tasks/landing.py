@@ -81,7 +81,7 @@ PAPER_RESULTS = (
 class Conditions:
     """Under which conditions episodes begin. The defaults are the task; a curriculum passes easier ones.
 
-    The last four fields are training aids: the task itself never uses them.
+    The last five fields are training aids: the task itself never uses them.
     """
 
     start_reach: float = 3.3  # starts lie within this of the goal in x and y, m
@@ -94,6 +94,7 @@ class Conditions:
     contact_limit: int = 0  # truncate after this many steps in contact (0: never)
     leave_limit: float = math.inf  # truncate this far outside the arena, or on the floor, m
     out_of_bounds_penalty: float = 0.0  # above 0, passing leave_limit costs it and terminates the episode
+    steep: float = 0.0  # share of the drawn slopes that are nearly the steepest ones
     goal_while_touching: bool = True  # does the goal box count while touching the platform
 
 

@@ -61,7 +61,9 @@ class MovingLanding(SpaceLanding):
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         super()._draw_platforms(rng, start)
         share = self.conditions.motion
-        start.motion = swells.draw(rng, len(start), share * self.fastest, share * self.settings.swell)
+        # No platform is steeper than attitude commands reach.
+        room = np.maximum(self.vehicle.command_angle_limit - np.abs(start.inclination), 0.0)
+        start.motion = swells.draw(rng, share * self.fastest, share * self.settings.swell, room)
 
     def at_standstill(self, start: Start) -> Start:
         """Return the starts relative to platforms in their usual place, with their slopes of the start."""

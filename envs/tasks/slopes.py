@@ -63,6 +63,9 @@ def _in_goal(state, platform, goal_size, is_planar, out):
     return out
 
 
+NEARLY = (0.9, 1.0)  # of the steepest slope, what is drawn more often with `Conditions.steep`
+
+
 class SlopeLanding(InclinedLanding):
     """The landing in the plane on slopes that differ from episode to episode."""
 
@@ -125,6 +128,10 @@ class SlopeLanding(InclinedLanding):
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         if self.steepest is not None:
             drawn = rng.uniform(self.least * self.steepest, self.steepest, len(start))
+            if self.conditions.steep > 0.0:
+                steep = rng.random(len(start)) < self.conditions.steep
+                among = np.copysign(self.steepest * rng.uniform(*NEARLY, len(start)), drawn)
+                drawn = np.where(steep, among, drawn)
             start.inclination = drawn * self.conditions.tilt
 
     def sample_over(self, rng: np.random.Generator, inclination: np.ndarray, azimuth: np.ndarray) -> Start:

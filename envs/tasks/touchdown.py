@@ -42,6 +42,7 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.envs import swell
 from inclined_landing.envs.tasks import touchdown_starts
 from inclined_landing.envs.tasks.base import (
     Evaluation,
@@ -67,6 +68,7 @@ GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
 IMPACT = 0.5  # reward lost for each weight beyond it
 CONTACT_TIME = 0.02  # s, wherever a restitution is set
 FRICTION, RESTITUTION = (0.55, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
+HELD = (1.1, 1.5)  # least of both ends of that spread, in the friction that holds the slope at all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +82,7 @@ class Conditions(LandingConditions):
     beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact: float = IMPACT  # reward lost for each weight of force beyond two
-    friction: tuple[float, float] | None = None  # drawn per episode; None: the plant's own
+    friction: tuple[float, float] | None = None  # drawn per episode, and holds; None: the plant's own
     restitution: tuple[float, float] | None = None
 
 
@@ -164,7 +166,8 @@ class InclinedTouchdown(InclinedLanding):
             start.state[rows] = touchdown_starts.close(self, rng, start[rows], self.goal_height)
         contact: dict[str, Any] = {}
         if c.friction is not None:
-            contact["friction"] = rng.uniform(*c.friction, k)
+            holds = np.tan(steepest_slopes(start))
+            contact["friction"] = rng.uniform(*(np.maximum(f, h * holds) for f, h in zip(c.friction, HELD)))
         if c.restitution is not None:
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
@@ -226,6 +229,12 @@ class InclinedTouchdown(InclinedLanding):
     def flight_words(self, flight) -> str:
         """Return when a flight came to rest, if it did."""
         return f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
+
+
+def steepest_slopes(start: Start) -> np.ndarray:
+    """Return the steepest (k,) that the platforms of starts become, with their waves [rad]."""
+    slope = np.abs(start.inclination)
+    return slope if start.motion is None else slope + swell.largest_tilt(start.motion.amplitude)
 
 
 def wrong_contact(contacts) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PITCH, ROLL, YAW, Z, rotations
+from inclined_landing.models.attitude import PITCH, ROLL, WX, WY, WZ, YAW, Z, euler_rates, rotations
 
 RNG = np.random.default_rng(5)
 
@@ -50,3 +50,18 @@ def test_commands_lead_to_the_attitude_that_was_meant():
     state[:, [ROLL, PITCH]] = gain * surface.vehicle_commands(meant, gain, 1.0, state, platform)
     assert np.abs(surface.heading_frame(state, platform)[:, [ROLL, PITCH]] - gain * meant).max() < 1e-13
     assert np.abs(surface.vehicle_commands(meant, gain, 0.1, state, platform)).max() <= 0.1
+
+
+def test_the_thrust_axis_turns_as_its_rate_says():
+    """Against the axis a moment before and after, turned by the body's rates; the surface stands still."""
+    state, platform = somewhere(100)
+    step = 1e-5  # s; central differences err by (rate step)^2, rates up to 4 rad/s, and 1e-16 / step
+    axes = []
+    for time in (-step, step):
+        moved = state.copy()
+        rates = np.array([euler_rates(*row) for row in state[:, [ROLL, PITCH, WX, WY, WZ]]])
+        moved[:, ROLL : YAW + 1] += time * rates
+        moved[:, YAW] -= platform[:, YAW]
+        axes.append(rotations(np.ascontiguousarray(moved[:, ROLL : YAW + 1]))[:, :, Z])
+    found = (axes[1] - axes[0]) / (2.0 * step)
+    np.testing.assert_allclose(surface.thrust_turning(state, platform), found, atol=1e-8)
