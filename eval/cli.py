@@ -56,6 +56,7 @@ COMMANDS = {
         "flying",
         "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",
     ),
+    "upload": ("flying", "Send a policy to the app of a C export on a Crazyflie, in place of the one there."),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
     "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
@@ -66,7 +67,7 @@ GROUPS = {
     "Pictures": ("figure", "video", "replay", "curves"),
     "Physics": ("validate", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
-    "A real vehicle": ("fly", "crazyflie"),
+    "A real vehicle": ("fly", "upload", "crazyflie"),
 }
 # Names of the last release, and what they are now; ... stands for the words that follow.
 OLD_NAMES = {

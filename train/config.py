@@ -83,6 +83,8 @@ REWARD_SCALE = {"ppo": 0.1, "sac": 1.0, "td3": 0.1}
 
 ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle by, of tasks on drawn vehicles
 DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
+# In space, where drawn vehicles differ in more: with the rates of the plane one of three seeds learned it.
+DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
 EVALUATE_EVERY = (16, 32)  # iterations, on one vehicle and on drawn ones
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
@@ -169,7 +171,7 @@ class TrainConfig:
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
-    (default: landing in the plane robust)."""
+    (default: landing robust)."""
     nominal: bool = False
     """The paper's landing: one vehicle, no history, actions around its hover."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -235,7 +237,11 @@ class TrainConfig:
         own = self._of_the_algorithm(kind)
         own["reward_scale"] = REWARD_SCALE[self.algorithm]
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
+        # On moving platforms one vehicle, as touchdown does.
+        drawn = kind.drawn_vehicles and self.fastest is None and not self.nominal
         defaults = {name: getattr(training, name) for name in given} | own
+        if drawn and self.dimensions == 3 and self.algorithm == "ppo":
+            defaults |= DRAWN_IN_SPACE
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
         for name in self.task_options():
@@ -249,8 +255,6 @@ class TrainConfig:
         least = training.min_steps if same is None else CARRIED_ON
         out = Path(self.out or f"runs/{kind.name}-{self.seed}")
         vehicle = None if self.vehicle is None else Path(self.vehicle)
-        # In space one of three seeds lands drawn vehicles, and on one vehicle all do.
-        drawn = kind.drawn_vehicles and self.dimensions != 3 and not self.nominal
         if self.nominal and self.randomise is not None:
             raise UserError("--nominal trains on one vehicle, and --randomise draws many: leave one out")
         ranges = ROBUST if drawn and self.randomise is None else self.randomise

@@ -19,8 +19,8 @@ from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_S
 from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
-# Success at which the adaptive curriculum goes on, and below which it goes back: on one vehicle, and on drawn
-# ones, of which nobody lands all.
+# Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
+# vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
 PARTS = {
@@ -458,7 +458,7 @@ def make_curriculum(
     """Return a curriculum by name, one of those that the task names.
 
     gamma: the discount, or "paper" for one that rises as the paper's. without: parts to leave out, as
-    "tilt,goal". drawn: is it for drawn vehicles.
+    "tilt,goal". drawn: is it for drawn vehicles in the plane.
     """
     kind = task_class(task)
     if name not in kind.curricula:

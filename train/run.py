@@ -129,7 +129,7 @@ class Run:
             config.task,
             config.gamma,
             config.without or "",
-            drawn=config.randomise is not None,
+            drawn=config.randomise is not None and config.dimensions != 3,
         )
         build = ppo.build_model if config.algorithm == "ppo" else off_policy.build_model
         self.model = build(config, self.env)

@@ -57,6 +57,11 @@ class Radio:
 
     def connect(self, uri: str) -> None:
         """Open the link and start the logs. Raises UserError where that fails."""
+        self.open(uri)
+        self._start_logs()
+
+    def open(self, uri: str) -> None:
+        """Open the link. Raises UserError where that fails."""
         end = self.clock.now() + CONNECTING
         self.crazyflie.open_link(uri)
         while not self._connected:
@@ -66,6 +71,8 @@ class Radio:
                 reason = reason.removeprefix("Couldn't load link driver: ")
                 raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{remedy(uri)}")
             self.clock.wait_until(self.clock.now() + 0.02)
+
+    def _start_logs(self) -> None:
         specific_force = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
         self._log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
         try:

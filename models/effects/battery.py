@@ -1,18 +1,29 @@
 """Effects of the battery on the thrust: with the load alone, or through a measured voltage."""
 
+import math
+
 from inclined_landing.models.effects.effect import Effect, Parameter
 from inclined_landing.models.parameters import load_vehicle
 
 _SHIPPED = load_vehicle()
 _LEAST_REFERENCE = 1e-3  # PWM
+_FARTHEST_ZERO = 1e8  # PWM or V
 
 
 def _line(slope, zero, more, at):
-    """Slope and zero of slope (x - zero) + more (x - at); `zero` itself while there is no slope."""
-    total = slope + more
-    if more == 0.0 or total == 0.0:
-        return total, zero
-    return total, at if slope == 0.0 else (slope * zero + more * at) / total
+    """Slope and zero of slope (x - zero) + more (x - at); `zero` itself while there is no slope.
+
+    Where the slopes cancel, a constant is left: a line through it with its zero `_FARTHEST_ZERO` away.
+    """
+    if more == 0.0:
+        return slope, zero
+    if slope == 0.0:
+        return more, at
+    total, constant = slope + more, slope * zero + more * at
+    least = abs(constant) / _FARTHEST_ZERO
+    if abs(total) < least:
+        total = math.copysign(least, total)
+    return total, zero if total == 0.0 else constant / total
 
 
 def with_sag(vehicle, sag, reference=None):

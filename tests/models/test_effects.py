@@ -161,6 +161,13 @@ def test_effects_come_on_top_of_what_the_vehicle_has():
         wanted = sum(e["sag"] * (load / e["reference"] - 1) for e in (one, two))
         sag = both.effects_battery_sag * (load / both.effects_battery_reference - 1)
         assert sag == pytest.approx(wanted)
+    # Where their slopes cancel, a constant is left: to within load over farthest reference, below 1e-3.
+    for slope in (0.1 / 50_000.0, 0.1 / 50_000.0 * (1.0 + 1e-9)):
+        two = {"sag": -slope * 30_000.0, "reference": 30_000.0}
+        both = LIBRARY["battery_sag"].apply(changed("battery_sag", sag=0.1, reference=50_000.0), two)
+        for load in (10_000.0, 60_000.0):
+            sag = both.effects_battery_sag * (load / both.effects_battery_reference - 1)
+            assert sag == pytest.approx(-0.1 + slope * 30_000.0, rel=1e-3)
     first, second = {"sensitivity": 0.2, "reference": 3.7}, {"sensitivity": 0.1, "reference": 4.0}
     both = LIBRARY["battery_voltage"].apply(changed("battery_voltage", **first), second)
     rise = both.effects_voltage_sensitivity * (3.5 - both.effects_voltage_reference)

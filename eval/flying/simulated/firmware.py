@@ -216,11 +216,16 @@ class Firmware:
         return self.state in _CAN_FLY
 
     @property
+    def is_flying(self) -> bool:
+        """Whether the supervisor takes the vehicle to be in the air."""
+        return self.state in (State.FLYING, State.LEVEL_OUT)
+
+    @property
     def info(self) -> int:
         """Status bits of the supervisor, as `supervisor.info` and cflib's `Supervisor` have them."""
         bits = (
             *(self.state is State.CHECKS_PASSED, self.armed, True, self.can_fly),
-            *(self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled),
+            *(self.is_flying, self.tumbled),
             *(self.state is State.LOCKED, self.crashed),
         )
         return sum(bit << k for k, bit in enumerate(bits))
