@@ -167,7 +167,8 @@ class InclinedTouchdown(InclinedLanding):
         contact: dict[str, Any] = {}
         if c.friction is not None:
             holds = np.tan(steepest_slopes(start))
-            contact["friction"] = rng.uniform(*(np.maximum(f, h * holds) for f, h in zip(c.friction, HELD)))
+            low, high = (np.maximum(f, h * holds) for f, h in zip(c.friction, HELD))
+            contact["friction"] = low + (high - low) * rng.random(k) ** 2  # more often slippery
         if c.restitution is not None:
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
