@@ -77,7 +77,7 @@ class Plan:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
             if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
                 raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
-        first, last = _slope_normal(self.landing.task), _slope_normal(self.task)
+        first, last = slope_normal(self.landing.task), slope_normal(self.task)
         if not np.allclose(first, last, atol=1e-6):
             slopes = (math.degrees(math.acos(facing[2])) for facing in (first, last))
             text = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
@@ -201,7 +201,7 @@ class Mission(Track):
         return next((leg for leg in self.legs if leg.name == name), None)
 
 
-def _slope_normal(task) -> np.ndarray:
+def slope_normal(task) -> np.ndarray:
     """Return the unit normal (3,) of a task's slope: equal for -20 deg and 20 deg turned by half a turn."""
     flat = math.sin(task.inclination)
     return np.array(

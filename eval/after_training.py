@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions
@@ -108,8 +108,10 @@ def _same_network(one: Policy, other: Policy) -> bool:
 
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """Write touchdown.json of `final.zip` against the policy that training went on from."""
-    final, origin = load(folder / "final.zip"), load(metrics["config"]["start_from"])
-    if origin.task.name == final.task.name:  # the comparison is with a motor cut, whatever came in between
+    final, began = load(folder / "final.zip"), metrics["config"]["start_from"]
+    landed = began in SHIPPED or Path(began).is_file()  # and not a law
+    origin = load(began) if landed else None
+    if origin is None or origin.task.name == final.task.name:  # the comparison is with a motor cut
         assert final.task.training.start_from is not None  # of every touchdown
         origin = load(final.task.training.start_from)
     table = touchdown.evaluate(final, origin)

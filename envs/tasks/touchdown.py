@@ -67,8 +67,8 @@ HOLD_STEPS = 15  # 0.3 s
 GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
 IMPACT = 0.5  # reward lost for each weight beyond it
 CONTACT_TIME = 0.02  # s, wherever a restitution is set
-FRICTION, RESTITUTION = (0.55, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
-HELD = (1.1, 1.5)  # least of both ends of that spread, in the friction that holds the slope at all
+FRICTION, RESTITUTION = (0.5, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
+HELD = (1.04, 1.5)  # least of both ends of that spread, in the friction that holds the slope at all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,7 +167,8 @@ class InclinedTouchdown(InclinedLanding):
         contact: dict[str, Any] = {}
         if c.friction is not None:
             holds = np.tan(steepest_slopes(start))
-            contact["friction"] = rng.uniform(*(np.maximum(f, h * holds) for f, h in zip(c.friction, HELD)))
+            low, high = (np.maximum(f, h * holds) for f, h in zip(c.friction, HELD))
+            contact["friction"] = low + (high - low) * rng.random(k) ** 2  # more often slippery
         if c.restitution is not None:
             contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)

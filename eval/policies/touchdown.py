@@ -11,6 +11,9 @@ Both are judged by the touchdown task: 0.3 s at rest on the feet; the floor ends
 PWM 0 has no attitude torque. Speeds are those of the centre of mass before any part first meets the slab;
 the peak normal force is that on the feet at any engine step. Where friction cannot hold the slope,
 mu <= tan(inclination), nobody can come to rest: such conditions are named, not counted.
+
+With ``--effect`` both also fly vehicles with one effect of the library at a plausible size, of which the
+policies know nothing, on the contact of the vehicle file.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from rich.progress import track
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.history import History
+from inclined_landing.envs.mission import slope_normal
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
@@ -36,22 +40,33 @@ from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown, resting
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
+from inclined_landing.eval.policies.success import sizes
 from inclined_landing.models import contact
-from inclined_landing.models.attitude import PWM
-from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.attitude import LAG, PWM
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.parameters import Vehicle, load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder
 
-FRICTIONS = (0.55, 0.6, 0.8, 1.2)
+FRICTIONS = (0.5, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)
 SETTLING = 100  # control steps that the motor cut has after the goal box
 MODES = ("motor_cut", "touchdown")
 _FIELDS = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
 
 
-def land(policy: Policy, states: np.ndarray, friction: float, restitution: float) -> pd.DataFrame:
+def land(
+    policy: Policy,
+    states: np.ndarray,
+    friction: float | None = None,
+    restitution: float | None = None,
+    vehicle: Vehicle | None = None,
+) -> pd.DataFrame:
     """Fly from `states` (n, 13); a landing policy gets its motors cut in the goal box.
+
+    friction and restitution: None, both, for those of the vehicle. vehicle: the one that flies, where it is
+    not the policy's; it begins with the same load.
 
     One row per flight: `at_rest`; at the first touch `normal_speed` into the surface and `tangential_speed`
     along it [m/s]; `peak_normal_force` on the feet [N]; `time` [s] until 0.3 s were held. NaN where none was.
@@ -59,11 +74,16 @@ def land(policy: Policy, states: np.ndarray, friction: float, restitution: float
     task, n = policy.task, len(states)
     evaluated, cutting = task, task.cut_at_success
     if cutting:
-        evaluated = InclinedTouchdown(task.vehicle, inclination=task.inclination)
-    plant = MujocoPlant(n, task.vehicle, timestep=STEP)
+        evaluated = InclinedTouchdown(task.vehicle)
+    vehicle = task.vehicle if vehicle is None else vehicle
+    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
+    states = states.copy()
+    states[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate
+    plant = MujocoPlant(n, vehicle, timestep=STEP)
     evaluated.prepare(plant)
-    plant.set_platform(np.arange(n), task.inclination)
-    plant.set_contact(np.arange(n), friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
+    plant.set_platform(np.arange(n), task.inclination + tilt, azimuth=task.azimuth)
+    if friction is not None:
+        plant.set_contact(np.arange(n), friction=friction, restitution=restitution, contact_time=CONTACT_TIME)
     recorder = Recorder(plant, states)
     cut, ended = np.zeros(n, bool), np.zeros(n, bool)
     past = History(task, n)
@@ -102,31 +122,40 @@ def evaluate(
     *,
     frictions: Sequence[float] = FRICTIONS,
     restitutions: Sequence[float] = RESTITUTIONS,
+    effects: Sequence[str] = (),
 ) -> dict:
-    """Return the comparison as plain numbers."""
+    """Return the comparison as plain numbers; effects: of the library, one entry of `effects` for each."""
     if not isinstance(policy.task, InclinedTouchdown):
         raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")
     if not baseline.task.cut_at_success:
         raise UserError(f"the baseline {baseline.path} is for the task {baseline.task.name}, not for landing")
-    if not math.isclose(policy.task.inclination, baseline.task.inclination):
-        raise UserError("the touchdown policy and the baseline are for platforms of different inclination")
+    if not np.allclose(slope_normal(policy.task), slope_normal(baseline.task), atol=1e-6):
+        raise UserError("the touchdown policy and the baseline are for different slopes")
     task = policy.task
     starts = landing_starts.clear(task, landing_starts.grid())
     states = landing_starts.at_rest(task, starts)
     slip = math.tan(abs(task.inclination))
     held = sorted({mu for mu in frictions if mu > slip})
     pairs = list(itertools.product(held, sorted(set(restitutions))))
+    changed = {name: LIBRARY[name].apply(task.vehicle, LIBRARY[name].plausible) for name in effects}
     flown = []
-    work = list(itertools.product(zip(MODES, (baseline, policy)), pairs))
-    for (mode, pilot), (mu, e) in track(work, "landing", console=Console(stderr=True), transient=True):
-        flown.append(land(pilot, states, mu, e).assign(mode=mode, friction=mu, restitution=e))
-    flights = pd.concat(flown) if flown else pd.DataFrame()
+    cases = [dict(zip(("friction", "restitution"), pair)) for pair in pairs] + [
+        {"effect": n} for n in changed
+    ]
+    work = list(itertools.product(zip(MODES, (baseline, policy)), cases))
+    for (mode, pilot), case in track(work, "landing", console=Console(stderr=True), transient=True):
+        found = land(
+            pilot, states, case.get("friction"), case.get("restitution"), changed.get(case.get("effect"))
+        )
+        flown.append(found.assign(mode=mode, **case))
+    whole = pd.concat(flown) if flown else pd.DataFrame()
+    flights = whole[whole["friction"].notna()] if pairs else pd.DataFrame()
 
     def both(part: pd.DataFrame) -> dict:
         return {mode: _summary(part[part["mode"] == mode]) for mode in MODES}
 
     def by(*names: str) -> list[dict]:
-        parts = flights.groupby(list(names)) if flown else ()
+        parts = flights.groupby(list(names)) if pairs else ()
         return [dict(zip(names, map(float, values))) | both(part) for values, part in parts]
 
     return {
@@ -138,10 +167,15 @@ def evaluate(
         "starts": len(states),
         "weight": task.vehicle.body_mass * task.vehicle.environment_gravity,
         "cannot_hold": sorted({float(mu) for mu in frictions if mu <= slip}),
-        "all": both(flights) if flown else None,
+        "all": both(flights) if pairs else None,
         "friction": by("friction"),
         "restitution": by("restitution"),
         "conditions": by("friction", "restitution"),
+        "effects": [
+            {"effect": name, "parameters": sizes(LIBRARY[name], LIBRARY[name].plausible)}
+            | both(whole[whole["effect"] == name])
+            for name in changed
+        ],
         "versions": runs.versions(),
     }
 
@@ -165,6 +199,7 @@ def command(
     vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,
     restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = RESTITUTIONS,
+    effect: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = (),
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
@@ -176,6 +211,7 @@ def command(
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         friction: between feet and slope.
         restitution: of the feet on the slope, 0 to 0.6.
+        effect: of the library, at a plausible size, which the policies know nothing of (default: none).
         json: print JSON, and nothing else, on standard output.
         out: new folder for touchdown.json.
     """
@@ -183,6 +219,9 @@ def command(
         raise UserError("give at least one --friction and one --restitution")
     contact.check_friction(friction)
     contact.check_restitution(restitution)
+    for name in effect:
+        if name not in LIBRARY:
+            raise UserError(f"unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
     if out is not None:
         runs.check_new_run(out)
     flown = load_vehicle(vehicle) if vehicle is not None else None
@@ -191,6 +230,7 @@ def command(
         load_policy(baseline, "landing", vehicle=flown),
         frictions=friction,
         restitutions=restitution,
+        effects=tuple(dict.fromkeys(effect)),
     )
     report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
     runs.hand_over(report, show, json, out)
@@ -207,6 +247,7 @@ def show(report: dict) -> None:
     rows += [(f"restitution {row['restitution']:g}", row) for row in report["restitution"]]
     if report["all"]:
         rows.append(("all", report["all"]))
+    rows += [(row["effect"], row) for row in report["effects"]]
     for label, row in rows:
         for mode, who in zip(MODES, ("cut in the goal box", "touchdown policy")):
             cells = [share_cell(row[mode]["at_rest"])]

@@ -43,11 +43,28 @@ def test_what_ends_a_landing():
     assert landings.peak_normal_force[0] == pytest.approx(weight * np.cos(task.inclination), rel=0.6)
 
 
+def test_effects_are_the_vehicles_that_fly(few_starts):
+    """On its own contact the vehicle rests; on a friction below the slope's tangent nobody does."""
+    policy, cut = load_policy("touchdown"), load_policy("landing-nominal")
+    task = policy.task
+    states = landing_starts.at_rest(task, landing_starts.grid())
+    slippery = task.vehicle.changed(contact_friction=0.3)
+    assert touchdown.land(policy, states).at_rest.all()
+    assert not touchdown.land(policy, states, vehicle=slippery).at_rest.any()
+    report = touchdown.evaluate(policy, cut, frictions=(0.3,), effects=("friction", "com_offset"))
+    friction, centre = report["effects"]
+    assert report["all"] is None and friction["parameters"]["scale"] == {"value": 0.6, "unit": "1"}
+    # 0.6 of 0.8 is 0.48, less than tan 25.7 deg = 0.481; off its middle a vehicle leaves the plane sideways
+    assert friction["touchdown"]["at_rest"]["count"] == 0 and centre["touchdown"]["at_rest"]["count"] < 3
+    touchdown.show(report)
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["landing"], "trained for the task landing, not for touchdown"),
         (["touchdown", "--baseline", "setpoint"], "trained for the task setpoint, not for landing"),
+        (["touchdown", "--effect", "winds"], "unknown effect winds"),
         (["touchdown", "--friction", "-1"], "friction must not be negative"),
         (["touchdown", "--restitution", "0.9"], "restitution must be from 0 to 0.6"),
     ],
