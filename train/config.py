@@ -94,7 +94,7 @@ _TASK = tyro.conf.arg(
 )
 _WORDS = {
     "curricula": "; ".join(f"{name}: {', '.join(task.curricula)}" for name, task in TASKS.items()),
-    "start": f"{descent.NAME}: the law that touchdown on moving platforms begins with",
+    "start": f"{descent.NAME}: the law that touchdown in space begins with",
 }
 
 
@@ -248,7 +248,8 @@ class TrainConfig:
             if name not in kind.option_names():
                 raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
-        if self.start_from is None and self.fastest is not None and training.start_from is not None:
+        in_space = self.dimensions == 3 or self.fastest is not None
+        if self.start_from is None and in_space and training.start_from is not None:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start if start is not None and trained_task(start) == kind.name else None

@@ -1,5 +1,5 @@
-"""A feedback law that touchdown over moving platforms begins with: fly onto the platform, aligned with it,
-and stop the motors.
+"""A feedback law that touchdown in space begins with: fly onto the platform, aligned with it, and stop the
+motors.
 
 It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew: ways of
 least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the platform, sinking

@@ -7,7 +7,8 @@ that motors go to idle in the goal box and close over the slope (the paper's mot
 signal). The states are those that the learner itself comes through (DAgger). What reinforcement learning adds
 is then in the comparison with the landing policy and a motor cut.
 
-Over moving platforms touchdown starts from a feedback law instead (`descent`), taught in the same way.
+In space, over moving platforms too, touchdown starts from a feedback law instead (`descent`), taught in the
+same way.
 """
 
 from __future__ import annotations
