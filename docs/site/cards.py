@@ -134,10 +134,16 @@ def _vehicles(report: dict) -> Iterator[dict]:
         yield _row(f"`{vehicle['vehicle']}`, frozen grid", vehicle["outcomes"][label]["strict"])
 
 
+SIZES = {"weak": "at half a plausible size", "medium": "at a plausible size", "strong": "at twice that size"}
+
+
 def _touchdown(report: dict) -> Iterator[dict]:
     found = report["all"]["touchdown"]
     yield _row("at rest, all frictions and restitutions", found["at_rest"], measure="")
     yield _value("speed into the slope at the first touch, median", found["normal_speed"]["median"], "m/s")
+    for one in report["effects"]:
+        title = f"at rest with `{one['effect']}` {SIZES['medium']}"
+        yield _row(title, one["touchdown"]["at_rest"], measure="")
     for one in report["conditions"]:
         title = f"friction {one['friction']:g}, restitution {one['restitution']:g}"
         yield _row(title, one["touchdown"]["at_rest"], "frictions and restitutions", "at rest")
@@ -149,9 +155,6 @@ def _moving(report: dict) -> Iterator[dict]:
     for scenario in report["scenarios"]:
         (outcome,) = scenario["outcomes"]
         yield _row(f"`{scenario['name']}`", outcome["at_rest"], "scenarios", "at rest")
-
-
-SIZES = {"weak": "at half a plausible size", "medium": "at a plausible size", "strong": "at twice that size"}
 
 
 def _robustness(report: dict) -> Iterator[dict]:
