@@ -61,7 +61,7 @@ def test_curriculum():
     assert (
         first.impact == 0.0 and first.out_of_bounds_penalty > 0.0 and first.close > 0.0 and first.beside > 0.0
     )
-    assert first.friction == (0.55, 1.2)
+    assert first.friction == (0.5, 1.2)
     curriculum.advance(TouchdownCurriculum.RAMP)
     last = curriculum.conditions()
     assert curriculum.level == 1.0 and last.impact == IMPACT and last.close == 0.0
@@ -91,3 +91,12 @@ def test_wrong_input(tmp_path, options, sentence):
     with pytest.raises(UserError, match=sentence):
         train(TrainConfig(out=tmp_path / "run", steps=512, **(TINY | options)))
     assert not list(tmp_path.rglob("*.zip"))
+
+
+def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
+    def begins(**options):
+        return TrainConfig("touchdown", **options).resolved().start_from
+
+    assert begins() == begins(steepest=20.0) == "landing-nominal"
+    assert begins(dimensions=3) == begins(dimensions=3, fastest=1.0) == "descent"
+    assert begins(dimensions=3, start_from="touchdown-3d") == "touchdown-3d"

@@ -462,6 +462,11 @@ def test_what_the_landing_trains_on_unless_told(tmp_path):
     assert said(nominal=True) == [None, 0, "hover", 16_500.0] == said(task="setpoint")
     assert said(history=0, pwm_centre="own") == [robust, 0, "own", 16_500.0]
     assert said(randomise=Path("vehicles")) == [Path("vehicles"), 3, 35_000.0, 25_000.0]
+    assert said(dimensions=3) == said()
+    assert said(dimensions=3, fastest=1.0) == said(dimensions=3, nominal=True) == said(nominal=True)
+    in_space = TrainConfig(out=tmp_path / "a", dimensions=3).resolved()
+    assert (in_space.rollout, in_space.learning_rate) == (128, 1e-3)
+    assert TrainConfig(out=tmp_path / "a", dimensions=3, rollout=32).resolved().rollout == 32
     with pytest.raises(UserError, match="--nominal trains on one vehicle, and --randomise draws many"):
         said(nominal=True, randomise=robust)
 
