@@ -82,7 +82,7 @@ class Look:
     """What a picture looks like.
 
     Args:
-        camera: where to look from; of videos also flight, as near as the whole flight is still seen.
+        camera: where to look from; of videos and whole flights also flight, as near as all of it is seen.
         width: of the picture, pixels.
         height: of the picture, pixels.
         backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.

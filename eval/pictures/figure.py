@@ -10,8 +10,11 @@ from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures import picture
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
 from inclined_landing.eval.pictures.flights import Until, fly_from, print_outcome, start_points
+from inclined_landing.eval.pictures.frames import FITTED
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
+
+_LOOK = Look(camera=FITTED)
 
 
 def command(
@@ -21,7 +24,7 @@ def command(
     out: Folder,
     start: Starts = (),
     whole: Flag = False,
-    look: Flat[Look] = Look(),
+    look: Flat[Look] = _LOOK,
     until: Until = "rest",
     flown: Flat[Flown] = Flown(),
 ) -> None:
@@ -39,10 +42,10 @@ def command(
     if whole:
         if len(start) > 1:
             raise UserError("--whole is a picture of one flight: give --start once")
-        picture.check(out, look, until)
+        look = picture.check(out, look, until)
         picture.draw(flown.load(policy), out, start[0] if start else None, look, until, flown.plant)
         return
-    if look != Look() or until != "rest":
+    if look != _LOOK or until != "rest":
         raise UserError("camera, size, backend and --until are of a picture: add --whole, or leave them out")
     storage.check_folder(out)
     loaded = flown.load(policy)

@@ -17,12 +17,14 @@ from inclined_landing.envs.mission import Mission
 from inclined_landing.envs.rendering import (
     Ghost,
     View,
+    check_picture_options,
     look_at,
     make_renderer,
     pose_from_state,
     qpos_of_state,
 )
 from inclined_landing.envs.rendering.camera import nearest_position
+from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.pictures.labels import (
     MOTORS_CUT,
     Label,
@@ -63,6 +65,15 @@ def flight_view(flights: Sequence[Track], width: int, height: int) -> View:
     half = 0.5 * direction.extent
     spot = nearest_position(np.concatenate(list(room)), direction.axes, half * width / height, _FILLED * half)
     return dataclasses.replace(direction, origin=spot - (1.0 - _FILLED) * 0.5 * half * direction.axes[1])
+
+
+def checked_look(look: Look) -> Look:
+    """Return the look as it can be drawn; raises UserError for one that cannot."""
+    if look.camera != FITTED:
+        check_picture_options(**dataclasses.asdict(look))
+        return look
+    check_picture_options(**dataclasses.asdict(dataclasses.replace(look, camera="hero")))
+    return dataclasses.replace(look, camera="hero") if look.backend == "gl" else look  # drawn with rays
 
 
 def pose_at(flight: Track, k: int):
@@ -144,7 +155,7 @@ def _opened(renderer, flight: Track, *look):
 def strobe(
     flight: Track,
     *,
-    camera: str = "hero",
+    camera: str | View = "hero",
     width: int = 1280,
     height: int = 720,
     copies: int = 10,
@@ -157,6 +168,8 @@ def strobe(
     At most `copies` before the last, coloured from early (violet) to late (orange), a mission's by leg.
     renderer: as in `render_flight`.
     """
+    if camera == FITTED:
+        camera = flight_view([flight], width, height)
     chosen = select_copies(flight.state, copies + 1, _SPACING)[:-1]
     colours = _EARLY + path_share(flight.state)[:, None] * (_LATE - _EARLY)
     if isinstance(flight, Mission):

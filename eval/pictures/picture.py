@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.flights import (
@@ -16,18 +15,21 @@ from inclined_landing.eval.pictures.flights import (
     print_outcome,
     start_points,
 )
-from inclined_landing.eval.pictures.frames import strobe, write_picture
+from inclined_landing.eval.pictures.frames import checked_look, strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
-def check(out: Path, look: Look, until: str) -> None:
-    """Raise UserError for a file that is no .png or cannot be written, or for an unknown look or end."""
+def check(out: Path, look: Look, until: str) -> Look:
+    """Return the look as it can be drawn.
+
+    Raises UserError for a file that is no .png or cannot be written, or for an unknown look or end.
+    """
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
     check_ending(until)
     storage.check_file(out)
-    check_picture_options(**dataclasses.asdict(look))
+    return checked_look(look)
 
 
 def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, plant: str) -> None:

@@ -16,7 +16,6 @@ from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.mission import Mission
-from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Range, Seed, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flights import (
@@ -29,7 +28,14 @@ from inclined_landing.eval.pictures.flights import (
     print_outcome,
     start_points,
 )
-from inclined_landing.eval.pictures.frames import FITTED, FPS, flight_view, render_flight, write_videos
+from inclined_landing.eval.pictures.frames import (
+    FITTED,
+    FPS,
+    checked_look,
+    flight_view,
+    render_flight,
+    write_videos,
+)
 from inclined_landing.eval.pictures.touchdown import STEP, Touchdown, record_touchdown
 from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
 from inclined_landing.models import storage
@@ -81,10 +87,10 @@ def command(
     check_ending(until)
     check_random_starts(drawn, start)
     storage.check_file(out)
-    if look.camera == FITTED and (forces or look.backend == "gl"):  # a view is drawn with rays
+    if look.camera == FITTED and forces:
         look = dataclasses.replace(look, camera="hero")
-    if look.camera not in ("touch", FITTED):
-        check_picture_options(**dataclasses.asdict(look))
+    if look.camera != "touch":
+        look = checked_look(look)
     if beside and (forces or flown.vehicle is not None):
         raise UserError(
             "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
