@@ -40,7 +40,7 @@ demo: $(INSTALLED)
 	rm -rf runs/demo
 	$(BIN)/landing-train landing --out runs/demo --seed 0
 	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif \
-	  --camera hero --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
+	  --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
 
 test: .venv/.compiled
 	$(BIN)/ruff check

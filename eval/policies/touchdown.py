@@ -139,13 +139,12 @@ def evaluate(
     pairs = list(itertools.product(held, sorted(set(restitutions))))
     changed = {name: LIBRARY[name].apply(task.vehicle, LIBRARY[name].plausible) for name in effects}
     flown = []
-    cases = [dict(zip(("friction", "restitution"), pair)) for pair in pairs] + [
-        {"effect": n} for n in changed
-    ]
+    cases: list[dict[str, Any]] = [dict(zip(("friction", "restitution"), pair)) for pair in pairs]
+    cases += [{"effect": name} for name in changed]
     work = list(itertools.product(zip(MODES, (baseline, policy)), cases))
     for (mode, pilot), case in track(work, "landing", console=Console(stderr=True), transient=True):
         found = land(
-            pilot, states, case.get("friction"), case.get("restitution"), changed.get(case.get("effect"))
+            pilot, states, case.get("friction"), case.get("restitution"), changed.get(case.get("effect", ""))
         )
         flown.append(found.assign(mode=mode, **case))
     whole = pd.concat(flown) if flown else pd.DataFrame()
