@@ -17,6 +17,7 @@ HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
 NO_VEHICLE = {
     "demo",
     "export",
+    "upload",
     "curves",
     "logs",
     "effects",
