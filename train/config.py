@@ -85,6 +85,8 @@ ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle 
 DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
 # In space, where drawn vehicles differ in more: with the rates of the plane one of three seeds learned it.
 DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
+# After the descent law: little noise, or what it taught is lost; a long discount, or it comes in too fast.
+AFTER_DESCENT = {"learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998}
 EVALUATE_EVERY = (16, 32)  # iterations, on one vehicle and on drawn ones
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
@@ -242,14 +244,17 @@ class TrainConfig:
         defaults = {name: getattr(training, name) for name in given} | own
         if drawn and self.dimensions == 3 and self.algorithm == "ppo":
             defaults |= DRAWN_IN_SPACE
+        in_space = self.dimensions == 3 or self.fastest is not None
+        by_descent = in_space and self.start_from is None and training.start_from is not None
+        if by_descent or self.start_from == descent.NAME:
+            defaults |= AFTER_DESCENT
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
         for name in self.task_options():
             if name not in kind.option_names():
                 raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
-        in_space = self.dimensions == 3 or self.fastest is not None
-        if self.start_from is None and in_space and training.start_from is not None:
+        if by_descent:
             filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start if start is not None and trained_task(start) == kind.name else None

@@ -100,3 +100,5 @@ def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
     assert begins() == begins(steepest=20.0) == "landing-nominal"
     assert begins(dimensions=3) == begins(dimensions=3, fastest=1.0) == "descent"
     assert begins(dimensions=3, start_from="touchdown-3d") == "touchdown-3d"
+    settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"dimensions": 3})]
+    assert settings == [-1.2, -2.2]
