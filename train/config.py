@@ -239,8 +239,8 @@ class TrainConfig:
         own = self._of_the_algorithm(kind)
         own["reward_scale"] = REWARD_SCALE[self.algorithm]
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
-        # On moving platforms one vehicle, as touchdown does.
-        drawn = kind.drawn_vehicles and self.fastest is None and not self.nominal
+        is_drawn = (self.dimensions or 2) in kind.drawn_vehicles
+        drawn = is_drawn and self.fastest is None and not self.nominal  # over moving platforms one vehicle
         defaults = {name: getattr(training, name) for name in given} | own
         if drawn and self.dimensions == 3 and self.algorithm == "ppo":
             defaults |= DRAWN_IN_SPACE

@@ -202,8 +202,8 @@ class Task(abc.ABC):
     judged_after: float | None = None  # s that an evaluated flight lasts at most; None: max_steps
     shipped = False  # is a policy of this name shipped
     table = "flights"  # the command or the table that judges its policies, see eval.policies
-    # Does `landing-train` draw a vehicle for every episode in the plane, and give the policy a history.
-    drawn_vehicles = False
+    # In how many dimensions `landing-train` draws a vehicle for every episode, with a history to tell it by.
+    drawn_vehicles: tuple[int, ...] = ()
     training = Training()
     curricula: tuple[str, ...] = ("none",)  # those of train.curriculum that know the task
     training_conditions: Any = None  # conditions of training without a curriculum; None: the task as it is

@@ -103,7 +103,7 @@ class InclinedTouchdown(InclinedLanding):
     idle_action = IDLE_ACTION
     cut_at_success = False
     table = "touchdown"
-    drawn_vehicles = False
+    drawn_vehicles = (3,)  # in the plane nothing answers what pushes sideways
     training = Training(
         steps=1_500_000,
         curriculum="touchdown",

@@ -1,5 +1,7 @@
 """Touchdown training: what it goes on from, what it is taught, its curriculum."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,17 @@ def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
     assert begins(dimensions=3, start_from="touchdown-3d") == "touchdown-3d"
     settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"dimensions": 3})]
     assert settings == [-1.2, -2.2]
+
+
+def test_in_space_it_draws_vehicles_unless_platforms_move():
+    def drawn(**options):
+        resolved = TrainConfig("touchdown", **options).resolved()
+        return [getattr(resolved, name) for name in ("randomise", "history", "pwm_span")]
+
+    assert drawn(dimensions=3) == [Path("robust"), 3, 25_000.0]
+    assert (
+        drawn()
+        == drawn(dimensions=3, nominal=True)
+        == drawn(dimensions=3, fastest=1.0)
+        == [None, 0, 16_500.0]
+    )

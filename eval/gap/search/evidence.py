@@ -243,7 +243,7 @@ class Problem(Candidates):
         return list(self._pool.map(of, self.flights))
 
     def predicted(self, flight: MeasuredFlight, values: Values) -> np.ndarray:
-        """Return the predicted prediction (m, C) of a flight with effects and model errors at `values`."""
+        """Return the prediction (m, C) of a flight with effects and model errors at `values`."""
         return self._with_model_errors(flight, predict(flight, self.corrected(values)), values)
 
     def compute_form_jacobians(self, vehicle: Vehicle) -> None:

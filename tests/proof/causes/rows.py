@@ -219,7 +219,7 @@ def specific_thrust(vehicle: Vehicle, pwm: float) -> float:
     """Return the steady thrust over the mass [m/s2] at a command, bias and sag included."""
     # (c PWM + bias) (1 - sag (PWM/reference - 1)) / m
     sag = 1.0 - vehicle.effects_battery_sag * (pwm / vehicle.effects_battery_reference - 1.0)
-    mass = vehicle.body_mass + getattr(vehicle, "effects_load_mass", 0.0)
+    mass = vehicle.body_mass + vehicle.effects_load_mass
     return (vehicle.thrust_per_pwm * pwm + vehicle.effects_thrust_bias) * sag / mass
 
 
