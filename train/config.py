@@ -173,7 +173,7 @@ class TrainConfig:
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
-    (default: landing robust)."""
+    (default: landing, and touchdown in space, robust)."""
     nominal: bool = False
     """The paper's landing: one vehicle, no history, actions around its hover."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None

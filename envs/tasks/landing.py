@@ -152,7 +152,7 @@ class InclinedLanding(Task):
     cut_at_success = True
     shipped = True
     table = "goal_box"
-    drawn_vehicles = (2, 3)
+    drawn_vehicles: tuple[int, ...] = (2, 3)
     training = Training(
         steps=None,
         success=0.99,
