@@ -1,12 +1,12 @@
 """A feedback law that touchdown in space begins with: fly onto the platform, aligned with it, and stop the
 motors.
 
-It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew: ways of
-least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the platform, sinking
-into it, with the acceleration of a vehicle whose thrust is along the platform's normal and turns no more. It
-begins the cheapest of them, at a price for time, that keeps clear of the platform and within what a vehicle
-commands. Where there is none it flies to a place from which there is one, beside the platform's normal and
-downhill of it. Reinforcement learning goes on from there.
+It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew:
+trajectories of least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the
+platform, sinking into it, with the acceleration of a vehicle whose thrust is along the platform's normal
+and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of the platform and
+within what a vehicle commands. Where there is none it flies to a place from which there is one, beside the
+platform's normal and downhill of it. Reinforcement learning goes on from there.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
 and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
@@ -23,22 +23,19 @@ from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
 from inclined_landing.models.equations import settled_hover
 
 NAME = "descent"  # as in --from
-TIMES = np.linspace(0.3, 2.5, 45)  # s that a way may take
+TIMES = np.linspace(0.3, 2.5, 45)  # s that a trajectory may take
 PRICE = 1e6  # of a second, in the integral of the squared snap [m2/s7]
-CHECKED = np.linspace(0.1, 1.0, 8)  # of a way's time, where it is checked
-LIFT = (0.3, 1.7)  # of a way, thrust in weights
-# A way ends a little inside the platform, so that it does not hover above.
+CHECKED = np.linspace(0.1, 1.0, 8)  # of a trajectory's time, where it is checked
+LIFT = (0.3, 1.7)  # of a trajectory, thrust in weights
+# A trajectory ends a little inside the platform, so that it does not hover above.
 DEPTH, SINK = 0.02, 0.25  # m under the height at rest, and m/s into the platform
-SLACK = 0.01  # m further down that a way is not refused for
-CONE, APEX = (
-    0.5,
-    0.1,
-)  # height that a way keeps over the platform, per m farther than `APEX` m from its centre
+SLACK = 0.01  # m further down that a trajectory is not refused for
+CONE, APEX = 0.5, 0.1  # height of a trajectory over the platform, per m beyond `APEX` m from its centre
 EDGE = 0.1  # m around the slab where it keeps it
-ABOVE, DOWNHILL = 0.45, 0.08  # m along the normal; s2, times gravity along the slope: where there is a way
+ABOVE, DOWNHILL = 0.45, 0.08  # m along the normal; s2, times gravity along the slope: where one is found
 CLEAR = 0.35  # m over the platform's plane, that are kept on the flight there
 STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # of that flight: 1/s2, 1/s, and m that are pulled at most
-AHEAD = 0.06  # s ahead of now, where a way is read
+AHEAD = 0.06  # s ahead of now, where a trajectory is read
 LARGEST = 8.0  # m/s2 of lead for the attitude loop, along each axis
 SPOOL = 0.065  # s that thrust leads by, for the motors
 CUT_HEIGHT, CUT_BESIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
@@ -72,7 +69,7 @@ class Descent:
         jerk = thrust * surface.thrust_turning(context.state, context.platform)
         along = down - (normal @ down)[:, None] * normal
         end = np.array([(self._rest - DEPTH) * normal, -SINK * normal, along, np.zeros_like(along)])
-        (push, jerk, snap), clear = self._ways(np.array([place, velocity, now, jerk]), end, normal)
+        (push, jerk, snap), clear = self._trajectories(np.array([place, velocity, now, jerk]), end, normal)
 
         first = (self._rest + ABOVE) * normal + DOWNHILL * along
         behind = first - place
@@ -99,19 +96,21 @@ class Descent:
         actions[stop, 0] = idle
         return actions
 
-    def _ways(self, now: np.ndarray, end: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the beginnings (3, n, 3) of the best ways: acceleration and its first two derivatives
-        `AHEAD` s ahead; and whether there is one that is clear (n,).
+    def _trajectories(
+        self, now: np.ndarray, end: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the beginnings (3, n, 3) of the best trajectories, acceleration and its first two
+        derivatives `AHEAD` s ahead; and whether there is one that is clear (n,).
 
         now, end (4, n, 3): place, velocity, acceleration and jerk; normal (n, 3): of the platforms.
         """
         t = TIMES[:, None, None]
-        scale = np.array([t**0, t, t**2, t**3])  # derivatives by the share of the way's time that is past
+        scale = np.array([t**0, t, t**2, t**3])  # derivatives by the share of the time that is past
         known = now[:, None] * scale / _FACTORIALS[:4, None, None, None]
         left = end[:, None] * scale - np.einsum("dk,ktnx->dtnx", _ENDS[:, :4], known)
-        way = np.concatenate([known, np.einsum("kd,dtnx->ktnx", _SOLVED, left)])  # (8, times, n, 3)
+        trajectory = np.concatenate([known, np.einsum("kd,dtnx->ktnx", _SOLVED, left)])  # (8, times, n, 3)
 
-        place, lift, snap = (np.einsum("ck,ktnx->ctnx", _basis(CHECKED, d), way) for d in (0, 2, 4))
+        place, lift, snap = (np.einsum("ck,ktnx->ctnx", _basis(CHECKED, d), trajectory) for d in (0, 2, 4))
         price = ((snap / t**4) ** 2).sum(axis=3).mean(axis=0) * TIMES[:, None] + PRICE * TIMES[:, None]
         lift = lift / t**2 + [0.0, 0.0, self._gravity]
         size = np.linalg.norm(lift, axis=3)
@@ -124,9 +123,10 @@ class Descent:
         wrong[-1] = False  # the end is given
         price = np.where(wrong.any(axis=0), np.inf, price)
         best, rows = price.argmin(axis=0), np.arange(now.shape[1])
-        way, taken = way[:, best, rows], TIMES[best]
+        trajectory, taken = trajectory[:, best, rows], TIMES[best]
         soon = np.array([_basis(AHEAD / taken, d) for d in (2, 3, 4)])  # (3, n, 8)
-        begun = np.einsum("dnk,knx->dnx", soon, way) / np.array([taken**2, taken**3, taken**4])[..., None]
+        scale = np.array([taken**2, taken**3, taken**4])[..., None]
+        begun = np.einsum("dnk,knx->dnx", soon, trajectory) / scale
         return begun, np.isfinite(price[best, rows])
 
 

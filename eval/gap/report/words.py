@@ -374,7 +374,7 @@ def plan_command(d: Diagnosis, report: Path) -> str:
 
     report: the folder that holds the diagnosis.
     """
-    apart: dict[tuple[str, ...], float] = {}  # touchdowns are told by landings, which are not planned
+    apart: dict[tuple[str, ...], float] = {}  # touchdown effects need landings, which are not planned
     for one in d.sets:
         free = tuple(n for n in one.effects if not LIBRARY[n].contact)
         apart[free] = apart.get(free, 0.0) + one.probability
