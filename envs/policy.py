@@ -275,6 +275,11 @@ def history_length(path: str | Path) -> int:
     return _metadata_of(path).get("task_options", {}).get("history", 0)
 
 
+def dimensions_of(path: str | Path) -> int:
+    """Return in how many dimensions the landing of a policy file, or of a shipped policy, flies."""
+    return _metadata_of(path).get("task_options", {}).get("dimensions", 2)
+
+
 def _metadata_of(path: str | Path) -> dict:
     path = locate(path)
     return _checked(weights.read_metadata(path), path)

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from inclined_landing.envs.policy import action_map, history_length, observes_vehicle, trained_task
+from inclined_landing.envs.policy import (
+    action_map,
+    dimensions_of,
+    history_length,
+    observes_vehicle,
+    trained_task,
+)
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.shared.options import Range, Seed, check_ranges
 from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
@@ -85,8 +91,11 @@ ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle 
 DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
 # In space, where drawn vehicles differ in more: with the rates of the plane one of three seeds learned it.
 DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
-# After the descent law: little noise, or what it taught is lost; a long discount, or it comes in too fast.
-AFTER_DESCENT = {"learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998}
+# Of touchdown in space, which begins with the descent law: little noise, or what it taught is lost; a long discount, or it comes in too fast.
+AFTER_DESCENT = {
+    **{"start_from": descent.NAME, "learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998},
+    **{"steps": 1_000_000, "environments": 128, "batch_size": 1024},
+}
 EVALUATE_EVERY = (16, 32)  # iterations, on one vehicle and on drawn ones
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
 
@@ -135,8 +144,7 @@ _OF_EVERY_TASK = {field.name: _OF_TASKS.pop(field.name) for field in dataclasses
 # Options that records make, each group after a field of the configuration.
 _GROUPS = {
     "seed": {name: _GIVEN.pop(name) for name in (*ENDING, "start_from")} | _OF_TASKS | _OF_EVERY_TASK,
-    "without": _GIVEN,
-    "environments": _as_options(OnPolicy, TD3),
+    "without": _GIVEN | _as_options(OnPolicy, TD3),
 }
 
 
@@ -173,9 +181,9 @@ class TrainConfig:
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
-    (default: landing, and touchdown in space, robust)."""
+    (default: landing and touchdown, robust)."""
     nominal: bool = False
-    """The paper's landing: one vehicle, no history, actions around its hover."""
+    """The paper's landing: one vehicle, no history, actions around its hover; touchdown then in the plane."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -197,8 +205,6 @@ class TrainConfig:
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
     """Parts of the landing's curriculum to leave out: start, tilt, motion, goal and platform are the task's
     from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
-    environments: Annotated[int, Range(1, 16_384)] = 64
-    """Vehicles stepped together."""
     reward_scale: Annotated[
         float | None,
         Range(0, 1000, open=True),
@@ -224,6 +230,8 @@ class TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
         self._check_types()
         kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
+        if self._is_in_space_by_default(kind):
+            self = dataclasses.replace(self, dimensions=3)
         training = kind.training
         try:
             training.check()
@@ -241,21 +249,20 @@ class TrainConfig:
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         is_drawn = (self.dimensions or 2) in kind.drawn_vehicles
         drawn = is_drawn and self.fastest is None and not self.nominal  # over moving platforms one vehicle
+        by_descent = self.dimensions == 3 and training.start_from is not None
+        if by_descent:
+            training = dataclasses.replace(training, **AFTER_DESCENT)
+        # What tells a vehicle, or a platform's motion: past steps, and actions for more and less thrust.
+        tells = drawn or (by_descent and not self.nominal)
         defaults = {name: getattr(training, name) for name in given} | own
-        if drawn and self.dimensions == 3 and self.algorithm == "ppo":
+        if drawn and self.dimensions == 3 and self.algorithm == "ppo" and not by_descent:
             defaults |= DRAWN_IN_SPACE
-        in_space = self.dimensions == 3 or self.fastest is not None
-        by_descent = in_space and self.start_from is None and training.start_from is not None
-        if by_descent or self.start_from == descent.NAME:
-            defaults |= AFTER_DESCENT
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
         check_ranges(self)
         for name in self.task_options():
             if name not in kind.option_names():
                 raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
         _check_gamma(self.gamma)
-        if by_descent:
-            filled["start_from"] = descent.NAME
         start = None if filled["start_from"] == descent.NAME else filled["start_from"]
         same = start if start is not None and trained_task(start) == kind.name else None
         least = training.min_steps if same is None else CARRIED_ON
@@ -269,9 +276,9 @@ class TrainConfig:
             filled["evaluate_every"] = EVALUATE_EVERY[randomise is not None]
         filled |= self._ending(training, least + (DRAWN_STEPS if randomise is not None else 0))
         if self.history is None:
-            filled["history"] = history_length(same) if same is not None else DRAWN_HISTORY if drawn else 0
+            filled["history"] = history_length(same) if same is not None else DRAWN_HISTORY if tells else 0
         filled["observe_vehicle"] = self.observe_vehicle or (same is not None and observes_vehicle(same))
-        filled |= self._action_map(start, drawn)
+        filled |= self._action_map(start, tells)
         config = dataclasses.replace(self, out=out, vehicle=vehicle, randomise=randomise, **filled)
         if config.algorithm != "ppo":
             config._check_buffer()
@@ -283,6 +290,12 @@ class TrainConfig:
         if samples % config.batch_size == 1:
             raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
         return config
+
+    def _is_in_space_by_default(self, kind: type[Task]) -> bool:
+        """Return whether three dimensions are meant: of a task that draws vehicles nowhere else."""
+        if self.dimensions is not None or self.nominal or kind.drawn_vehicles != (3,):
+            return False
+        return self.start_from in (None, descent.NAME) or dimensions_of(self.start_from) == 3
 
     @property
     def folder(self) -> Path:

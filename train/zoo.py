@@ -23,7 +23,6 @@ _TASKS = {
     "setpoint": 1_000_000,
 }  # environment steps; a touchdown begins at a landing policy
 _ENVIRONMENTS = 16
-_VEHICLES = TrainConfig.environments
 
 
 class TaskCurriculum(CurriculumCallback):
@@ -49,7 +48,7 @@ def _parameters(name: str, steps: int) -> dict[str, Any]:
     """Return those of one task: rollouts as long as those of `landing-train`, of fewer environments."""
     task = make_task(name)
     arguments = ppo_kwargs(task)
-    arguments["n_steps"] *= _VEHICLES // _ENVIRONMENTS
+    arguments["n_steps"] *= task.training.environments // _ENVIRONMENTS
     del arguments["device"]  # an option of the zoo
     engine = {"integrator": task.training.integrator, "keep_out": task.training.keep_out}
     return {

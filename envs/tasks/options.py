@@ -173,6 +173,7 @@ class Training(Record):
         0.04, "Sensor-only zone around the platform that is an obstacle in training, m", limits=(0, 1)
     )
     curriculum: str = option("none", "What eases the task at first; {curricula}")
+    environments: int = option(64, "Vehicles stepped together", limits=(1, 16_384))
     rollout: int = option(
         128, "Steps of each vehicle in an iteration; ppo updates after it", limits=(1, 65_536)
     )

@@ -13,7 +13,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.attitude import VX, VZ, YAW, Y
 from inclined_landing.models.errors import UserError
 
-POLICIES = [load_policy(name) for name in ("setpoint", "landing", "touchdown")]
+POLICIES = [load_policy(name) for name in ("setpoint", "landing", "touchdown-nominal")]
 PLAN = Plan(*POLICIES)
 N = 20
 

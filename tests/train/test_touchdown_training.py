@@ -21,7 +21,7 @@ TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "thread
 
 
 def test_the_actor_begins_as_the_landing_policy():
-    config = TrainConfig(task="touchdown", **TINY).resolved()
+    config = TrainConfig(task="touchdown", nominal=True, **TINY).resolved()
     env = ppo.training_environment(config)
     model = ppo.build_model(config, env)
     landing = load_policy("landing-nominal")
@@ -47,7 +47,8 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
     monkeypatch.setattr(warm_start, "CRITIC_FIRST", 128)
     monkeypatch.setattr(warm_start, "_STEPS", 20)
     folders = [
-        train(TrainConfig(task="touchdown", steps=512, out=tmp_path / name, **TINY))[0] for name in "ab"
+        train(TrainConfig(task="touchdown", nominal=True, steps=512, out=tmp_path / name, **TINY))[0]
+        for name in "ab"
     ]
     a, b = (load_policy(folder / "final.zip") for folder in folders)
     assert a.task.name == "touchdown" and a.task.pwm_centre == a.task.vehicle.hover_pwm
@@ -84,7 +85,7 @@ def test_curriculum():
         ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
         ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
         (
-            {"task": "touchdown", "pwm_centre": "paper"},
+            {"task": "touchdown", "nominal": True, "pwm_centre": "paper"},
             "only from policies of its own pwm_centre and pwm_span",
         ),
     ],
@@ -99,11 +100,13 @@ def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
     def begins(**options):
         return TrainConfig("touchdown", **options).resolved().start_from
 
-    assert begins() == begins(steepest=20.0) == "landing-nominal"
-    assert begins(dimensions=3) == begins(dimensions=3, fastest=1.0) == "descent"
-    assert begins(dimensions=3, start_from="touchdown-3d") == "touchdown-3d"
-    settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"dimensions": 3})]
-    assert settings == [-1.2, -2.2]
+    assert begins() == begins(dimensions=3) == begins(fastest=1.0) == "descent"
+    assert begins(nominal=True) == begins(dimensions=2) == "landing-nominal"
+    for name, dimensions in (("touchdown", 3), ("touchdown-nominal", None), ("landing-nominal", None)):
+        resolved = TrainConfig("touchdown", start_from=name).resolved()
+        assert (resolved.start_from, resolved.dimensions) == (name, dimensions)
+    settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"nominal": True})]
+    assert settings == [-2.2, -1.2]
 
 
 def test_in_space_it_draws_vehicles_unless_platforms_move():
@@ -111,10 +114,6 @@ def test_in_space_it_draws_vehicles_unless_platforms_move():
         resolved = TrainConfig("touchdown", **options).resolved()
         return [getattr(resolved, name) for name in ("randomise", "history", "pwm_span")]
 
-    assert drawn(dimensions=3) == [Path("robust"), 3, 25_000.0]
-    assert (
-        drawn()
-        == drawn(dimensions=3, nominal=True)
-        == drawn(dimensions=3, fastest=1.0)
-        == [None, 0, 16_500.0]
-    )
+    assert drawn() == drawn(dimensions=3) == [Path("robust"), 3, 25_000.0]
+    assert drawn(fastest=1.0) == [None, 3, 25_000.0]
+    assert drawn(nominal=True) == drawn(dimensions=3, nominal=True) == [None, 0, 16_500.0]

@@ -679,8 +679,9 @@ def test_resolved_configurations_stay_as_they_are(tmp_path):
         free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise", "without"} | (
             set() if kind.training.start_from else {"start_from"}
         )
-        free -= {"randomise"} if 2 in kind.drawn_vehicles else set()
-        free |= {"steepest", "dimensions", "angle_limit", "fastest", "swell"}
+        free -= {"randomise"} if kind.drawn_vehicles else set()
+        free |= {"steepest", "angle_limit", "fastest", "swell"}
+        free |= {"dimensions"} if 2 in kind.drawn_vehicles or not kind.drawn_vehicles else set()
         free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])
         assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
     with pytest.raises(UserError):

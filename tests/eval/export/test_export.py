@@ -47,7 +47,7 @@ from inclined_landing.models.parameters import load_vehicle
 from tests.policies import about_another_hover
 
 C_SOURCES = ("landing_policy.c", "landing_policy_file.c")
-POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown")
+POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown-nominal")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
 TOLERANCE = 1e-5
 NO_COMPILER = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler on this machine")
@@ -143,7 +143,7 @@ def test_an_export_is_the_policy_in_a_thousand_states_and_along_whole_flights(
     assert any(f.success for f in flown) or name == "setpoint"
     # Actions that differ by 1e-6 for seconds; a touchdown's contact multiplies that.
     apart = max(np.abs(a.state[:, :3] - b.state[: len(a.state), :3]).max() for a, b in zip(flown, alone))
-    assert apart < (0.05 if name == "touchdown" else 1e-3)
+    assert apart < (0.05 if name == "touchdown-nominal" else 1e-3)
 
 
 @pytest.mark.parametrize("format", [*FORMATS])
@@ -247,7 +247,7 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wal
 
 
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
-@pytest.mark.parametrize("name", ["landing-nominal", "landing", "touchdown"])
+@pytest.mark.parametrize("name", ["landing-nominal", "landing", "touchdown-nominal"])
 def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_answers_as_the_policy(exported, tmp_path, name):
     """What is compiled in passes its self test; a file is loaded, damaged ones after it are refused."""
     source, here = exported[name, "c"] / "src", Path(__file__).with_name("firmware")
@@ -590,7 +590,7 @@ def line(run, state):
     return " ".join(f"{number:.9g}" for number in (run, *state[:6], x, y, z, w))
 
 
-@pytest.mark.parametrize("name", ["landing-nominal", "landing", "setpoint", "touchdown"])
+@pytest.mark.parametrize("name", ["landing-nominal", "landing", "setpoint", "touchdown-nominal"])
 def test_the_app_commands_what_the_policy_does(exported, app, name):
     policy = contract.load(name)
     start = policy.task.sample(np.random.default_rng(3), 1).state

@@ -171,7 +171,7 @@ def test_a_bad_controller_is_one_sentence(tmp_path, capsys, name, said):
 
 
 def test_a_policy_of_the_plane_is_refused(capsys):
-    assert main([*MOVING, "touchdown", "--scenario", "still_00_deg"]) == 2
+    assert main([*MOVING, "touchdown-nominal", "--scenario", "still_00_deg"]) == 2
     assert "flies in a plane" in capsys.readouterr().err
 
 

@@ -28,7 +28,7 @@ def flown(name) -> Flight:
 
 @pytest.fixture(scope="module")
 def flight():
-    return flown("touchdown")
+    return flown("touchdown-nominal")
 
 
 @pytest.fixture(scope="module")

@@ -28,9 +28,15 @@ def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
     touchdown.show(report)
 
 
+def test_in_space_a_centre_of_mass_off_its_middle_tips_nobody_over(few_starts):
+    policy = load_policy("touchdown")
+    report = touchdown.evaluate(policy, load_policy("landing-3d"), frictions=(0.8,), effects=("com_offset",))
+    assert report["effects"][0]["touchdown"]["at_rest"]["count"] == 3
+
+
 def test_what_ends_a_landing():
     """Idle from the start: one vehicle stands on its feet, one falls to the floor."""
-    policy = load_policy("touchdown")
+    policy = load_policy("touchdown-nominal")
     task = InclinedTouchdown()
     states = landing_starts.at_rest(task, np.array([task.rest_position, (2.0, 0.3)]))
     states[:, -1] = 0.0
@@ -45,7 +51,7 @@ def test_what_ends_a_landing():
 
 def test_effects_are_the_vehicles_that_fly(few_starts):
     """On its own contact the vehicle rests; on a friction below the slope's tangent nobody does."""
-    policy, cut = load_policy("touchdown"), load_policy("landing-nominal")
+    policy, cut = load_policy("touchdown-nominal"), load_policy("landing-nominal")
     task = policy.task
     states = landing_starts.at_rest(task, landing_starts.grid())
     slippery = task.vehicle.changed(contact_friction=0.3)

@@ -50,7 +50,7 @@ def log_of(flight, name="flight", noise=0.0, rate=100.0):
 # --- flown again ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name, point", [("touchdown", (0.9, 1.7)), ("setpoint", (0.6, 0.3, 1.0))])
+@pytest.mark.parametrize("name, point", [("touchdown-nominal", (0.9, 1.7)), ("setpoint", (0.6, 0.3, 1.0))])
 def test_commands_flown_again_give_the_same_states(name, point):
     flight = flown(name, point)
     steps = resimulate(flight)
