@@ -16,7 +16,7 @@ from inclined_landing.models.attitude import PWM, ROLL_COMMAND, X, Z
 
 
 class Landing:
-    """A landing by its policy, planar: the set-point policy's roll holds y at 0, the pilot the heading."""
+    """A landing by its policy. The pilot holds the heading, and the set-point policy's roll y in the plane."""
 
     phase = Phase.LANDING
     turns = False  # are heading and yaw rate the pilot's, and commands of heading 0
@@ -39,10 +39,11 @@ class Landing:
         since [s]: the landing began; resting: the vehicle lies still on something. Raises InvalidAction.
         """
         size = self._task.goal_size
-        if size is not None and self._task.in_goal(state[None], size)[0]:
+        if size is not None and self._task.in_goal(state[None], size, self._runner.platform)[0]:
             return "goal box"
         action, command = self._runner.act(state)
-        command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
+        if self._task.is_planar:
+            command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
         self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
         if size is None and self._idle_steps >= HOLD_STEPS and resting:
             return "at rest"

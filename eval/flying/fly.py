@@ -196,13 +196,7 @@ def load_flight(
     inclination [deg] of the platform in the arena, and whether it stands there. Raises UserError for a policy
     that is for another task or another slope, and for a planned flight that cannot be flown in the arena.
     """
-    from inclined_landing.envs.policy import (
-        action_map,
-        history_length,
-        load_policy,
-        observes_vehicle,
-        trained_task,
-    )
+    from inclined_landing.envs.policy import load_policy, trained_task
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.envs.tasks.landing import PAPER_STARTS
     from inclined_landing.eval.flying.planned import read_planned
@@ -210,18 +204,16 @@ def load_flight(
 
     room = load_vehicle(arena) if arena is not None else load_vehicle()
 
-    def built(name: str, tasks: tuple[str, ...], **options: Any) -> Policy:
+    def built(name: str, tasks: tuple[str, ...], inclination: float | None = None) -> Policy:
         task = trained_task(name)
         if task not in tasks:
             raise UserError(
                 f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(tasks)}"
             )
-        if load_policy(name).task.observes_slope:
-            raise UserError(f"policy {shown(name)} observes the slope; the pilot flies policies of one slope")
-        centre, span = action_map(name)
-        options |= {"pwm_centre": centre, "pwm_span": span, "history": history_length(name)}
-        options["observe_vehicle"] = observes_vehicle(name)
-        return load_policy(name, make_task(task, room, **options))
+        policy = load_policy(name, task, vehicle=room, inclination=inclination)
+        if policy.task.platform_moves:
+            raise UserError(f"policy {shown(name)} is for moving platforms; the pilot's stands still")
+        return policy
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
     slope = room.check_inclination(angle)
@@ -230,8 +222,9 @@ def load_flight(
         planned = read_planned(plan, room, slope, platform)
         x, _, z = planned.reference.position[0]
         return planned, hover, [(float(x), float(z))]
-    landing = built(policy or "landing", ("landing", "touchdown"), inclination=slope)
-    starts = [landing.task.parse_start(text) for text in start] or list(PAPER_STARTS)
+    landing = built(policy or "landing", ("landing", "touchdown"), slope)
+    plane = make_task("landing", room, inclination=slope)
+    starts = [plane.parse_start(text) for text in start] or list(PAPER_STARTS)
     return landing, hover, [(point[0], point[1]) for point in starts]
 
 

@@ -8,6 +8,7 @@ from inclined_landing.envs.history import History
 from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Setpoint, StepContext
+from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
 
 
@@ -20,10 +21,12 @@ class InvalidAction(Exception):
 
 
 class PolicyRunner:
-    """One policy with its observation history."""
+    """One policy with its observation history, over the one platform of its task."""
 
     def __init__(self, policy: Policy):
         self.policy, self.task = policy, policy.task
+        start = self.task.start(hover_states(np.zeros((1, 3)), self.task.vehicle))
+        self.platform = start.platforms(self.task.vehicle) if self.task.has_platform else None
         self._past = History(self.task, 1)
         self._begun = False
 
@@ -36,7 +39,7 @@ class PolicyRunner:
 
         Raises BadAction when the action is NaN or infinite.
         """
-        observation = self.task.observe(StepContext(state[None]))
+        observation = self.task.observe(StepContext(state[None], platform=self.platform))
         if not self._begun:
             self._past.reset([0], observation)
             self._begun = True

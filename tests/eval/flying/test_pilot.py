@@ -173,8 +173,10 @@ def test_a_stop_that_cannot_be_sent_becomes_an_emergency_stop(policies):
 
 
 @pytest.mark.slow
-def test_a_touchdown_comes_to_rest_by_its_own_command(policies):
-    _, report, world = flown((load_policy("touchdown"), policies[1]))
+@pytest.mark.parametrize("name", ["touchdown", "touchdown-nominal"])
+def test_a_touchdown_comes_to_rest_by_its_own_command(name, policies):
+    """In space, by its own roll, and in the plane, where the other policy's roll holds y."""
+    _, report, world = flown((load_policy(name), policies[1]))
     assert report.outcome == "at rest" and report.rests
     assert world.trace.touching[-1, 0] and np.linalg.norm(world.trace.state[-1, 3:6]) < 0.05
 
