@@ -68,8 +68,11 @@ class NamedEffect:
 
     @property
     def sure(self) -> bool:
-        """Return whether the probability is at least SURE: few such names were wrong on held-out families."""
-        return self.probability >= SURE
+        """Return whether the probability is at least SURE: few such names were wrong on held-out families.
+
+        Not where the fit ends at a bound: the flights ask for more of it than there can be.
+        """
+        return self.probability >= SURE and not any(p.at_bound for p in self.parameters.values())
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""

@@ -94,7 +94,8 @@ class Parameter:
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
     manoeuvre: float = 0.0
     # By how much [unit] it differs between flights of one vehicle, where the motors' requests show it: these
-    # move by 3 to 4 % each from day to day (CrazyPAD), half of it in every difference of all four.
+    # move by 3 to 4 % each from day to day (CrazyPAD), half of it in every difference of all four. Flights of
+    # one day share it.
     placement: float = 0.0
     along_the_arm: bool = False  # a length that goes with the vehicle's arms
     step: float = 0.0  # over which a fit takes slopes; 0: negligible

@@ -207,6 +207,8 @@ def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
         names = listed(_shortened([label(name) for name in e.members]), "or")
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         how = f"{'sure' if e.sure else 'possible'}, {probability(e.probability)}"
+        if any(p.at_bound for p in e.parameters.values()):
+            how += "; as large as it can be"
         rows.append((names, how, cost, plain(e.remedy)))
     for one in d.residual.depends_on:
         if d.residual.material(one):

@@ -192,7 +192,8 @@ class Problem(Candidates):
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
         }
-        if self.channels > len(CHANNELS):
+        self.requested = self.channels > len(CHANNELS)  # were the motors' requests logged
+        if self.requested:
             self.library = {name: effect.seen_in_requests() for name, effect in self.library.items()}
         self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
         self.group_of = _groups(self.flights)

@@ -41,13 +41,13 @@ EffectSet = frozenset[str]
 
 def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
     """Return the spikes' standard deviations (P,)."""
-    # A share of the negligible size, and the standard error of the mean over the n flights that excite a
-    # column:  sigma^2 = (SPIKE negligible)^2 + between^2 / n
+    # A share of the negligible size, what all flights of a day share, and the standard error of the mean over
+    # the n flights that excite a column:
+    #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
     count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
-    spike = np.hypot(
-        SPIKE * _shared_negligible_sizes(problem, columns),
-        between_flight_deviations(problem, columns) / np.sqrt(count),
-    )
+    shared = np.array([problem.parameter(c).placement if problem.requested else 0.0 for c in columns]) ** 2
+    each = np.maximum(between_flight_deviations(problem, columns) ** 2 - shared, 0.0)
+    spike = np.sqrt((SPIKE * _shared_negligible_sizes(problem, columns)) ** 2 + shared + each / count)
     # The slab less the spike is a covariance: of two columns about a reference, whose smallest eigenvalue is
     # 0.125 of the slab's variance, below sqrt(0.125) = 0.35 of the slab.
     most = np.array([MOST_SPIKE_ABOUT if c.fixed else MOST_SPIKE for c in columns])
@@ -260,12 +260,19 @@ class LinearGaussian:
     def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
         """Return the model with slabs LARGE times as wide for large effects of a set, for their sizes.
 
-        The usual slab would leave to the errors of the identified vehicle a share of every large effect.
+        The usual slab would leave to the errors of the identified vehicle a share of every large effect. But
+        of effects that compensate one another the flights show only what remains: there it stays.
         """
-        large = np.abs(self.bounded_mode(names)) > np.sqrt(self.slab.diagonal())
+        slab = np.sqrt(self.slab.diagonal())
+        large = np.abs(self.bounded_mode(names)) > slab
         large &= np.isin(np.arange(len(self.columns)), self.index(names))
-        wide = np.where(large, LARGE, 1.0)
-        return dataclasses.replace(self, slab=np.outer(wide, wide) * self.slab)
+
+        def widened(columns: np.ndarray) -> LinearGaussian:
+            wide = np.where(columns, LARGE, 1.0)
+            return dataclasses.replace(self, slab=np.outer(wide, wide) * self.slab)
+
+        _, covariance = widened(large).change(names)
+        return widened(large & (covariance.diagonal() < slab**2))
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""

@@ -114,6 +114,25 @@ def test_marginal_likelihood_is_that_of_the_normal_law(local, names):
     assert one.evidence()(names) == pytest.approx(density, rel=1e-6)
 
 
+@pytest.mark.parametrize("alike", [0.0, 1.0])
+def test_sizes_are_freed_where_the_flights_show_them(local, alike):
+    """Two large effects: freed from the slab alone, not where each could be the other's opposite."""
+    one, slopes, _ = local
+    slopes = slopes.copy()
+    slopes[..., 2] = (1.0 - alike) * slopes[..., 2] - alike * slopes[..., 0]
+    errors = slopes @ np.array([20.0, 0, -20.0, 0, 0, 0, 0, 0])
+    case = dataclasses.replace(
+        one,
+        a=np.einsum("gnp,gnq->gpq", slopes, slopes),
+        b=np.einsum("gnp,gn->gp", slopes, errors),
+        known=1e-6 * np.eye(8),
+        off=np.zeros(8),
+        at=np.zeros(8),
+    )
+    widened = case.with_wide_slabs(frozenset("ab")).slab.diagonal() > one.slab.diagonal()
+    assert widened[[0, 2]].tolist() == [not alike] * 2 and not widened[[1, 3, 4, 5, 6, 7]].any()
+
+
 def test_flights_that_were_not_drawn_do_not_count(local):
     one, *_ = local
     weights = np.array([2.0, 0.0, 1.0, 1.0, 0.0, 1.0, 3.0, 0.0])

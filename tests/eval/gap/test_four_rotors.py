@@ -154,6 +154,22 @@ def test_measured_rotor_speeds_lag_behind_nothing():
         prepare_all([log, flown(V, 8)], V, False, [])
 
 
+def test_how_a_battery_was_put_in_is_shared_by_the_flights_of_a_day():
+    """Many flights do not average it out: it is no change of the vehicle, where requests show it."""
+    few, many = (
+        Problem(flights, V, identifiable_effects(LIBRARY, flights)[0])
+        for flights in (prepare_all([flown(V, k) for k in range(n)], V, False, []) for n in (2, 6))
+    )
+    for problem in (few, many):
+        [x] = [c for c in problem.columns(["com_offset"]) if c.parameter == "x"]
+        slab = np.sqrt(slab_covariance(problem, [x])[0, 0])
+        assert spike_deviations(problem, [x])[0] >= min(problem.parameter(x).placement, 0.5 * slab) - 1e-12
+    silent = prepare_all([dataclasses.replace(flown(V, k), requests=None) for k in range(6)], V, False, [])
+    unseen = Problem(silent, V, identifiable_effects(LIBRARY, silent)[0])
+    [x] = [c for c in unseen.columns(["com_offset"]) if c.parameter == "x"]
+    assert spike_deviations(unseen, [x])[0] < 0.5 * spike_deviations(many, [x])[0]
+
+
 def test_slabs_stay_wider_than_spikes_however_much_flights_differ():
     """What a set adds to the prior of its effects is a covariance: positive definite."""
     flights = prepare_all([flown(V, 1)], V, False, [])
