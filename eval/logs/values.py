@@ -31,6 +31,7 @@ MOTORS_OFF = 10_000.0  # PWM
 # one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
+MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -44,6 +45,7 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _check_finite(log)
     yield from _check_position(log)
     yield from _check_attitude(log)
+    yield from _check_end(log)
     yield from _check_thrust(log)
     yield from _check_attitude_commands(log)
     yield from _check_voltage(log)
@@ -173,6 +175,21 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
             )
     if np.ptp(np.nan_to_num(log.attitude[:, :2]), axis=0).max() < 1e-9:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
+
+
+def _check_end(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding where attitude and commands are those of the last row for long, and position is not."""
+    known = np.nan_to_num(np.hstack([log.attitude, log.command]))
+    differ = np.flatnonzero((known != known[-1]).any(axis=1))
+    rows = np.arange(differ[-1] + 1 if len(differ) else 0, len(log))
+    if log.t[-1] - log.t[rows[0]] < SHORTEST or np.ptp(log.position[rows], axis=0).max() < MOVED:
+        return
+    yield limit(
+        "roll, pitch, yaw, commands",
+        f"attitude and commands never change from t = {log.t[rows[0]]:.2f} s on, while the vehicle moves: "
+        "they were no longer written, and these rows are left out",
+        rows=tuple(map(int, rows)),
+    )
 
 
 def _check_thrust(log: FlightLog) -> Iterator[Finding]:
