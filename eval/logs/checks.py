@@ -97,9 +97,12 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
 
 
 def hover_command(log: FlightLog) -> float:
-    """Return the command at a specific force of one g, from a linear fit over the rows in the air."""
+    """Return the command at a specific force of one g, from a linear fit over the rows in the air.
+
+    NaN where these last less than a second, and where it is the thrust of rotor speeds that are wrong.
+    """
     parts = motion.motion(log)
-    if not parts:
+    if not parts or (log.thrust_is_measured and values.failed_speed_sensors(log)):
         return np.nan
     # Standing on the ground with the motors on looks like hovering at less thrust.
     air = motion.in_air(log, parts)

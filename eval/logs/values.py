@@ -250,18 +250,25 @@ def _check_voltage(log: FlightLog) -> Iterator[Finding]:
 
 
 def _check_rotor_speeds(log: FlightLog) -> Iterator[Finding]:
+    for rotor, text in failed_speed_sensors(log).items():
+        if log.thrust_is_measured:
+            text += " Thrust by rotor speeds is wrong then"
+        yield limit(f"m{rotor}_speed", text)
+
+
+def failed_speed_sensors(log: FlightLog) -> dict[int, str]:
+    """Return a sentence for every rotor (1 to 4) whose measured speed contradicts those of the others."""
     if log.rotor_speed is None or not log.rotor_speed.any():
-        return
+        return {}
+    failed = {}
     middle = np.median(log.rotor_speed, axis=1)
     speed = log.rotor_speed[middle > 0.5 * middle.max()]  # in flight
     for k in range(speed.shape[1]):
         ratio = speed[:, k] / np.median(np.delete(speed, k, axis=1), axis=1)
         share = ((ratio < 1 / SPEED_RATIO) | (ratio > SPEED_RATIO)).mean()
         if share > FAILED_SHARE:
-            text = (
+            failed[k + 1] = (
                 f"rotor speed of M{k + 1} is {np.median(ratio):.2f} times that of the other rotors (median), "
+                f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
             )
-            text += f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
-            if log.thrust_is_measured:
-                text += " Thrust by rotor speeds is wrong then"
-            yield limit(f"m{k + 1}_speed", text)
+    return failed

@@ -210,10 +210,11 @@ def test_judgement(answer, expected):
 
 
 def test_flagged_is_unknown_or_flights_that_must_be_inconsistent():
-    sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b",))
+    sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b", "c"))
     assert not rows.judged(ROW, diagnosis())["flagged"]
     assert rows.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
-    assert rows.judged(sensor, diagnosis(inconsistent=("b",)))["flagged"]
+    assert rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
+    assert not rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
     assert not rows.judged(sensor, diagnosis())["flagged"]
     assert not rows.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
 

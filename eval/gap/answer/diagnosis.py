@@ -79,6 +79,8 @@ def diagnose(
     notes: list[str] = []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
+    flights, failed = heterogeneity.without_failed_sensors(flights)
+    heldout, failed_heldout = heterogeneity.without_failed_sensors(heldout)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     usable, unidentifiable = identifiable_effects(library, fitted)
@@ -101,6 +103,7 @@ def diagnose(
     library = usable
     clock("name")
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
+    inconsistent = (*failed, *failed_heldout, *inconsistent)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
 
     def fitted_values(names: EffectSet) -> Values:

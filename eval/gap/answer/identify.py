@@ -129,6 +129,8 @@ def identify(
     Raises UserError when no flight can be used.
     """
     notes: list[str] = []
+    flights, failed = heterogeneity.without_failed_sensors(flights)
+    heldout, failed_heldout = heterogeneity.without_failed_sensors(heldout)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     library, unidentifiable = identifiable_effects(
@@ -147,6 +149,7 @@ def identify(
     columns = problem.columns([*problem.library, BASE])
     near = problem.linearise(values, columns, inflation)
     inconsistent = heterogeneity.inconsistent_flights(problem, near, values)
+    inconsistent = (*failed, *failed_heldout, *inconsistent)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
     problem.confounded = confounding(near)
     problem.between = estimate_between_flight_deviations(problem, near)

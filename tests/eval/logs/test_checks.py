@@ -247,7 +247,10 @@ def test_a_rotor_speed_sensor_that_fails_is_named(rotor, factor, since):
         text for text in found(dataclasses.replace(log, thrust_is_measured=True), "limit") if "M" in text
     ]
     assert text.endswith("Thrust by rotor speeds is wrong then")
-    assert any(text in note for note in enforce(dataclasses.replace(log, thrust_is_measured=True)).notes)
+    measured = dataclasses.replace(log, thrust_is_measured=True)
+    assert any(text in note for note in enforce(measured).notes)
+    # Thrust that is wrong makes no other vehicle.
+    assert np.isnan(hover_command(measured)) and np.isfinite(hover_command(log))
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.4])

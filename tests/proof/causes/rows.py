@@ -166,11 +166,9 @@ def _baselines(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict
     right, allowed = set(row.right), set(row.right) | set(row.beside)
     result = {}
     for method, find in (("tuning", baselines.tune), ("sparse", baselines.regress)):
-        if method == "sparse" and any(np.isnan(f.command[:, :3]).any() for f in flights):
-            continue  # it needs attitude commands
         try:
             names = set(find(flights, vehicle))
-        except (ImportError, UserError, ValueError):  # pysindy's own, for a channel without a term
+        except (ImportError, UserError):
             continue
         result[method] = {"right": bool(names & right), "wrong": len(names - allowed), "names": sorted(names)}
     return result
@@ -206,12 +204,13 @@ def judged(row: Row, d: Diagnosis) -> dict:
     """Return whether the right name is there, and which sure names are wrong."""
     right, allowed = set(row.right), set(row.right) | set(row.beside)
     hits = [e for e in d.effects if set(e.members) & right]
+    told, found = set(row.inconsistent), {Path(name).name for name in _inconsistent(d)}
     return {
         "right sure": any(e.sure for e in hits),
         "right possible": bool(hits) or bool(right & set(d.possible)),
         "sure names": sum(e.sure for e in d.effects),
         "wrong": [e.name for e in d.effects if e.sure and not set(e.members) & allowed],
-        "flagged": d.verdict == "unknown" or bool(row.inconsistent and _inconsistent(d)),
+        "flagged": d.verdict == "unknown" or bool(row.inconsistent and told <= found),
     }
 
 
