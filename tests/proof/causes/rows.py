@@ -33,7 +33,7 @@ class Row:
 
     set: str  # folder of the repository
     name: str
-    kind: str  # cause, nothing or unknown
+    kind: str  # cause, nothing, unknown, or dose: the flights are identified, and nothing is diagnosed
     half: str  # of HALVES
     reference: tuple[str, ...]  # patterns of paths
     flights: tuple[str, ...]
@@ -44,6 +44,7 @@ class Row:
     strength: str = "medium"
     size: Mapping[str, Any] | None = None
     dose: float | None = None
+    parameter: str = ""  # of a dose: the field of `Vehicle` that is identified
     above: float | None = None  # m: only rows of all flights above this height
     reference_above: float | None = None
     inconsistent: tuple[str, ...] = ()  # flights that must be found inconsistent
@@ -70,11 +71,10 @@ def _rows_of(entry: Mapping, common: Mapping) -> Iterator[Row]:
             folder = dose.get("folder", "")
             flights = tuple(p.replace("{folder}", folder) for p in paths["flights"])
             more = {k: v for k, v in dose.items() if k != "folder"}
-            name = f"{given['name']} by {dose['dose']:g} mm ({folder})" if folder else given["name"]
             yield Row(
-                **{**given, **more, "name": name},
+                **{**given, **more, "name": given["name"].format(**dose)},
                 half=half,
-                reference=tuple(paths["reference"]),
+                reference=tuple(paths.get("reference", ())),
                 flights=flights,
             )
 
@@ -126,6 +126,8 @@ def answer(data: Path, row: Row) -> dict:
 
     Raises UserError where flights are missing or none can be used.
     """
+    if row.kind == "dose":
+        return dose_answer(data, row)
     began = time.perf_counter()
     reference, refused = read(paths_of(data / row.set, row.reference), row.reference_above or row.above)
     flights, more = read(paths_of(data / row.set, row.flights), row.above)
@@ -158,6 +160,26 @@ def answer(data: Path, row: Row) -> dict:
         "baselines": _baselines(row, flights, known.vehicle),
         "rough": _rough(row, reference, flights),
         **judged(row, d),
+    }
+
+
+def dose_answer(data: Path, row: Row) -> dict:
+    """Return what is identified of one parameter, against what was told; raises UserError as `answer`."""
+    flights, refused = read(paths_of(data / row.set, row.flights), row.above)
+    if not flights:
+        raise UserError(refused[0])
+    found = identify(flights, base_vehicle(row))
+    (p,) = [p for p in found.parameters if p.field == row.parameter]
+    return {
+        "set": row.set,
+        "name": row.name,
+        "kind": row.kind,
+        "half": row.half,
+        "dose": row.dose,
+        "parameter": p.name,
+        "flights": [len(found.flights)],
+        "refused": refused,
+        "found": {"value": p.value, "ci95": list(p.ci95)},
     }
 
 
