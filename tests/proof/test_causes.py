@@ -293,7 +293,14 @@ def test_summary_counts_each_bar_by_hand():
         "unknown": (1, 1),
     }
     text = page.summary_text([RESULT, ERROR])
-    assert text.count("\n") == len(page.BARS) - 1
+    assert text.count("\n") == len(page.BARS) + len(page.BASELINES) - 1
+    assert text.endswith("sparse regression: right among its names 0/0; 0 of its 0 names are wrong")
+    missed = {"right": False, "wrong": 1, "names": ["wind"]}
+    weak, same = (
+        made(baselines={"tuning": missed}, **how) for how in ({"strength": "weak"}, {"kind": "nothing"})
+    )
+    counts = page.summary_text([RESULT, weak, made(baselines={"tuning": missed}), same, ERROR, DOSE])
+    assert "parameter tuning: right among its names 1/2; 4 of its 5 names are wrong" in counts
     assert "named sure: 1/1 (100 %; at least 80 %)" in text and "flagged: 0/0 (none; at least 100 %)" in text
 
 

@@ -21,6 +21,7 @@ BARS = {
     "nothing": ("nothing changed, but a sure name", 0.10),
     "unknown": ("causes outside the library that are flagged", 1.0),
 }
+BASELINES = {"tuning": "parameter tuning", "sparse": "sparse regression"}
 HEADER = (
     *(
         "set",
@@ -72,7 +73,17 @@ def summary_text(results: Sequence[dict]) -> str:
         sign = "at most" if key in ("wrong", "nothing") else "at least"
         share = f"{100 * count / of:.0f} %" if of else "none"
         lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
-    return "\n".join(lines)
+    return "\n".join(lines + [_baseline_counts(results, method) for method in BASELINES])
+
+
+def _baseline_counts(results: Sequence[dict], method: str) -> str:
+    """Return on how many causes of medium size or more a baseline has a right name, and its wrong names."""
+    rows = [(r, r["baselines"][method]) for r in results if method in r.get("baselines", {})]
+    clear = [one for r, one in rows if r["kind"] == "cause" and r["strength"] != "weak"]
+    right, names = sum(one["right"] for one in clear), sum(len(one["names"]) for _, one in rows)
+    wrong = sum(one["wrong"] for _, one in rows)
+    counted = f"right among its names {right}/{len(clear)}; {wrong} of its {names} names are wrong"
+    return f"{BASELINES[method]}: {counted}"
 
 
 def line(r: dict) -> str:
@@ -122,7 +133,7 @@ def cells(results: Sequence[dict]) -> list[list[str]]:
         verdict = r["verdict"] + (
             f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
         )
-        others = [_baseline(r["baselines"].get(method)) for method in ("tuning", "sparse")]
+        others = [_baseline(r["baselines"].get(method)) for method in BASELINES]
         sure, possible = "; ".join(_names(r, True)), ", ".join(_names(r, False))
         flights = f"{r['flights'][0]} and {r['flights'][1]}"
         rough = "" if r["rough"] is None else f"{r['rough']:.3g}"
