@@ -191,18 +191,19 @@ def draw_gains(results: Sequence[dict]) -> Figure:
     return figure
 
 
-def _with_interval(axes, at: float, size: dict, marker: str = "o", colour: int = 0) -> None:
+def _with_interval(axes, at: float, size: dict, marker: str = "o", colour: int = 0, **look) -> None:
     """Draw a value and its 95 % interval."""
     low, high = size["ci95"]
     ends = [[size["value"] - low], [high - size["value"]]]
-    axes.errorbar(at, size["value"], yerr=ends, fmt=marker, color=style.colour(colour), ms=5, lw=1.3)
+    axes.errorbar(at, size["value"], yerr=ends, fmt=marker, color=style.colour(colour), ms=5, lw=1.3, **look)
 
 
 def _told_against_found(axes, rows: Sequence[dict]) -> None:
     sets = list(dict.fromkeys(r["set"] for r in rows))
     for r in rows:
         k = sets.index(r["set"])
-        _with_interval(axes, r["told"]["value"], r["found"], style.marker(k), k)
+        hollow = {"mfc": "none"} if r["kind"] == "unknown" else {}
+        _with_interval(axes, r["told"]["value"], r["found"], style.marker(k), k, **hollow)
     for k, name in enumerate(sets):
         axes.plot([], [], style.marker(k), color=style.colour(k), label=name)
     if rows:
