@@ -184,12 +184,15 @@ def _check_end(log: FlightLog) -> Iterator[Finding]:
     rows = np.arange(differ[-1] + 1 if len(differ) else 0, len(log))
     if log.t[-1] - log.t[rows[0]] < SHORTEST or np.ptp(log.position[rows], axis=0).max() < MOVED:
         return
-    yield limit(
-        "roll, pitch, yaw, commands",
-        f"attitude and commands never change from t = {log.t[rows[0]]:.2f} s on, while the vehicle moves: "
-        "they were no longer written, and these rows are left out",
-        rows=tuple(map(int, rows)),
-    )
+    text = f"attitude and commands never change from t = {log.t[rows[0]]:.2f} s on, while the vehicle moves"
+    if log.t[rows[0]] - log.t[0] < SHORTEST:
+        yield refuse("roll, pitch, yaw, commands", f"{text}: too little is left")
+    else:
+        yield limit(
+            "roll, pitch, yaw, commands",
+            f"{text}: they were no longer written, and these rows are left out",
+            rows=tuple(map(int, rows)),
+        )
 
 
 def _check_thrust(log: FlightLog) -> Iterator[Finding]:

@@ -335,6 +335,10 @@ def test_a_controller_that_stops_writing_is_noticed_where_the_vehicle_moves_on(m
     texts = [text for text in found(log, "limit") if "never change from" in text]
     assert len(texts) == moves and all("from t = 7.00 s on" in text for text in texts)
     assert len(enforce(log)) == (700 if moves else len(log))
+    early = log.rows(slice(640, None))
+    if moves:
+        with pytest.raises(UserError, match=r"never change from t = 7\.00 s on.*too little is left"):
+            enforce(early)
 
 
 def test_the_command_names_two_vehicles(tmp_path, capsys):
