@@ -19,9 +19,6 @@ from scipy import stats
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
 from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding, slab_deviations
-from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.values import failed_speed_sensors
-from inclined_landing.models.errors import UserError
 
 SIGNIFICANCE = 0.01  # familywise false alarm rate of a diagnosis
 PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1
@@ -48,28 +45,8 @@ def inconsistent_flights(
     return tuple(result)
 
 
-def without_failed_sensors(
-    flights: Sequence[FlightLog],
-) -> tuple[list[FlightLog], tuple[InconsistentFlights, ...]]:
-    """Return the flights whose thrust can be believed, and the others, one by one.
-
-    Raises UserError where the thrust of all is that of rotor speeds of which one is wrong.
-    """
-    why = [" ".join(failed_speed_sensors(log).values()) if log.thrust_is_measured else "" for log in flights]
-    good = [log for log, text in zip(flights, why) if not text]
-    failed = [(log.name, text) for log, text in zip(flights, why) if text]
-    if failed and not good:
-        raise UserError("; ".join(f"{name}: {text}" for name, text in failed))
-    names = tuple(log.name for log in good)
-    return good, tuple(
-        InconsistentFlights((name,), names, (), math.nan, math.nan, text) for name, text in failed
-    )
-
-
 def summary_line(found: InconsistentFlights) -> str:
     """Return a note of one line on inconsistent flights."""
-    if found.sensor:
-        return f"{found.flights[0]} is left out: {found.sensor}"
     names, several = ", ".join(d.effect for d in found.differences), len(found.flights) > 1
     return f"{', '.join(found.flights)} contradict{'' if several else 's'} the other flights in {names}"
 
