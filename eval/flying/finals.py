@@ -16,7 +16,7 @@ from inclined_landing.models.attitude import PWM, ROLL_COMMAND, X, Z
 
 
 class Landing:
-    """A landing by its policy; the pilot holds the heading, the set-point policy y where no roll is asked for."""
+    """A landing by its policy. The pilot holds the heading, and y for policies that ask for no roll."""
 
     phase = Phase.LANDING
     turns = False  # are heading and yaw rate the pilot's, and commands of heading 0

@@ -54,7 +54,7 @@ def command(
             plants=tuple(words.PLANTS),
         )
         tick("figures")
-        flown = tracks.most_varied_flight(kept or logs)
+        flown = tracks.most_varied_flight([log for log in kept or logs if log.name in d.heldout])
         with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
         track = tracks.of(flown, nominal, d.corrected, held_out=bool(kept), platform=with_slab)
         versions = runs.versions()

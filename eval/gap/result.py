@@ -200,8 +200,9 @@ class InconsistentFlights:
     flights: tuple[str, ...]
     others: tuple[str, ...]
     differences: tuple[Difference, ...]  # the surest first
-    p_value: float  # of the most significant difference, corrected for multiple testing
-    false_alarms: float  # familywise false alarm rate
+    p_value: float  # of the most significant difference, corrected for multiple testing; NaN for a sensor
+    false_alarms: float  # familywise false alarm rate; NaN for a sensor
+    sensor: str = ""  # a sentence on the sensor that fails, for which the flights are left out of the fit
 
     def to_json(self) -> dict:
         """Return the entry of report.json."""

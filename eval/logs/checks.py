@@ -16,7 +16,6 @@ from inclined_landing.models.errors import UserError
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
 HOVER_JUMP = 0.10  # difference of hover thrust between two groups of flights
 HOVER_SPREAD = 0.06
-CLEARANCE = 0.1  # m above the lowest point of a flight
 NOMINAL_VOLTAGE = 4.0
 
 
@@ -28,7 +27,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     """
     findings = list(values.check(log))
     if not any(finding.decision == "refuse" for finding in findings):
-        findings += motion.check(_without_bad_data(log, findings))
+        findings += motion.check(without_bad_data(log, findings))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
 
@@ -39,7 +38,7 @@ def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
     if refused:
         raise UserError(f"{where or log.name}: {refused[0].text}")
     limits = [finding.text for finding in findings if finding.decision == "limit"]
-    return _without_bad_data(log, findings).noted(*limits)
+    return without_bad_data(log, findings).noted(*limits)
 
 
 def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
@@ -98,15 +97,16 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
 
 
 def hover_command(log: FlightLog) -> float:
-    """Return the command at a specific force of one g, from a linear fit over the rows in the air."""
+    """Return the command at a specific force of one g, from a linear fit over the rows in the air.
+
+    NaN where these last less than a second, and where it is the thrust of rotor speeds that are wrong.
+    """
     parts = motion.motion(log)
-    if not parts:
+    if not parts or (log.thrust_is_measured and values.failed_speed_sensors(log)):
         return np.nan
-    pwm, force, height = (
-        np.concatenate([getattr(p, key) for p in parts]) for key in ("pwm", "force", "height")
-    )
     # Standing on the ground with the motors on looks like hovering at less thrust.
-    air = height > log.position[:, 2].min() + CLEARANCE
+    air = motion.in_air(log, parts)
+    pwm, force = (np.concatenate([getattr(p, key) for p in parts]) for key in ("pwm", "force"))
     if air.sum() < motion.RATE:
         return np.nan
     # pwm = slope (f - g) + level: the constant term is the command at f = g.
@@ -114,7 +114,7 @@ def hover_command(log: FlightLog) -> float:
     return float(level)
 
 
-def _without_bad_data(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
+def without_bad_data(log: FlightLog, findings: Sequence[Finding]) -> FlightLog:
     """Return the flight without the rows and optional channels that findings exclude."""
     left_out: dict[str, Any] = {finding.without: None for finding in findings if finding.without}
     log = dataclasses.replace(log, **left_out)

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import Flag, Flat, LogSource, NewFolder
-from inclined_landing.eval.logs.checks import check_fleet, check_log
+from inclined_landing.eval.logs.checks import check_fleet, check_log, without_bad_data
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.flights.command import public_flights
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
@@ -53,7 +53,8 @@ def command(
         raise UserError("--out is where --public puts converted flights")
     units = parse_units(source.unit)
     reports = [_check_file(file, source.mapping, units) for file in source.files]
-    fleet = check_fleet([log for log, _ in reports if log is not None])
+    usable = [(log, found) for log, found in reports if log is not None and not _refused(found)]
+    fleet = check_fleet([without_bad_data(log, found) for log, found in usable])
     flights = [_flight_json(file, *report) for file, report in zip(source.files, reports)]
     if json:
         print(storage.to_json({"flights": flights, "together": [_finding_json(f) for f in fleet]}))
@@ -65,12 +66,17 @@ def command(
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
         for file, (log, findings) in zip(source.files, reports)
-        if findings and findings[0].decision == "refuse"
+        if _refused(findings)
     ]
     if refused:
         raise UserError(f"{len(refused)} of {len(reports)} logs refused: {'; '.join(refused)}")
     if fleet and fleet[0].decision == "refuse":
         raise UserError(fleet[0].text)
+
+
+def _refused(findings: Sequence[Finding]) -> bool:
+    """Return whether the worst of some findings, the first, refuses the flight."""
+    return bool(findings) and findings[0].decision == "refuse"
 
 
 def parse_units(units: Sequence[str]) -> dict[str, str]:

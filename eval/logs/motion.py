@@ -29,6 +29,7 @@ WRONG_TURN = np.radians(60.0)
 LONGEST_LAG = 0.4  # s
 LONGEST_DELAY = 0.3  # s: the slowest attitude loop and radio known here stay below 0.2
 LONGEST_LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
+CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is in the air
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +90,20 @@ def _motion(log: FlightLog) -> Motion:
         logged_horizontal_velocity=None if velocity is None else velocity[:, 0] + 1j * velocity[:, 1],
         logged_vertical_velocity=None if velocity is None else velocity[:, 2],
     )
+
+
+def in_air(log: FlightLog, parts: list[Motion]) -> np.ndarray:
+    """Return which rows of all parts (m,) of a log are in the air.
+
+    All rows of a log that begins and ends in the air: its height stays within 2 CLEARANCE, and the horizontal
+    acceleration follows the tilt, which it does not on the ground. Otherwise those above CLEARANCE.
+    """
+    height, lowest = np.concatenate([p.height for p in parts]), log.position[:, 2].min()
+    if height.max() <= lowest + 2 * CLEARANCE:
+        pair = _compare_signals([p.tilt for p in parts], [p.thrust_tilt for p in parts], excited=0.0)
+        if pair is not None and pair.agreement > LEAST_CORRELATION:
+            return np.full(len(height), True)
+    return height > lowest + CLEARANCE
 
 
 def check(log: FlightLog) -> Iterator[Finding]:

@@ -31,6 +31,7 @@ MOTORS_OFF = 10_000.0  # PWM
 # one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
+MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -44,6 +45,7 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _check_finite(log)
     yield from _check_position(log)
     yield from _check_attitude(log)
+    yield from _check_end(log)
     yield from _check_thrust(log)
     yield from _check_attitude_commands(log)
     yield from _check_voltage(log)
@@ -175,6 +177,24 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
 
 
+def _check_end(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding where attitude and commands are those of the last row for long, and position is not."""
+    known = np.nan_to_num(np.hstack([log.attitude, log.command]))
+    differ = np.flatnonzero((known != known[-1]).any(axis=1))
+    rows = np.arange(differ[-1] + 1 if len(differ) else 0, len(log))
+    if log.t[-1] - log.t[rows[0]] < SHORTEST or np.ptp(log.position[rows], axis=0).max() < MOVED:
+        return
+    text = f"attitude and commands never change from t = {log.t[rows[0]]:.2f} s on, while the vehicle moves"
+    if log.t[rows[0]] - log.t[0] < SHORTEST:
+        yield refuse("roll, pitch, yaw, commands", f"{text}: too little is left")
+    else:
+        yield limit(
+            "roll, pitch, yaw, commands",
+            f"{text}: they were no longer written, and these rows are left out",
+            rows=tuple(map(int, rows)),
+        )
+
+
 def _check_thrust(log: FlightLog) -> Iterator[Finding]:
     pwm = log.command[:, 0]
     if np.isnan(pwm).all():
@@ -233,18 +253,25 @@ def _check_voltage(log: FlightLog) -> Iterator[Finding]:
 
 
 def _check_rotor_speeds(log: FlightLog) -> Iterator[Finding]:
+    for rotor, text in failed_speed_sensors(log).items():
+        if log.thrust_is_measured:
+            text += " Thrust by rotor speeds is wrong then"
+        yield limit(f"m{rotor}_speed", text)
+
+
+def failed_speed_sensors(log: FlightLog) -> dict[int, str]:
+    """Return a sentence for every rotor (1 to 4) whose measured speed contradicts those of the others."""
     if log.rotor_speed is None or not log.rotor_speed.any():
-        return
+        return {}
+    failed = {}
     middle = np.median(log.rotor_speed, axis=1)
     speed = log.rotor_speed[middle > 0.5 * middle.max()]  # in flight
     for k in range(speed.shape[1]):
         ratio = speed[:, k] / np.median(np.delete(speed, k, axis=1), axis=1)
         share = ((ratio < 1 / SPEED_RATIO) | (ratio > SPEED_RATIO)).mean()
         if share > FAILED_SHARE:
-            text = (
+            failed[k + 1] = (
                 f"rotor speed of M{k + 1} is {np.median(ratio):.2f} times that of the other rotors (median), "
+                f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
             )
-            text += f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
-            if log.thrust_is_measured:
-                text += " Thrust by rotor speeds is wrong then"
-            yield limit(f"m{k + 1}_speed", text)
+    return failed

@@ -62,6 +62,17 @@ RESULT = {
     "wrong": [],
     "flagged": False,
 }
+DOSE = {
+    "set": "lab",
+    "name": "gain of 0.005",
+    "kind": "dose",
+    "half": "development",
+    "dose": 0.005,
+    "parameter": "attitude gain k",
+    "flights": [4],
+    "refused": [],
+    "found": {"value": 0.7, "ci95": [0.6, 0.8]},
+}
 ERROR = {"set": "lab", "name": "lost", "kind": "cause", "half": "development", "error": "lab: no file like a"}
 
 
@@ -73,7 +84,11 @@ def test_rows_are_well_formed():
     known = rows.known_rows()
     assert len({r.key for r in known}) == len(known)  # one file each
     for r in known:
-        assert r.kind in ("cause", "nothing", "unknown") and r.strength in ("weak", "medium", "strong"), r
+        assert r.kind in ("cause", "nothing", "unknown", "dose") and r.strength in (
+            "weak",
+            "medium",
+            "strong",
+        ), r
         assert set(r.right) | set(r.beside) <= set(LIBRARY), r
         assert not set(r.right) & set(r.beside), r
         assert bool(r.right) or r.kind != "cause", r
@@ -82,7 +97,8 @@ def test_rows_are_well_formed():
         if r.size:
             assert r.size["of"] in ("thrust", "wind") and r.size["value"] > 0 < r.size["tolerance"], r
         if r.dose is not None:
-            assert f"{r.dose:g} mm" in r.name and not any("{folder}" in one for one in r.flights), r
+            assert f" {r.dose:g}" in r.name and not any("{folder}" in one for one in r.flights), r
+        assert (r.kind == "dose") == (r.dose is not None and hasattr(load_vehicle(), r.parameter or "-")), r
 
 
 # Names as they are in a clone of each repository, and which of them were held out.
@@ -123,7 +139,12 @@ CLONES = {
             for folder in (
                 *("normal_flight", "add_weight_W1_near_M3", "weight_on_string_W3_near_M3"),
                 *("add_weight_W1_near_M4", "add_weight_W1_near_M3_M4"),
-                *(one for r in rows.known_rows() if r.dose for one in [r.flights[0].split("/")[2]]),
+                *(
+                    one
+                    for r in rows.known_rows()
+                    if r.dose and r.set == "CrazyPAD"
+                    for one in [r.flights[0].split("/")[2]]
+                ),
             )
             for vehicle in (8, 9)
             for n in range(5)
@@ -146,6 +167,8 @@ def test_halves_are_kept_apart(name, tmp_path):
     for r in mine:
         reference, flights = (
             {p.relative_to(tmp_path / name).as_posix() for p in rows.paths_of(tmp_path / r.set, patterns)}
+            if patterns or r.kind != "dose"
+            else set()
             for patterns in (r.reference, r.flights)
         )
         if r.half == "development":
@@ -210,10 +233,11 @@ def test_judgement(answer, expected):
 
 
 def test_flagged_is_unknown_or_flights_that_must_be_inconsistent():
-    sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b",))
+    sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b", "c"))
     assert not rows.judged(ROW, diagnosis())["flagged"]
     assert rows.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
-    assert rows.judged(sensor, diagnosis(inconsistent=("b",)))["flagged"]
+    assert rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
+    assert not rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
     assert not rows.judged(sensor, diagnosis())["flagged"]
     assert not rows.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
 
@@ -259,7 +283,7 @@ def test_summary_counts_each_bar_by_hand():
     same = made(kind="nothing", told=None, found=None) | {"sure names": 0}
     narrow = made(found={"value": 0.8, "ci95": [0.7, 0.879]})  # with the tolerance of 0.02 short of 0.9
     touching = made(found={"value": 0.8, "ci95": [0.7, 0.881]})
-    got = page.summary([RESULT, weak, possible, outside, same, narrow, touching, ERROR])
+    got = page.summary([RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE])
     assert got == {
         "sure": (3, 4),  # the weak one does not count
         "possible": (4, 4),
@@ -269,15 +293,60 @@ def test_summary_counts_each_bar_by_hand():
         "unknown": (1, 1),
     }
     text = page.summary_text([RESULT, ERROR])
-    assert text.count("\n") == len(page.BARS) - 1
+    assert text.count("\n") == len(page.BARS) + len(page.BASELINES) - 1
+    assert text.endswith("sparse regression: right among its names 0/0; 0 of its 0 names are wrong")
+    missed = {"right": False, "wrong": 1, "names": ["wind"]}
+    weak, same = (
+        made(baselines={"tuning": missed}, **how) for how in ({"strength": "weak"}, {"kind": "nothing"})
+    )
+    counts = page.summary_text([RESULT, weak, made(baselines={"tuning": missed}), same, ERROR, DOSE])
+    assert "parameter tuning: right among its names 1/2; 4 of its 5 names are wrong" in counts
     assert "named sure: 1/1 (100 %; at least 80 %)" in text and "flagged: 0/0 (none; at least 100 %)" in text
 
 
 def test_every_line_of_the_table_has_all_columns():
-    lines = page.cells([RESULT, ERROR, made(told=None, found=None, before=None, baselines={}, flagged=True)])
+    bare = made(told=None, found=None, before=None, baselines={}, flagged=True)
+    lines = page.cells([RESULT, ERROR, bare, DOSE])
     assert all(len(line) == len(page.HEADER) for line in lines)
     assert "mass 1.12 [1.09, 1.15]" in lines[0] and "61 to 15" in lines[0] and "right, 1 wrong" in lines[0]
     assert lines[1][3] == "not read: lab: no file like a"
+    assert {"attitude gain k at 0.005", "0.7 [0.6, 0.8]"} < set(lines[3])
+    assert page.line(DOSE) == "lab: gain of 0.005: attitude gain k 0.7 [0.6, 0.8]"
+
+
+def test_the_figures_have_every_dose_with_its_interval():
+    cut, lost = made(dose=3.0, told=None), made(dose=4.0, told=None, found=None)
+    results = [RESULT, cut, lost, DOSE, ERROR]
+    (thrust, wind, cuts), (gains,) = page.draw(results).axes, page.draw_gains(results).axes
+
+    def points(axes):
+        """Points and ends of intervals, without those of the legend."""
+        ends = [(*bar.get_segments()[0][:, 1],) for bar in axes.collections]
+        return [
+            tuple(map(float, line.get_xydata()[0])) for line in axes.lines if len(line.get_xdata()) == 1
+        ], ends
+
+    assert points(thrust) == ([(0.9, 0.893)], [pytest.approx((0.87, 0.917))]) and not wind.collections
+    assert points(cuts) == ([(3.0, 0.893), (4.0, 0.0)], [pytest.approx((0.87, 0.917))])
+    assert points(gains) == ([(0.005, 0.7)], [pytest.approx((0.6, 0.8))])
+
+
+def test_a_dose_is_what_is_identified_of_its_parameter(tmp_path, monkeypatch):
+    parameters = [
+        SimpleNamespace(name=name, field=field, value=value, ci95=(value - 0.1, value + 0.1))
+        for name, field, value in (("tau", "attitude_time_constant", 0.1), ("k", "attitude_gain", 0.7))
+    ]
+    found = SimpleNamespace(parameters=parameters, flights=("a", "b"))
+    monkeypatch.setattr(rows, "identify", lambda flights, vehicle: found)
+    monkeypatch.setattr(rows, "paths_of", lambda folder, patterns: [])
+    row = dataclasses.replace(ROW, kind="dose", dose=0.005, parameter="attitude_gain")
+    monkeypatch.setattr(rows, "read", lambda paths, above: ([flight(), flight()], ["one was refused"]))
+    got = rows.answer(tmp_path, row)
+    assert (got["parameter"], got["dose"], got["flights"]) == ("k", 0.005, [2])
+    assert got["found"]["value"] == 0.7 and set(got) == set(DOSE)
+    monkeypatch.setattr(rows, "read", lambda paths, above: ([], ["one was refused"]))
+    with pytest.raises(UserError, match="one was refused"):
+        rows.answer(tmp_path, row)
 
 
 def flight(thrust=1.0, wind=0.0, m3=1.0, height=0.0):
@@ -342,7 +411,7 @@ def test_kept_rows_are_not_flown_again(tmp_path, capsys):
     assert main(["causes", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
     assert "named sure: 1/1" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        *("rows", "table.md", "causes.json", "causes.png", "report.html")
+        *("rows", "table.md", "causes.json", "causes.png", "gains.png", "report.html")
     }
     written = json.loads((tmp_path / "out" / "causes.json").read_text())
     assert written["rows"] == [RESULT] and written["summary"]["interval"] == [1, 1]

@@ -17,6 +17,7 @@ from inclined_landing.eval.gap.answer.named import (
     relevant_values,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
+from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
 from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
@@ -79,6 +80,8 @@ def diagnose(
     notes: list[str] = []
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
+    flights, failed = without_failed_sensors(flights)
+    heldout, failed_heldout = without_failed_sensors(heldout)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     usable, unidentifiable = identifiable_effects(library, fitted)
@@ -102,6 +105,9 @@ def diagnose(
     clock("name")
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
+    failed += failed_heldout
+    notes[:0] = [f"{one.flights[0]} is left out: {one.sensor}" for one in failed]
+    inconsistent = (*failed, *inconsistent)
 
     def fitted_values(names: EffectSet) -> Values:
         values = sets.posterior_mode(problem, found.local.with_wide_slabs(names), names)

@@ -16,6 +16,7 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.answer.named import disturbances
+from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
@@ -129,6 +130,8 @@ def identify(
     Raises UserError when no flight can be used.
     """
     notes: list[str] = []
+    flights, failed = without_failed_sensors(flights)
+    heldout, failed_heldout = without_failed_sensors(heldout)
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     library, unidentifiable = identifiable_effects(
@@ -148,6 +151,9 @@ def identify(
     near = problem.linearise(values, columns, inflation)
     inconsistent = heterogeneity.inconsistent_flights(problem, near, values)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
+    failed += failed_heldout
+    notes[:0] = [f"{one.flights[0]} is left out: {one.sensor}" for one in failed]
+    inconsistent = (*failed, *inconsistent)
     problem.confounded = confounding(near)
     problem.between = estimate_between_flight_deviations(problem, near)
     problem.excitation = excitation(problem, near)

@@ -1,6 +1,7 @@
 """Flights as people have them: with requests of four motors, without attitude commands, by rotor speeds."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -8,10 +9,12 @@ import pytest
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS, prepare, prepare_all
+from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.posterior import slab_covariance, spike_deviations
 from inclined_landing.eval.gap.search.prediction import predict, requested_differences
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -168,6 +171,45 @@ def test_how_a_battery_was_put_in_is_shared_by_the_flights_of_a_day():
     unseen = Problem(silent, V, identifiable_effects(LIBRARY, silent)[0])
     [x] = [c for c in unseen.columns(["com_offset"]) if c.parameter == "x"]
     assert spike_deviations(unseen, [x])[0] < 0.5 * spike_deviations(many, [x])[0]
+
+
+def with_measured_speeds(seed: int, sensor: float = 1.0) -> FlightLog:
+    """A flight whose thrust is that of four rotor speeds; the sensor of M3 shows a share of its speed."""
+    log = flown(V, seed, seconds=6.0)
+    squares = np.repeat(log.command[:, :1], 4, axis=1) * [1.05, 0.95, 1.0, 1.0]  # PWM goes with the square
+    squares[:, 2] *= sensor**2
+    command = np.c_[squares.mean(axis=1), np.full((len(log), 3), np.nan)]
+    speeds = 2000.0 * np.sqrt(squares / 65535.0)
+    return dataclasses.replace(
+        log, command=command, requests=None, rotor_speed=speeds, thrust_is_measured=True
+    )
+
+
+@pytest.mark.parametrize("answer", [diagnose, identify])
+def test_a_flight_whose_speed_sensor_fails_is_named_and_left_out(answer):
+    good, bad = [with_measured_speeds(seed) for seed in (1, 2, 3)], with_measured_speeds(4, sensor=0.5)
+    found, alone = answer([good[0], bad, *good[1:]], V), answer(good, V)
+    (one,) = found.inconsistent_flights
+    assert one.flights == ("flight 4",) and one.others == found.flights == tuple(log.name for log in good)
+    assert one.sensor.startswith("rotor speed of M3 is 0.5") and one.differences == ()
+    (sentence,) = words.inconsistency(one)
+    assert sentence.startswith(
+        "flight 4 contradicts the other 3 flights and is left out of the fit: rotor speed"
+    )
+    assert sum("flight 4 is left out: rotor speed of M3" in note for note in found.notes) == 1
+    record = [json.loads(storage.to_json(one.to_json())) for one in (found, alone)]
+    (entry,) = record[0].pop("contradictions")
+    assert entry["sensor"] == one.sensor and entry["p_value"] is None and not record[1].pop("contradictions")
+    # Beside that, the answer is that of the others.
+    for r in record:
+        r["notes"] = [note for note in r["notes"] if "flight 4" not in note]
+        r.pop("seconds", None), r.pop("stages", None)
+    assert record[0] == record[1]
+
+
+def test_flights_whose_speed_sensors_all_fail_are_refused_by_name():
+    with pytest.raises(UserError, match=r"flight 4: rotor speed of M3 is 0\.5"):
+        diagnose([with_measured_speeds(4, sensor=0.5)], V)
 
 
 def test_slabs_stay_wider_than_spikes_however_much_flights_differ():

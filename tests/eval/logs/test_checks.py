@@ -8,14 +8,14 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
-from inclined_landing.eval.logs.checks import check_fleet, enforce
+from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_command
 from inclined_landing.models.errors import UserError
 
 ATTITUDE_LAG, THRUST_LAG = 0.08, 0.05  # s
 
 
 def flight(
-    seed=0, seconds=12.0, hover=42_000.0, heading=0.5, noise=1e-3, planar=False, name="flight"
+    seed=0, seconds=12.0, hover=42_000.0, heading=0.5, noise=1e-3, planar=False, level=False, name="flight"
 ) -> FlightLog:
     """An ordinary flight, 100 Hz: slow sines in each axis; tilt and thrust follow from the motion.
 
@@ -29,6 +29,7 @@ def flight(
         phase = np.random.default_rng(seed + 1).uniform(0, 6, (3, 2))
         rate, size = np.array([1.1, 2.3]), np.array([[0.8, 0.25], [0.7, 0.2], [0.3, 0.1]])
         size[1] *= not planar
+        size[2] *= 0.05 if level else 1.0
         angle = rate * at[:, None, None] + phase
         return (
             (size * np.sin(angle)).sum(-1) + [0, 0, 1],
@@ -246,7 +247,10 @@ def test_a_rotor_speed_sensor_that_fails_is_named(rotor, factor, since):
         text for text in found(dataclasses.replace(log, thrust_is_measured=True), "limit") if "M" in text
     ]
     assert text.endswith("Thrust by rotor speeds is wrong then")
-    assert any(text in note for note in enforce(dataclasses.replace(log, thrust_is_measured=True)).notes)
+    measured = dataclasses.replace(log, thrust_is_measured=True)
+    assert any(text in note for note in enforce(measured).notes)
+    # Thrust that is wrong makes no other vehicle.
+    assert np.isnan(hover_command(measured)) and np.isfinite(hover_command(log))
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.4])
@@ -297,6 +301,44 @@ def test_flights_of_two_vehicles():
     assert "different vehicles are mixed: a0, a1, a2 hover at" in mixed.text and "b1, b0 at" in mixed.text
     (unlike,) = check_fleet([one[0], flight(5, hover=45_500, name="c")])
     assert unlike.decision == "limit" and "one vehicle, one load?" in unlike.text
+
+
+def on_the_floor(log: FlightLog, rows: slice) -> FlightLog:
+    """The flight, standing still at a third of its command in some rows; noise as it was."""
+    position, attitude, command = log.position.copy(), log.attitude.copy(), log.command.copy()
+    position[rows] = np.random.default_rng(2).normal([0, 0, position[:, 2].min()], 1e-3, position[rows].shape)
+    attitude[rows, :2] = np.random.default_rng(3).normal(0.02, 0.005, attitude[rows, :2].shape)
+    command[rows] = [14_000.0, 0.0, 0.0, 0.0]
+    return dataclasses.replace(log, position=position, attitude=attitude, command=command, velocity=None)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_flights_that_hold_their_height_are_judged(seed):
+    """All rows within 6 cm of height; 3 % is what the force's 0.8th power leaves of a line."""
+    held = flight(seed, level=True)
+    assert np.ptp(held.position[:, 2]) < 0.06
+    assert hover_command(held) == pytest.approx(42_000, rel=0.03)
+    assert np.isnan(hover_command(on_the_floor(held, slice(None))))
+    # What climbs is judged above the floor alone.
+    landed = on_the_floor(flight(seed), slice(0, 400))
+    assert hover_command(landed) == pytest.approx(42_000, rel=0.03)
+    (mixed,) = check_fleet([held, flight(seed + 1, level=True), flight(seed, hover=55_000, level=True)])
+    assert mixed.decision == "refuse" and "different vehicles are mixed" in mixed.text
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_controller_that_stops_writing_is_noticed_where_the_vehicle_moves_on(moves):
+    log = flight()
+    log.attitude[700:], log.command[700:] = log.attitude[700], log.command[700]
+    if not moves:  # a vehicle that stands needs no new attitude
+        log.position[700:] = log.position[700]
+    texts = [text for text in found(log, "limit") if "never change from" in text]
+    assert len(texts) == moves and all("from t = 7.00 s on" in text for text in texts)
+    assert len(enforce(log)) == (700 if moves else len(log))
+    early = log.rows(slice(640, None))
+    if moves:
+        with pytest.raises(UserError, match=r"never change from t = 7\.00 s on.*too little is left"):
+            enforce(early)
 
 
 def test_the_command_names_two_vehicles(tmp_path, capsys):

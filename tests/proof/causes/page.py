@@ -21,6 +21,7 @@ BARS = {
     "nothing": ("nothing changed, but a sure name", 0.10),
     "unknown": ("causes outside the library that are flagged", 1.0),
 }
+BASELINES = {"tuning": "parameter tuning", "sparse": "sparse regression"}
 HEADER = (
     *(
         "set",
@@ -40,7 +41,7 @@ HEADER = (
 
 def summary(results: Sequence[dict]) -> dict[str, tuple[int, int]]:
     """Return the counts of `BARS`: how many, and of how many."""
-    answered = [r for r in results if "error" not in r]
+    answered = [r for r in results if "error" not in r and r["kind"] != "dose"]
     causes = [r for r in answered if r["kind"] == "cause"]
     clear = [r for r in causes if r["strength"] != "weak"]
     told = [r for r in causes if r["told"]]
@@ -72,14 +73,34 @@ def summary_text(results: Sequence[dict]) -> str:
         sign = "at most" if key in ("wrong", "nothing") else "at least"
         share = f"{100 * count / of:.0f} %" if of else "none"
         lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
-    return "\n".join(lines)
+    return "\n".join(lines + [_baseline_counts(results, method) for method in BASELINES])
+
+
+def _baseline_counts(results: Sequence[dict], method: str) -> str:
+    """Return on how many causes of medium size or more a baseline has a right name, and its wrong names."""
+    rows = [(r, r["baselines"][method]) for r in results if method in r.get("baselines", {})]
+    clear = [one for r, one in rows if r["kind"] == "cause" and r["strength"] != "weak"]
+    right, names = sum(one["right"] for one in clear), sum(len(one["names"]) for _, one in rows)
+    wrong = sum(one["wrong"] for _, one in rows)
+    counted = f"right among its names {right}/{len(clear)}; {wrong} of its {names} names are wrong"
+    return f"{BASELINES[method]}: {counted}"
 
 
 def line(r: dict) -> str:
     """Return a row as a line of progress."""
     if "error" in r:
         return f"{r['set']}: {r['name']}: {r['error']}"
+    if r["kind"] == "dose":
+        return f"{r['set']}: {r['name']}: {r['parameter']} {_found(r)}"
     return f"{r['set']}: {r['name']}: {', '.join(_names(r, True)) or r['verdict']} ({r['seconds']:.0f} s)"
+
+
+def _found(r: dict) -> str:
+    """Return what was found of a told size or dose, with its interval."""
+    if not r["found"]:
+        return ""
+    low, high = r["found"]["ci95"]
+    return f"{r['found']['value']:.3g} [{low:.3g}, {high:.3g}]"
 
 
 def _names(r: dict, sure: bool) -> list[str]:
@@ -103,21 +124,21 @@ def cells(results: Sequence[dict]) -> list[list[str]]:
         if "error" in r:
             lines.append([r["set"], r["name"], "", "not read: " + r["error"], *[""] * 8])
             continue
+        if r["kind"] == "dose":
+            told = f"{r['parameter']} at {r['dose']:g}"
+            lines.append([r["set"], r["name"], str(r["flights"][0]), *[""] * 3, told, _found(r), *[""] * 4])
+            continue
         told = f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else ""
-        found = ""
-        if r["found"]:
-            low, high = r["found"]["ci95"]
-            found = f"{r['found']['value']:.3g} [{low:.3g}, {high:.3g}]"
         error = "" if r["before"] is None else f"{100 * r['before']:.0f} to {100 * r['after']:.0f}"
         verdict = r["verdict"] + (
             f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
         )
-        others = [_baseline(r["baselines"].get(method)) for method in ("tuning", "sparse")]
+        others = [_baseline(r["baselines"].get(method)) for method in BASELINES]
         sure, possible = "; ".join(_names(r, True)), ", ".join(_names(r, False))
         flights = f"{r['flights'][0]} and {r['flights'][1]}"
         rough = "" if r["rough"] is None else f"{r['rough']:.3g}"
         lines.append(
-            [r["set"], r["name"], flights, verdict, sure, possible, told, found, rough, error, *others]
+            [r["set"], r["name"], flights, verdict, sure, possible, told, _found(r), rough, error, *others]
         )
     return lines
 
@@ -137,46 +158,52 @@ def markdown(results: Sequence[dict]) -> str:
 
 def draw(results: Sequence[dict]) -> Figure:
     """Draw told against found: thrust, wind, and the loss of a cut propeller."""
-    good = [r for r in results if "error" not in r and r["found"]]
+    results = [r for r in results if "error" not in r and r["kind"] != "dose"]
+    told = [r for r in results if r["found"] and r["told"]]
     with style.styled():
         figure = Figure(figsize=(9.6, 3.5), layout="constrained")
-        thrust, wind, dose = figure.subplots(1, 3)
-        _told_against_found(thrust, [r for r in good if r["told"] and r["told"]["of"] == "thrust"])
+        thrust, wind, cut = figure.subplots(1, 3)
+        _told_against_found(thrust, [r for r in told if r["told"]["of"] == "thrust"])
         thrust.set(xlabel="told thrust over mass, times the reference's", ylabel="found")
-        _told_against_found(wind, [r for r in good if r["told"] and r["told"]["of"] == "wind"])
+        _told_against_found(wind, [r for r in told if r["told"]["of"] == "wind"])
         wind.set(xlabel="told wind, m/s", ylabel="found, m/s")
-        cut = [r for r in results if "error" not in r and r["dose"] is not None]
-        for r in cut:
-            size = r["found"]
-            if size:
-                low, high = size["ci95"]
-                ends = [[size["value"] - low], [high - size["value"]]]
-                dose.errorbar(
-                    r["dose"], size["value"], yerr=ends, fmt="o", color=style.colour(0), ms=5, lw=1.2
-                )
+        for r in (r for r in results if r["dose"] is not None):
+            if r["found"]:
+                _with_interval(cut, r["dose"], r["found"])
             else:
-                dose.plot(r["dose"], 0.0, "o", mfc="none", color=style.colour(1), ms=5)
-        dose.set(xlabel="cut off the propeller of M3, mm", ylabel="thrust lost by rotor M3")
-        dose.plot([], [], "o", color=style.colour(0), label="named")
-        dose.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
-        dose.legend(frameon=False, loc="upper left")
+                cut.plot(r["dose"], 0.0, "o", mfc="none", color=style.colour(1), ms=5)
+        cut.set(xlabel="cut off the propeller of M3, mm", ylabel="thrust lost by rotor M3")
+        cut.plot([], [], "o", color=style.colour(0), label="named")
+        cut.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
+        cut.legend(frameon=False, loc="upper left")
     return figure
+
+
+def draw_gains(results: Sequence[dict]) -> Figure:
+    """Draw the identified gain of the attitude loop against the gain that was set."""
+    with style.styled():
+        figure = Figure(figsize=(4.2, 3.2), layout="constrained")
+        axes = figure.subplots()
+        for r in results:
+            if r["kind"] == "dose" and "error" not in r:
+                _with_interval(axes, r["dose"], r["found"])
+        axes.set(xlabel="told gain KR, N m/rad", ylabel="identified gain of the attitude loop")
+    return figure
+
+
+def _with_interval(axes, at: float, size: dict, marker: str = "o", colour: int = 0, **look) -> None:
+    """Draw a value and its 95 % interval."""
+    low, high = size["ci95"]
+    ends = [[size["value"] - low], [high - size["value"]]]
+    axes.errorbar(at, size["value"], yerr=ends, fmt=marker, color=style.colour(colour), ms=5, lw=1.3, **look)
 
 
 def _told_against_found(axes, rows: Sequence[dict]) -> None:
     sets = list(dict.fromkeys(r["set"] for r in rows))
     for r in rows:
-        low, high = r["found"]["ci95"]
-        value, k = r["found"]["value"], sets.index(r["set"])
-        axes.errorbar(
-            r["told"]["value"],
-            value,
-            yerr=[[value - low], [high - value]],
-            fmt=style.marker(k),
-            ms=6,
-            lw=1.4,
-            color=style.colour(k),
-        )
+        k = sets.index(r["set"])
+        hollow = {"mfc": "none"} if r["kind"] == "unknown" else {}
+        _with_interval(axes, r["told"]["value"], r["found"], style.marker(k), k, **hollow)
     for k, name in enumerate(sets):
         axes.plot([], [], style.marker(k), color=style.colour(k), label=name)
     if rows:
@@ -187,13 +214,14 @@ def _told_against_found(axes, rows: Sequence[dict]) -> None:
 
 
 def write(out: Path, results: Sequence[dict]) -> None:
-    """Write table.md, causes.json, causes.png and report.html into a folder."""
-    figure = draw(results)
+    """Write table.md, causes.json, causes.png, gains.png and report.html into a folder."""
+    figure, gains = draw(results), draw_gains(results)
     storage.write_text(out / "table.md", markdown(results))
     storage.write_text(
         out / "causes.json", storage.to_json({"rows": list(results), "summary": summary(results)})
     )
     style.save_figure(figure, out / "causes.png")
+    style.save_figure(gains, out / "gains.png")
     page = render(
         __package__,
         "report.html.j2",
@@ -202,6 +230,7 @@ def write(out: Path, results: Sequence[dict]) -> None:
         lines=cells(results),
         summary=summary_text(results).splitlines(),
         figure=embedded(png(figure)),
+        gains=embedded(png(gains)),
         versions=runs.versions(),
     )
     storage.write_text(out / "report.html", page)

@@ -10,8 +10,6 @@ from scipy.optimize import least_squares
 from inclined_landing.eval.logs import FlightLog, motion
 from inclined_landing.eval.logs.values import MOTORS_OFF
 
-CLEARANCE = 0.1  # m above the lowest row, from which a flight that climbs is in the air
-
 
 def thrust(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
     """Return the specific thrust per command of flights over that of the reference; None without either."""
@@ -25,10 +23,8 @@ def _specific_thrust(log: FlightLog) -> float | None:
     parts = motion.motion(log)
     if not parts:
         return None
-    pwm, force, height = (np.concatenate([getattr(p, k) for p in parts]) for k in ("pwm", "force", "height"))
-    if np.ptp(height) > 2 * CLEARANCE:  # otherwise the log begins and ends in the air
-        pwm, force = (x[height > height.min() + CLEARANCE] for x in (pwm, force))
-    good = np.isfinite(pwm) & np.isfinite(force)
+    pwm, force = (np.concatenate([getattr(p, k) for p in parts]) for k in ("pwm", "force"))
+    good = motion.in_air(log, parts) & np.isfinite(pwm) & np.isfinite(force)
     # f = slope PWM, least squares
     return float(pwm[good] @ force[good] / (pwm[good] @ pwm[good])) if good.sum() >= motion.RATE else None
 

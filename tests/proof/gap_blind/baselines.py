@@ -141,9 +141,11 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         return savgol_filter(x, window, 3, deriv=derivative, delta=dt, axis=0)
 
     velocity, acceleration = smooth(log.position, 1), smooth(log.position, 2)
-    attitude, rates = smooth(log.attitude), smooth(log.attitude, 1)
+    measured = np.nan_to_num(log.attitude)  # a heading that was not logged: the workflow's own choice too
+    attitude, rates = smooth(measured), smooth(measured, 1)
     pwm = log.command[:, 0]
-    lag = lags(pwm, dt, packed)[:-1]
+    # Measured speeds lag behind nothing.
+    lag = pwm / v.thrust_lag_rate if log.thrust_is_measured else lags(pwm, dt, packed)[:-1]
     load = v.thrust_lag_rate * lag
     n = int(rows.sum())
     up, drag, across, still, wind_x, wind_y = (np.empty((n, 3)) for _ in range(6))
@@ -178,6 +180,11 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         volts = log.voltage[rows] - v.effects_voltage_reference
         translation["battery_voltage", "sensitivity"] = thrust * volts[:, None]
     nominal = thrust + drag - np.array([0.0, 0.0, v.environment_gravity])
+    result = {"translation": _flat(acceleration[rows] - nominal, translation)}
+    if not np.isnan(log.command[:, 3]).any():
+        result["yaw"] = _flat(rates[rows, 2] - log.command[rows, 3], {("yaw_drift", "rate"): np.ones(n)})
+    if np.isnan(log.command[:, 1:3]).any():
+        return result
     # The rate loop delays the command; its time constant is known.
     keep = math.exp(-v.attitude_bandwidth * dt)
     wanted = log.command[:, 1:3]
@@ -192,13 +199,7 @@ def _terms(log: FlightLog, vehicle: Vehicle) -> dict[str, tuple[np.ndarray, dict
         ("attitude_trim", "roll"): np.column_stack([one, none]),
         ("attitude_trim", "pitch"): np.column_stack([none, one]),
     }
-    result = {
-        "translation": _flat(acceleration[rows] - nominal, translation),
-        "attitude": _flat(rates[rows, :2] - loop, attitude_terms),
-    }
-    if not np.isnan(log.command[:, 3]).any():
-        result["yaw"] = _flat(rates[rows, 2] - log.command[rows, 3], {("yaw_drift", "rate"): np.ones(n)})
-    return result
+    return {**result, "attitude": _flat(rates[rows, :2] - loop, attitude_terms)}
 
 
 def _flat(residual: np.ndarray, terms: dict) -> tuple[np.ndarray, dict]:
