@@ -91,7 +91,8 @@ ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle 
 DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
 # In space, where drawn vehicles differ in more: with the rates of the plane one of three seeds learned it.
 DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
-# Of touchdown in space, which begins with the descent law: little noise, or what it taught is lost; a long discount, or it comes in too fast.
+# Of touchdown in space, which begins with the descent law: little noise, or what it taught is lost; a long
+# discount, or it comes in too fast.
 AFTER_DESCENT = {
     **{"start_from": descent.NAME, "learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998},
     **{"steps": 1_000_000, "environments": 128, "batch_size": 1024},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 import time
 import tomllib
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.answer.identify import Identification, identify
 from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models.effects import LIBRARY
@@ -121,6 +122,17 @@ def base_vehicle(row: Row) -> Vehicle:
     return vehicle if row.mass is None else vehicle.changed(body_mass=row.mass)
 
 
+@functools.lru_cache(maxsize=2)
+def _identified(
+    folder: Path, patterns: tuple[str, ...], above: float | None, vehicle: Vehicle
+) -> tuple[list[FlightLog], list[str], Identification]:
+    """Return reference flights, why others cannot be used, and what they identify: rows of a set share them."""
+    logs, refused = read(paths_of(folder, patterns), above)
+    if not logs:
+        raise UserError(refused[0])
+    return logs, refused, identify(logs, vehicle)
+
+
 def answer(data: Path, row: Row) -> dict:
     """Identify the reference, diagnose the flights; returns what table, figures and page need.
 
@@ -129,12 +141,11 @@ def answer(data: Path, row: Row) -> dict:
     if row.kind == "dose":
         return dose_answer(data, row)
     began = time.perf_counter()
-    reference, refused = read(paths_of(data / row.set, row.reference), row.reference_above or row.above)
+    above = row.reference_above or row.above
+    reference, refused, known = _identified(data / row.set, row.reference, above, base_vehicle(row))
     flights, more = read(paths_of(data / row.set, row.flights), row.above)
-    if not reference or not flights:
-        raise UserError((refused + more)[0])
-    base = base_vehicle(row)
-    known = identify(reference, base)
+    if not flights:
+        raise UserError(more[0])
     d = diagnose(flights, known.vehicle, reference=known.reference)
     mean_pwm = float(np.mean([np.median(f.command[:, 0]) for f in flights]))
     gap = d.gap.get("analytic")
