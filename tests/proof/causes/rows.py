@@ -126,7 +126,7 @@ def base_vehicle(row: Row) -> Vehicle:
 def _identified(
     folder: Path, patterns: tuple[str, ...], above: float | None, vehicle: Vehicle
 ) -> tuple[list[FlightLog], list[str], Identification]:
-    """Return reference flights, why others cannot be used, and what they identify: rows of a set share them."""
+    """Return reference flights, why others cannot be used, and what they identify; rows of a set share it."""
     logs, refused = read(paths_of(folder, patterns), above)
     if not logs:
         raise UserError(refused[0])
