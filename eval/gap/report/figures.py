@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -124,7 +125,7 @@ def draw_where(
     axis.set_yticks([])
     if named:
         axis.set_yticks(np.arange(len(regimes)) + 0.5, _regime_names(rows))
-    axis.tick_params(length=0, labelsize=8, top=False)
+    axis.tick_params(length=0, labelsize=9, top=False)
     axis.spines[:].set_visible(False)
     axis.set_title(_MAPS[what], fontsize=9.5)
 
@@ -144,8 +145,8 @@ def _where_scale(
     bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
     bar.outline.set_visible(False)
     ends = [end for end in _ENDS if end <= last]
-    bar.set_ticks([1, 3, *ends], labels=["noise level", "3 ×", *(f"{end:g} ×" for end in ends)])
-    bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
+    bar.set_ticks([1, 3, *ends], labels=[f"{times:g} ×" for times in (1, 3, *ends)])
+    bar.ax.tick_params(labelsize=8.5, length=0, colors=MUTED)
     bar.minorticks_off()
 
 
@@ -275,13 +276,13 @@ def window_curves(windows: Sequence[WindowCurves]) -> list[Figure]:
         regimes.setdefault((w.flight, w.start), []).append(REGIMES.get(w.regime, w.regime))
     figures = []
     for w in list({(w.flight, w.start): w for w in worst}.values())[:4]:
-        figure = Figure(figsize=(PANEL, 4.3))
+        figure = Figure(figsize=(PANEL, 4.45))
         high = panel(figure, 0.65, 2.3, PANEL - 0.8, 1.2)
         low = panel(figure, 0.65, 0.5, PANEL - 0.8, 1.5)
         _draw_window(high, w, (0, 1, 2), 100.0, "cm")
         _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        title = f"{', '.join(regimes[w.flight, w.start])}\n{literal(w.flight)}, {w.start:.1f} s"
-        high.set_title(title, loc="left")
+        title = textwrap.fill(", ".join(regimes[w.flight, w.start]), 38)
+        high.set_title(f"{title}\n{literal(w.flight)}, {w.start:.1f} s", loc="left", fontsize=9)
         low.set_xlabel("time in the window [s]")
         lines = high.get_legend_handles_labels()
         figure.legend(*lines, loc="upper left", ncols=3, handlelength=1.2, columnspacing=0.9)
@@ -371,25 +372,30 @@ def residual(left: ResidualAnalysis) -> list[Figure]:
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
     """Return the overview: error against horizon, errors by regime and channel, a held-out flight."""
-    below = 3.0 if one is not None else 0.0
-    figure = Figure(figsize=(11.6, 3.9 + below))
-    low = below + 0.62
-    left = panel(figure, 0.75, low, 2.9, 2.75)
-    draw_horizon(left, d.horizon, d.gap)
+    wide, below = 9.6, 2.9 if one is not None else 0.0
     rows = [r for r in d.where if r.regime != "all" and r.channel != "touchdown"]
-    width = 2.02
-    for k, what in enumerate(("before", "after")):
-        axis = panel(figure, 7.3 + k * (width + 0.14), low, width, 2.55)
-        draw_where(axis, rows, what, size=7, named=k == 0)
-    _where_scale(figure, rows, 7.3, low - 0.34, 2 * width + 0.14)
-    h = figure.get_figheight()
-    figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)
-    for x, text in ((0.75, "Position error as effects are added"), (5.75, "Errors by regime and channel")):
-        figure.text(x / 11.6, (low + 2.98) / h, text, fontsize=11, fontweight="bold", va="bottom")
+    maps = 0.3 * len(_axes_of(rows)[0])
+    low = below + 0.65
+    high = low + maps + 1.35
+    figure = Figure(figsize=(wide, high + 2.75))
+    draw_horizon(panel(figure, 0.75, high, 6.1, 2.3), d.horizon, d.gap)
+    titles = [(high + 2.45, "Position error as effects are added")]
+    if rows:
+        width = 3.3
+        for k, what in enumerate(("before", "after")):
+            axis = panel(figure, 2.05 + k * (width + 0.15), low, width, maps)
+            draw_where(axis, rows, what, size=9, named=k == 0)
+        _where_scale(figure, rows, 2.05, low - 0.35, 2 * width + 0.15)
+        titles.append((low + maps + 0.38, "Errors by regime and channel"))
+        note = f"{_where_units(rows)}; colour: error over noise level"
+        figure.text((wide - 0.1) / wide, (low + maps + 0.4) / (high + 2.75), note, color=MUTED, ha="right")
     if one is not None:
-        axis = panel(figure, 0.75, 0.5, 10.7, 2.0)
+        axis = panel(figure, 0.75, 0.5, wide - 0.85, 1.8)
         draw_track(axis, one, one.worst_axes()[0])
         axis.set_xlabel("time [s]")
         axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-        figure.text(0.75 / 11.6, 2.62 / h, _flown(one), fontsize=11, fontweight="bold", va="bottom")
+        titles.append((2.4, _flown(one)))
+    for y, text in titles:
+        place = (0.1 / wide, y / (high + 2.75))
+        figure.text(*place, text, fontsize=11, fontweight="bold", va="bottom")
     return figure

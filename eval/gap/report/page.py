@@ -21,8 +21,8 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
     with styled():
         drawn = {
             "estimates": figures.estimates(d.effects, d.flights),
-            "horizon": [figures.horizon(d.horizon, d.gap)] if d.horizon else [],
-            "track": [figures.track(track)] if track else [],
+            "horizon": figures.horizon(d.horizon, d.gap) if d.horizon else None,
+            "track": figures.track(track) if track else None,
             "windows": figures.window_curves(d.windows),
             "residual": figures.residual(d.residual),
         }
@@ -46,7 +46,10 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         sets=words.set_rows(d),
         noise_rows=words.noise_rows(d.disturbance),
         where=figures.where_tables(d.where),
-        figures={name: [figures.svg(one) for one in some] for name, some in drawn.items()},
+        figures={
+            name: [figures.svg(one) for one in some] if isinstance(some, list) else some and figures.svg(some)
+            for name, some in drawn.items()
+        },
         colours=(figures.BEFORE, figures.AFTER),
         every=EVERY,
         vehicle=VEHICLE,
