@@ -304,10 +304,11 @@ def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: f
 
 
 def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Figure]:
-    """Return the estimates of each parameter in single flights with 95 % intervals, over that of all flights."""
+    """Return each parameter's estimates in single flights with 95 % intervals, over that of all flights."""
     line = max(1.1, 0.17 * len(flights))
     figures = []
-    for effect, name, p in [(e, name, p) for e in effects for name, p in e.parameters.items()] if flights else []:
+    parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
+    for effect, name, p in parts if flights else []:
         figure = Figure(figsize=(PANEL, line + 1.05))
         axis = panel(figure, 0.85, 0.55, PANEL - 1.0, line)
         factor, unit = shown(p.unit)
