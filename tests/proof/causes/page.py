@@ -136,15 +136,17 @@ def markdown(results: Sequence[dict]) -> str:
 
 
 def draw(results: Sequence[dict]) -> Figure:
-    """Draw told against found: thrust, wind, and the loss of a cut propeller."""
+    """Draw identified over documented sizes: thrust, wind, and the loss of a cut propeller."""
     good = [r for r in results if "error" not in r and r["found"]]
     with style.styled():
         figure = Figure(figsize=(9.6, 3.5), layout="constrained")
         thrust, wind, dose = figure.subplots(1, 3)
         _told_against_found(thrust, [r for r in good if r["told"] and r["told"]["of"] == "thrust"])
-        thrust.set(xlabel="told thrust over mass, times the reference's", ylabel="found")
+        thrust.set(
+            xlabel="documented thrust/mass, relative [1]", ylabel="identified thrust/mass, relative [1]"
+        )
         _told_against_found(wind, [r for r in good if r["told"] and r["told"]["of"] == "wind"])
-        wind.set(xlabel="told wind, m/s", ylabel="found, m/s")
+        wind.set(xlabel="documented wind [m/s]", ylabel="identified wind [m/s]")
         cut = [r for r in results if "error" not in r and r["dose"] is not None]
         for r in cut:
             size = r["found"]
@@ -156,7 +158,7 @@ def draw(results: Sequence[dict]) -> Figure:
                 )
             else:
                 dose.plot(r["dose"], 0.0, "o", mfc="none", color=style.colour(1), ms=5)
-        dose.set(xlabel="cut off the propeller of M3, mm", ylabel="thrust lost by rotor M3")
+        dose.set(xlabel="length cut off propeller M3 [mm]", ylabel="identified thrust loss of rotor M3 [1]")
         dose.plot([], [], "o", color=style.colour(0), label="named")
         dose.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
         dose.legend(frameon=False, loc="upper left")
