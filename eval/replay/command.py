@@ -94,7 +94,7 @@ def command(
     notes: list[str] = []
     for source in sources:
         if source in ready:
-            recordings += _record(*ready[source], plant)
+            recordings += _record(_name(source).removesuffix(".zip"), *ready[source], plant)
             continue
         found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=plant)
         recordings += found
@@ -154,12 +154,12 @@ def _load_policy(source: str, start: Starts, drawn: int, seed: int, flown: Flown
     return policy, choose_starts(policy.task, where, drawn, seed)
 
 
-def _record(policy: Policy, where: Start, plant: str) -> list[Recording]:
+def _record(name: str, policy: Policy, where: Start, plant: str) -> list[Recording]:
     """Return the recorded flights of one policy."""
     recordings = []
     for flight in record_flights(policy, plant, where):
-        name = f"{shown(policy.name, 60)} from {policy.task.start_words(flight.state[0])}"
-        recordings.append(from_flight(flight, name, plant))
+        named = f"{shown(name, 60)} from {policy.task.start_words(flight.state[0])}"
+        recordings.append(from_flight(flight, named, plant))
     return recordings
 
 

@@ -231,13 +231,13 @@ def vehicles_figure(report: dict[str, Any]) -> Figure:
 
     Lines with 95 % intervals: drawn vehicles in groups of equal size; marks: the named vehicles.
     """
-    columns = {"mass": ("mass [g]", 1e3), "thrust_to_weight": ("thrust to weight", 1.0)}
+    columns = {"mass": ("mass [g]", 1e3), "thrust_to_weight": ("thrust over weight [1]", 1.0)}
     with styled():
         figure = Figure(figsize=(9.2, 3.8), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for axes, (key, (label, factor)) in zip(panels, columns.items()):
             axes.grid(True)
-            axes.axhline(_BAR, color=INK, lw=0.9, ls=(0, (2, 2)))
+            axes.axhline(_BAR, color=INK, lw=0.9, ls=(0, (2, 2)), label=f"bar of {_BAR:g} %")
             for k, name in enumerate(report["labels"]):
                 drawn = _drawn(axes, report["draws"], name, key, factor, k)
                 _named(axes, report["vehicles"], name, key, factor, k, labelled=not drawn)
@@ -248,8 +248,11 @@ def vehicles_figure(report: dict[str, Any]) -> Figure:
         panels[0].set_xticks(ticks, [f"{tick}" for tick in ticks])
         panels[0].minorticks_off()
         panels[0].set_ylabel("strict success [%]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
+        handles, _ = panels[0].get_legend_handles_labels()
+        if report["draws"] is not None:
+            handles += panels[0].plot([], [], "s", mec=INK, mfc="white", label="one named vehicle")
+            handles.append(Patch(color=MUTED, alpha=0.25, lw=0, label="95 % interval, drawn vehicles"))
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(5, len(handles)))
     return figure
 
 

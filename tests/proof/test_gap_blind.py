@@ -327,19 +327,30 @@ def test_calibration_of_known_probabilities():
     assert summary.calibration([{"belief": None}]) is None
 
 
-def test_table_counts_with_intervals():
+def made_results() -> dict:
+    """Return results of eleven cases, with their tables."""
     sets = ((0.9, "wind"), (0.1,))
     rows = [score.score_case(label(), report(WIND, sets=sets)) for _ in range(9)]
     rows += [score.score_case(label(), report(DRAG)), score.score_case(label("nothing", ()), report())]
-    lines = {line["stratum"]: line for line in summary.table(rows)}
+    results = {"set": "dev", "seed": 0, "cases": 11, "labels sha256": "0" * 64}
+    method = {"table": summary.table(rows), "families": summary.by_family(rows)}
+    method |= {"calibration": summary.calibration(rows), "cases": [{"case": "case_000"} | rows[0]]}
+    return results | {"methods": {"workflow": method}}
+
+
+def page_of_cases() -> str:
+    results = made_results()
+    return page(results, reliability(results))
+
+
+def test_table_counts_with_intervals():
+    results = made_results()
+    method = results["methods"]["workflow"]
+    lines = {line["stratum"]: line for line in method["table"]}
     single = lines["single"]
     assert (single["cases"], single["named"], single["misnamed"]) == (10, 9, 1)
     assert single["good"]["interval"] == pytest.approx([0.596, 0.982], abs=1e-3)  # Wilson's
     assert lines["nothing"]["right"] == 1 and "single, weak" in lines
-    results = {"set": "dev", "seed": 0, "cases": 11, "labels sha256": "0" * 64}
-    method = {"table": summary.table(rows), "families": summary.by_family(rows)}
-    method |= {"calibration": summary.calibration(rows), "cases": [{"case": "case_000"} | rows[0]]}
-    results["methods"] = {"workflow": method}
     figure = reliability(results)
     assert "| single | 10 | 9 | 1 |" in markdown(results) and "| cascade | 91 % [62, 98] |" in markdown(
         results

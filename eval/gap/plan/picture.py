@@ -28,8 +28,8 @@ from inclined_landing.eval.base.style import (
 from inclined_landing.eval.gap.plan.design import Plan
 from inclined_landing.models.parameters import Vehicle
 
-WIDTH, HEIGHT = 11.0, 7.7  # inches
-_LETTERS = 34  # in a line of the names of a set
+WIDTH, HEIGHT = 9.6, 7.9  # inches
+_LETTERS = 24  # in a line of the names of a set
 
 
 def picture(plan: Plan, platform: bool) -> Figure:
@@ -37,14 +37,14 @@ def picture(plan: Plan, platform: bool) -> Figure:
     vehicle = plan.discrimination.vehicle
     with styled():
         figure = Figure(figsize=(WIDTH, HEIGHT))
-        above = panel(figure, 0.7, 5.1, 5.3, 2.2)
-        side = panel(figure, 0.7, 2.9, 5.3, 1.9)
+        above = panel(figure, 0.7, 5.4, 4.6, 1.95)
+        side = panel(figure, 0.7, 3.4, 4.6, 1.7)
         _way(above, plan, vehicle, platform, 1)
         _way(side, plan, vehicle, platform, 2)
         above.set_xlabel("")
-        above.set_title("Planned path, from dark to light in time; simulated flights in grey", loc="left")
-        _probabilities(panel(figure, 8.2, 3.2, 2.6, 4.1), plan)
-        _timeline(panel(figure, 0.7, 0.5, 9.55, 1.5), plan)
+        above.set_title("Planned path (time: dark to light);\nsimulated flights in grey", loc="left")
+        _probabilities(panel(figure, 7.35, 3.4, 2.1, 3.95), plan)
+        _timeline(panel(figure, 0.7, 0.5, 8.1, 1.6), plan)
     return figure
 
 
@@ -94,12 +94,12 @@ def _probabilities(axes: Axes, plan: Plan) -> None:
     axes.barh(y + 0.19, after, 0.36, color=GREEN, label="expected after it, if true")
     for k, (h, a) in enumerate(zip(sets, after)):
         for at, x in ((k - 0.19, h.probability), (k + 0.19, a)):
-            axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center", fontsize=7.5)
+            axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center")
     names = [" + ".join(h.effects).replace("_", " ") or "nothing" for h in sets]
-    axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=7.5)
+    axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=8.5)
     axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
-    axes.set_title("Probability of each set of effects", loc="left")
-    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.11))
+    axes.set_title("Probability of each set\nof effects", loc="left")
+    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.12))
 
 
 def _timeline(axes: Axes, plan: Plan) -> None:

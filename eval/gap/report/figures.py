@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -43,7 +44,8 @@ from inclined_landing.eval.gap.result import (
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
 WIDTH = 10.4  # inches, of a page
-_ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the floor, where the colour scale may end
+PANEL = 3.6  # inches, of figures that stand side by side, below each other on a phone
+_ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the noise level, where the colour scale may end
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
@@ -62,50 +64,68 @@ def svg(figure: Figure) -> str:
 # ---- where
 
 
-def where_map(rows: Sequence[RegimeError]) -> Figure | None:
-    """Return maps of the error by regime and channel: before, after, and by noise and disturbance alone."""
+def where_tables(rows: Sequence[RegimeError]) -> dict[str, Any]:
+    """Return tables of the error by regime and channel: before, after, and by noise and disturbance alone.
+
+    Cells are (text, background, ink); `scale` has the same for multiples of the noise level.
+    """
     if not rows:
-        return None
-    height = 0.34 * len(_axes_of(rows)[0])
-    figure = Figure(figsize=(WIDTH, height + 0.95))
-    left, gap = 1.65, 0.18
-    width = (WIDTH - left - 2 * gap - 0.1) / 3
-    for k, what in enumerate(_MAPS):
-        axis = panel(figure, left + k * (width + gap), 0.62, width, height)
-        draw_where(axis, rows, what, named=k == 0)
-    _where_scale(figure, rows, left, 0.3, 2 * width + gap)
-    x, y = (left + 2 * (width + gap)) / WIDTH, 0.34 / figure.get_figheight()
-    figure.text(x, y, _where_units(rows), color=MUTED, fontsize=7.5, va="center")
-    return figure
+        return {}
+    regimes, channels = _axes_of(rows)
+    cells = {(row.regime, row.channel): row for row in rows}
+    norm, last = _where_norm(rows)
+    lines = {
+        what: [[_cell(cells.get((r, c)), what, norm, last) for c in channels] for r in regimes]
+        for what in _MAPS
+    }
+    steps = [1.0, 3.0, *(end for end in _ENDS if end <= last)]
+    return {
+        "channels": ["touch" if c == "touchdown" else c for c in channels],
+        "maps": [(_MAPS[what], list(zip(_regime_names(rows), lines[what]))) for what in _MAPS],
+        "scale": [(f"{times:g} ×", *_heat(times, norm, last)) for times in steps],
+        "units": _where_units(rows),
+    }
+
+
+def _heat(times: float, norm: LogNorm, last: float) -> tuple[str, str]:
+    """Return background and ink of a cell whose error is so many times the noise level."""
+    share = float(norm(min(max(times, 1.0), last)))
+    return to_hex(_HEAT(share)), "#ffffff" if share > 0.62 else INK
+
+
+def _cell(row: RegimeError | None, what: str, norm: LogNorm, last: float) -> tuple[str, str, str]:
+    if row is None or not math.isfinite(value := getattr(row, what)):
+        return "–", "none", MUTED if what == "floor" else INK
+    text = _number(shown(row.unit)[0] * value)
+    if what == "floor" or row.floor <= 0:
+        return text, "none", MUTED if what == "floor" else INK
+    return text, *_heat(value / row.floor, norm, last)
+
+
+def _regime_names(rows: Sequence[RegimeError]) -> list[str]:
+    """Return the names of the regimes with their number of windows."""
+    counts = {r: max(row.windows for row in rows if row.regime == r) for r in _axes_of(rows)[0]}
+    return [f"{REGIMES.get(r, label(r))} ({n})" for r, n in counts.items()]
 
 
 def draw_where(
     axis: Axes, rows: Sequence[RegimeError], what: str, *, size: float = 7.5, named: bool = True
 ) -> None:
-    """Draw one map; what: before, after or floor; colour: error over floor; named: with labels of regimes."""
+    """Draw one map; what: before, after or floor; colour: error over noise level; named: label regimes."""
     regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
-    norm, end = _where_norm(rows)
+    norm, last = _where_norm(rows)
     for i, regime in enumerate(regimes):
         for j, channel in enumerate(channels):
-            row = cells.get((regime, channel))
-            colour: Any = "white"
-            ink, text = MUTED if what == "floor" else INK, "–"
-            if row is not None and math.isfinite(value := getattr(row, what)):
-                text = _number(shown(row.unit)[0] * value)
-                if what != "floor" and row.floor > 0:
-                    times = norm(min(max(value / row.floor, 1.0), end))
-                    colour, ink = _HEAT(times), "white" if times > 0.62 else INK
+            text, colour, ink = _cell(cells.get((regime, channel)), what, norm, last)
             axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.2))
             axis.text(j + 0.5, i + 0.52, text, ha="center", va="center", fontsize=size, color=ink)
     axis.set(xlim=(0, len(channels)), ylim=(len(regimes), 0))
     axis.set_xticks(np.arange(len(channels)) + 0.5, ["touch" if c == "touchdown" else c for c in channels])
     axis.set_yticks([])
     if named:
-        counts = [max(row.windows for row in rows if row.regime == regime) for regime in regimes]
-        names = [f"{REGIMES.get(r, label(r))} ({n})" for r, n in zip(regimes, counts)]
-        axis.set_yticks(np.arange(len(regimes)) + 0.5, names)
-    axis.tick_params(length=0, labelsize=8, top=False)
+        axis.set_yticks(np.arange(len(regimes)) + 0.5, _regime_names(rows))
+    axis.tick_params(length=0, labelsize=9, top=False)
     axis.spines[:].set_visible(False)
     axis.set_title(_MAPS[what], fontsize=9.5)
 
@@ -125,8 +145,8 @@ def _where_scale(
     bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
     bar.outline.set_visible(False)
     ends = [end for end in _ENDS if end <= last]
-    bar.set_ticks([1, 3, *ends], labels=["floor", "3 times the floor", *(f"{end:g}" for end in ends)])
-    bar.ax.tick_params(labelsize=7.5, length=0, colors=MUTED)
+    bar.set_ticks([1, 3, *ends], labels=[f"{times:g} ×" for times in (1, 3, *ends)])
+    bar.ax.tick_params(labelsize=8.5, length=0, colors=MUTED)
     bar.minorticks_off()
 
 
@@ -156,8 +176,8 @@ def _number(value: float) -> str:
 
 def horizon(curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> Figure:
     """Return the position error against the horizon as the effects are added, with the noise floor."""
-    figure = Figure(figsize=(WIDTH, 3.9))
-    draw_horizon(panel(figure, 0.75, 0.55, 6.4, 3.05), curves, gap)
+    figure = Figure(figsize=(7.0, 3.7))
+    draw_horizon(panel(figure, 0.75, 0.55, 3.9, 3.0), curves, gap)
     return figure
 
 
@@ -248,27 +268,26 @@ def draw_track(axis: Axes, one: Track, k: int) -> None:
     axis.grid()
 
 
-def window_curves(windows: Sequence[WindowCurves]) -> Figure | None:
-    """Return the coordinate and the angle of the largest error in the worst windows."""
-    if not windows:
-        return None
+def window_curves(windows: Sequence[WindowCurves]) -> list[Figure]:
+    """Return the coordinate and the angle of the largest error in each of the worst windows."""
     worst = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))
     regimes: dict[tuple[str, float], list[str]] = {}
     for w in worst:
         regimes.setdefault((w.flight, w.start), []).append(REGIMES.get(w.regime, w.regime))
-    chosen = list({(w.flight, w.start): w for w in worst}.values())[:4]
-    figure = Figure(figsize=(WIDTH, 4.3))
-    width = WIDTH / len(chosen)
-    for j, w in enumerate(chosen):
-        high = panel(figure, j * width + 0.6, 2.3, width - 0.7, 1.3)
-        low = panel(figure, j * width + 0.6, 0.5, width - 0.7, 1.3)
+    figures = []
+    for w in list({(w.flight, w.start): w for w in worst}.values())[:4]:
+        figure = Figure(figsize=(PANEL, 4.45))
+        high = panel(figure, 0.65, 2.3, PANEL - 0.8, 1.2)
+        low = panel(figure, 0.65, 0.5, PANEL - 0.8, 1.5)
         _draw_window(high, w, (0, 1, 2), 100.0, "cm")
         _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        title = f"{', '.join(regimes[w.flight, w.start])}\n{literal(w.flight)}, {w.start:.1f} s"
-        high.set_title(title, fontsize=8, loc="left")
-        low.set_xlabel("time in the window [s]", fontsize=8)
-    figure.legend(*high.get_legend_handles_labels(), loc="upper left", ncols=3, bbox_to_anchor=(0.045, 1.0))
-    return figure
+        title = textwrap.fill(", ".join(regimes[w.flight, w.start]), 38)
+        high.set_title(f"{title}\n{literal(w.flight)}, {w.start:.1f} s", loc="left", fontsize=9)
+        low.set_xlabel("time in the window [s]")
+        lines = high.get_legend_handles_labels()
+        figure.legend(*lines, loc="upper left", ncols=3, handlelength=1.2, columnspacing=0.9)
+        figures.append(figure)
+    return figures
 
 
 def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: float, unit: str) -> None:
@@ -277,29 +296,21 @@ def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: f
     start = w.measured[0, k] if k < 3 else 0.0
     wide = 2.8 if k < 3 else 1.1  # angles are noisy
     axis.plot(w.t, factor * (w.measured[:, k] - start), color=INK, linewidth=wide, label="measured")
-    axis.plot(w.t, factor * (w.before[:, k] - start), color=BEFORE, label="predicted before")
-    axis.plot(w.t, factor * (w.after[:, k] - start), color=AFTER, label="predicted after")
+    axis.plot(w.t, factor * (w.before[:, k] - start), color=BEFORE, label="before")
+    axis.plot(w.t, factor * (w.after[:, k] - start), color=AFTER, label="after")
     axis.set_ylabel(f"{CHANNELS[k]} [{unit}]", labelpad=2)
     axis.set_xlim(w.t[0], w.t[-1])
-    axis.tick_params(labelsize=7.5)
     axis.grid()
 
 
-def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure | None:
-    """Return the estimates in single flights with 95 % intervals, over the interval of all flights."""
+def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Figure]:
+    """Return each parameter's estimates in single flights with 95 % intervals, over that of all flights."""
+    line = max(1.1, 0.17 * len(flights))
+    figures = []
     parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
-    if not parts or not flights:
-        return None
-    columns = min(3, len(parts))
-    rows = -(-len(parts) // columns)
-    line = max(1.1, 0.16 * len(flights))
-    figure = Figure(figsize=(WIDTH, rows * (line + 0.95)))
-    names = 1.1
-    width = (WIDTH - names - 0.1) / columns
-    for k, (effect, name, p) in enumerate(parts):
-        i, j = divmod(k, columns)
-        bottom = (rows - 1 - i) * (line + 0.95) + 0.55
-        axis = panel(figure, names + j * width + 0.1, bottom, width - 0.3, line)
+    for effect, name, p in parts if flights else []:
+        figure = Figure(figsize=(PANEL, line + 1.05))
+        axis = panel(figure, 0.85, 0.55, PANEL - 1.0, line)
         factor, unit = shown(p.unit)
         y = np.arange(len(p.per_flight))
         value, error = factor * np.array(p.per_flight), 1.96 * factor * np.array(p.per_flight_error)
@@ -307,13 +318,15 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> Figure 
         axis.axvline(factor * p.value, color=BLUE, linewidth=1.4)
         axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
         _mark_neutral(axis, factor * p.neutral, unit)
-        name_rows(axis, [literal(f) if j == 0 else "" for f in flights[: len(y)]], 7.5)
-        axis.tick_params(axis="x", labelsize=7.5)
+        names = [literal(f) for f in flights[: len(y)]]
+        name_rows(axis, [n if len(n) <= 12 else f"{n[:5]}…{n[-6:]}" for n in names], 8.5)
+        axis.locator_params(axis="x", nbins=5)
         axis.grid(axis="y")
         what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
-        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), fontsize=9, loc="left", pad=14)
-        axis.set_xlabel(f"{label(name)} [{unit or 1}]", fontsize=8, labelpad=1)
-    return figure
+        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), loc="left", pad=16)
+        axis.set_xlabel(f"{label(name)} [{unit or 1}]", labelpad=1)
+        figures.append(figure)
+    return figures
 
 
 def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
@@ -326,7 +339,7 @@ def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
     right = neutral > high
     text = f"nominal: {neutral:.3g} {unit}".rstrip()
     x, text, side = (0.99, f"{text} →", "right") if right else (0.01, f"← {text}", "left")
-    style: dict[str, Any] = {"ha": side, "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    style: dict[str, Any] = {"ha": side, "va": "bottom", "fontsize": 8.5, "color": MUTED}
     axis.text(x, 1.02, text, transform=axis.transAxes, **style)
     axis.set_xlim(low, high)
 
@@ -338,24 +351,21 @@ def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
     axis.tick_params(axis="y", length=0)
 
 
-def residual(left: ResidualAnalysis) -> Figure | None:
+def residual(left: ResidualAnalysis) -> list[Figure]:
     """Return the functions of the residual over the input that explains most of each."""
-    drawn = [d for d in left.depends_on if len(d.x)][:4]
-    if not drawn:
-        return None
-    figure = Figure(figsize=(WIDTH, 2.6))
-    width = WIDTH / 4
-    for k, d in enumerate(drawn):
-        plot = panel(figure, k * width + 0.75, 0.55, width - 0.95, 1.7)
+    figures = []
+    for d in [d for d in left.depends_on if len(d.x)][:4]:
+        figure = Figure(figsize=(PANEL, 2.6))
+        plot = panel(figure, 0.75, 0.55, PANEL - 0.9, 1.7)
         factor, unit = shown(d.unit)
         plot.axhline(0, color=RULE, linewidth=1)
         plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
-        plot.set_xlabel(d.against, fontsize=8)
-        plot.set_ylabel(f"{d.channel} [{unit}]", fontsize=8, labelpad=1)
-        plot.set_title(f"{_number(factor * d.size)} {unit}", fontsize=9, loc="left")
-        plot.tick_params(labelsize=7.5)
+        plot.set_xlabel(d.against)
+        plot.set_ylabel(f"{d.channel} [{unit}]", labelpad=1)
+        plot.set_title(f"{_number(factor * d.size)} {unit}", loc="left")
         plot.grid()
-    return figure
+        figures.append(figure)
+    return figures
 
 
 # ---- all in one
@@ -363,25 +373,30 @@ def residual(left: ResidualAnalysis) -> Figure | None:
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
     """Return the overview: error against horizon, errors by regime and channel, a held-out flight."""
-    below = 3.0 if one is not None else 0.0
-    figure = Figure(figsize=(11.6, 3.9 + below))
-    low = below + 0.62
-    left = panel(figure, 0.75, low, 2.9, 2.75)
-    draw_horizon(left, d.horizon, d.gap)
+    wide, below = 9.6, 2.9 if one is not None else 0.0
     rows = [r for r in d.where if r.regime != "all" and r.channel != "touchdown"]
-    width = 2.02
-    for k, what in enumerate(("before", "after")):
-        axis = panel(figure, 7.3 + k * (width + 0.14), low, width, 2.55)
-        draw_where(axis, rows, what, size=7, named=k == 0)
-    _where_scale(figure, rows, 7.3, low - 0.34, 2 * width + 0.14)
-    h = figure.get_figheight()
-    figure.text(5.75 / 11.6, (low + 2.79) / h, _where_units(rows), fontsize=8, color=MUTED)
-    for x, text in ((0.75, "Position error as effects are added"), (5.75, "Errors by regime and channel")):
-        figure.text(x / 11.6, (low + 2.98) / h, text, fontsize=11, fontweight="bold", va="bottom")
+    maps = 0.3 * len(_axes_of(rows)[0])
+    low = below + 0.65
+    high = low + maps + 1.35
+    figure = Figure(figsize=(wide, high + 2.75))
+    draw_horizon(panel(figure, 0.75, high, 6.1, 2.3), d.horizon, d.gap)
+    titles = [(high + 2.45, "Position error as effects are added")]
+    if rows:
+        width = 3.3
+        for k, what in enumerate(("before", "after")):
+            axis = panel(figure, 2.05 + k * (width + 0.15), low, width, maps)
+            draw_where(axis, rows, what, size=9, named=k == 0)
+        _where_scale(figure, rows, 2.05, low - 0.35, 2 * width + 0.15)
+        titles.append((low + maps + 0.38, "Errors by regime and channel"))
+        note = f"{_where_units(rows)}; colour: error over noise level"
+        figure.text((wide - 0.1) / wide, (low + maps + 0.4) / (high + 2.75), note, color=MUTED, ha="right")
     if one is not None:
-        axis = panel(figure, 0.75, 0.5, 10.7, 2.0)
+        axis = panel(figure, 0.75, 0.5, wide - 0.85, 1.8)
         draw_track(axis, one, one.worst_axes()[0])
         axis.set_xlabel("time [s]")
         axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-        figure.text(0.75 / 11.6, 2.62 / h, _flown(one), fontsize=11, fontweight="bold", va="bottom")
+        titles.append((2.4, _flown(one)))
+    for y, text in titles:
+        place = (0.1 / wide, y / (high + 2.75))
+        figure.text(*place, text, fontsize=11, fontweight="bold", va="bottom")
     return figure

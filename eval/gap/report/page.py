@@ -20,7 +20,6 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
     """
     with styled():
         drawn = {
-            "where": figures.where_map(d.where),
             "estimates": figures.estimates(d.effects, d.flights),
             "horizon": figures.horizon(d.horizon, d.gap) if d.horizon else None,
             "track": figures.track(track) if track else None,
@@ -46,7 +45,11 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         answer=words.answer_rows(d),
         sets=words.set_rows(d),
         noise_rows=words.noise_rows(d.disturbance),
-        figures={name: figure and figures.svg(figure) for name, figure in drawn.items()},
+        where=figures.where_tables(d.where),
+        figures={
+            name: [figures.svg(one) for one in some] if isinstance(some, list) else some and figures.svg(some)
+            for name, some in drawn.items()
+        },
         colours=(figures.BEFORE, figures.AFTER),
         every=EVERY,
         vehicle=VEHICLE,

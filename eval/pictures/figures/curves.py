@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.tasks import is_path, known, task_class
@@ -46,7 +47,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
-_REWARD = ScoreCurve("episode_reward", "episode reward,\nharder as the level rises", 1.0, None)
+_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
 _LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
 
 
@@ -113,7 +114,8 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
     runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
     median is a thick line and the range from the lowest to the highest a band, as far as all runs
-    reach. The curriculum's level and the episodes' length are left out where they never change.
+    reach. The curriculum's level and the episodes' length are left out where they never change. Shaded: the
+    steps in which the level still moves, during which a policy that learns may have less reward.
     Raises UserError for no runs, runs of different tasks and folders that are no runs.
     """
     if not runs:
@@ -138,6 +140,12 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
             axes.set_xlabel(_STEPS.label)
         final = max(run.learning["steps"].max() for run in loaded) / 1e6
         grid[0, 0].set_xlim(0, 1.01 * final)
+        if changing := max(_curriculum_end(run.learning) for run in loaded):
+            for axes in grid.ravel():
+                axes.axvspan(0, changing / _STEPS.unit, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
+            words = "curriculum level still moving: the task gets harder, and the reward may fall"
+            patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=words)
+            figure.legend(handles=[patch], loc="outside lower center")
         if len(loaded) > 1:
             handles = [
                 *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(loaded)} seeds"),
@@ -146,6 +154,13 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
             ]
             figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
+
+
+def _curriculum_end(learning: pd.DataFrame) -> float:
+    """Return the steps after which the curriculum's level stays as it is, 0 where it never moves."""
+    level = learning["level"].to_numpy()
+    moving = np.flatnonzero(level != level[-1])
+    return float(learning["steps"].iloc[moving[-1] + 1]) if len(moving) else 0.0
 
 
 def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:

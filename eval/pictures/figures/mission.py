@@ -101,4 +101,4 @@ def _draw_annotations(beside, above, mission: Mission, others: Sequence[Mission]
     behind = f"; thin: {len(others)} other mission{'s' * (len(others) != 1)}" if others else ""
     notes = {beside: f"from the side; quadrotor drawn {scale:g}×", above: f"from above{behind}"}
     for axes, note in notes.items():
-        axes.text(0.012, 0.03, note, transform=axes.transAxes, size=8.5, color=MUTED)
+        axes.text(0.012, 0.97, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)

@@ -1,7 +1,7 @@
 // Commands and what followed them over time, as SVG, with a cursor at the present moment.
 "use strict";
 
-Replay.EDGES = { left: 46, right: 12, top: 6, bottom: 8, axis: 22 };
+Replay.EDGES = { left: 46, right: 14, top: 8, bottom: 8, axis: 24 };
 Replay.HEIGHT = 84; // pixels of a panel without its axis
 
 // What is drawn of a flight, and of the other one of its pair: panels of series.
@@ -139,9 +139,9 @@ Replay.Curves = class {
     for (const value of Replay.ticks(low, high, 4)) {
       const y = panel.y(value);
       panel.svg.append(Replay.svg("line", { class: "rule", x1: left, x2: width - right, y1: y, y2: y }));
-      panel.svg.append(Replay.svg("text", { class: "tick y", x: left - 6, y: y + 3.5 }, Replay.tick(value)));
+      panel.svg.append(Replay.svg("text", { class: "tick y", x: left - 6, y: y + 5 }, Replay.tick(value)));
     }
-    for (const t of Replay.ticks(0, this.end, Math.max(2, Math.min(10, width / 90)))) {
+    for (const t of Replay.ticks(0, this.end, Math.max(2, Math.min(10, width / 110)))) {
       const x = panel.x(t);
       panel.svg.append(Replay.svg("line", { class: "rule", x1: x, x2: x, y1: top, y2: floor }));
       if (!panel.last) continue;

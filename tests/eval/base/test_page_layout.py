@@ -1,4 +1,4 @@
-"""What every page shares: nothing is wider than a phone, tables and pictures scroll by themselves."""
+"""What every page shares: nothing is wider than a phone, tables scroll by themselves, text is legible."""
 
 import json
 import os
@@ -12,36 +12,120 @@ import pytest
 from matplotlib.figure import Figure
 
 import inclined_landing.eval
+from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.page import claims_page, png
+from inclined_landing.eval.gap.report.page import page as gap_page
+from inclined_landing.train.cli import main as train
+from tests.eval.base.test_pages import identification_page
+from tests.eval.gap.test_report import example
+from tests.eval.landings.test_run import STUDY
+from tests.proof.causes import page as causes
+from tests.proof.test_causes import RESULT
+from tests.proof.test_gap_blind import page_of_cases
 
 ROOMS = Path(inclined_landing.eval.__file__).parent
 PHONE = 390  # CSS pixels
+LEAST = 14  # CSS pixels of text
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-# A frame as wide as a phone tells how wide its page is, and how far table and picture in it scroll.
+# A frame as wide as a phone tells how wide its page is, how far table and picture in it scroll, the smallest
+# text, and how far the first figure scrolls once it is tapped.
 FRAME = """<iframe src="page.html" style="border:0;width:{width}px;height:900px"></iframe>
 <pre id="seen"></pre>
 <script>document.querySelector("iframe").onload = event => {{
   const page = event.target.contentDocument, size = element => [element.clientWidth, element.scrollWidth];
-  document.getElementById("seen").textContent = JSON.stringify(
-    {{page: size(page.scrollingElement), parts: [...page.querySelectorAll(".wide")].map(size)}});
+  const texts = page.createTreeWalker(page.body, NodeFilter.SHOW_TEXT), small = [];
+  while (texts.nextNode()) {{
+    const one = texts.currentNode.parentElement, {{fontSize}} = getComputedStyle(one);
+    if (texts.currentNode.textContent.trim() && one.getClientRects().length && parseFloat(fontSize) < {least})
+      small.push(one.tagName + " " + one.className + " " + fontSize);
+  }}
+  const parts = [...page.querySelectorAll(".wide")].map(size);
+  const seen = {{page: size(page.scrollingElement), parts, small}};
+  const figure = page.querySelector(".drawn");
+  if (figure) {{ figure.focus(); seen.tapped = size(figure); }}
+  document.getElementById("seen").textContent = JSON.stringify(seen);
 }}</script>"""
+
+
+def phone(folder: Path) -> dict:
+    """Return what a browser as wide as a phone sees of page.html in a folder."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    (folder / "frame.html").write_text(FRAME.format(width=PHONE, least=LEAST), "utf-8")
+    quiet = "--headless --no-sandbox --disable-gpu --no-first-run --disable-sync --hide-scrollbars"
+    options = [*quiet.split(), "--allow-file-access-from-files", f"--user-data-dir={folder / 'profile'}"]
+    dumped = subprocess.run(
+        [CHROMIUM, *options, "--virtual-time-budget=4000", "--dump-dom", (folder / "frame.html").as_uri()],
+        capture_output=True, text=True, timeout=120, env=os.environ | {"HOME": str(folder)},
+    )  # fmt: skip
+    found = re.search(r'<pre id="seen">(.+?)</pre>', dumped.stdout)
+    assert found, dumped.stderr[-500:]
+    return json.loads(found[1])
+
+
+def _command(file: str, *words: str):
+    """Return what writes the page `file` into a folder by a command; {out}: the folder."""
+
+    def write(folder: Path) -> str:
+        main = train if words[0] == "sweep" else cli.main
+        out = folder / ("out.html" if file == "out.html" else "out")
+        assert main([word.format(out=out, folder=folder) for word in words]) == 0
+        return (out if out.is_file() else out / file).read_text("utf-8")
+
+    return write
+
+
+def _causes(folder: Path) -> str:
+    causes.write(folder, [RESULT])
+    return (folder / "report.html").read_text("utf-8")
+
+
+def _landings(folder: Path) -> str:
+    (folder / "study.toml").write_text(STUDY, "utf-8")
+    return _command("index.html", "landings", "{folder}/study.toml", "--out", "{out}")(folder)
+
+
+PAGES = {
+    "beyond": _command("beyond.html", "sweep", "landing", "moving", "vehicles", "--page", "{out}"),
+    "causes": _causes,
+    "gap": lambda _: gap_page(example("unknown"), None, versions={"python": "3"}),
+    "gap_blind": lambda _: page_of_cases(),
+    "identify": lambda _: identification_page("a word"),
+    "landings": _landings,
+    "moving": _command(
+        "index.html", *("robustness", "planner", "--over", "moving", "--scenario", "ship_5_bow"),
+        *("still_20_deg", "travel_050_cm_s", "--flights", "2", "--out", "{out}"),
+    ),
+    "replay": _command("out.html", "replay", "landing", "--out", "{out}"),
+    "robustness": _command(
+        "index.html", *("robustness", "landing-nominal", "landing", "--every", "125"),
+        *("--thrust", "1.0", "--effect", "mass", "--out", "{out}"),
+    ),
+}  # fmt: skip
 
 
 def test_tables_and_pictures_of_all_templates_scroll():
     found = 0
     for template in ROOMS.rglob("*.j2"):
         text = template.read_text("utf-8")
-        wide = re.findall(r'<div class="wide" tabindex="0"><(table|img)', text)
+        wide = re.findall(r'<div class="wide(?: drawn)?" tabindex="0"><(table|img)', text)
         assert len(wide) == len(re.findall(r"<(?:table|img)\b", text)), template.name
         found += len(wide)
     assert found >= 5
 
 
 @pytest.mark.browser
-def test_a_page_fits_a_phone(tmp_path):
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
+@pytest.mark.parametrize("name", PAGES)
+def test_every_page_fits_a_phone(name, tmp_path):
+    (tmp_path / "page.html").write_text(PAGES[name](tmp_path), "utf-8")
+    seen = phone(tmp_path)
+    assert seen["page"] == [PHONE, PHONE]
+    assert seen["small"] == []
+
+
+@pytest.mark.browser
+def test_a_page_of_claims_fits_a_phone(tmp_path):
     figure = Figure(figsize=(10, 3))
     figure.subplots().plot(np.arange(5))
     heads = tuple(f"a column named {k}" for k in range(14))
@@ -52,18 +136,9 @@ def test_a_page_fits_a_phone(tmp_path):
     versions = {"a_name_that_is_never_broken_" * 2: "1.0"}
     given = {"images": {"one.png": png(figure)}, "run": "landing-eval " + "x" * 80, "versions": versions}
     (tmp_path / "page.html").write_text(claims_page("A title", words, [section], **given), "utf-8")
-    (tmp_path / "frame.html").write_text(FRAME.format(width=PHONE), "utf-8")
-    quiet = "--headless --no-sandbox --disable-gpu --no-first-run --disable-sync --hide-scrollbars"
-    options = [*quiet.split(), "--allow-file-access-from-files", f"--user-data-dir={tmp_path / 'profile'}"]
-    address = (tmp_path / "frame.html").as_uri()
-    dumped = subprocess.run(
-        [CHROMIUM, *options, "--virtual-time-budget=4000", "--dump-dom", address],
-        capture_output=True, text=True, timeout=120, env=os.environ | {"HOME": str(tmp_path)},
-    )  # fmt: skip
-    found = re.search(r'<pre id="seen">(.*?)</pre>', dumped.stdout)
-    assert found, dumped.stderr[-500:]
-    seen = json.loads(found[1])
-    assert seen["page"] == [PHONE, PHONE]
+    seen = phone(tmp_path)
+    assert seen["page"] == [PHONE, PHONE] and seen["small"] == []
     scrolls = [inside > outside for outside, inside in seen["parts"]]
-    # The picture, the table of 14 columns, the small one, the claims with their derivation.
-    assert scrolls == [True, True, False, True]
+    # The picture, whole until it is tapped; the table of 14 columns, the small one, the claims with reasons.
+    assert scrolls == [False, True, False, True]
+    assert seen["tapped"][1] > 2 * seen["tapped"][0]

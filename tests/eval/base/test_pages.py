@@ -79,9 +79,10 @@ def test_the_page_of_claims():
     check_page(html, *(f"{EVIL} {word}" for word in words))
 
 
-def test_the_page_of_identification():
+def identification_page(word: str) -> str:
+    """Return the page of an identification, with a word in all that others name."""
     row = Identified(
-        f"{EVIL} name", "body_mass", "kg", 0.033, 0.034, (0.033, 0.035), (0.034,), 0.0, f"{EVIL} said"
+        f"{word} name", "body_mass", "kg", 0.033, 0.034, (0.033, 0.035), (0.034,), 0.0, f"{word} said"
     )
     found = Identification(
         vehicle=load_vehicle(),
@@ -91,10 +92,14 @@ def test_the_page_of_identification():
         fit={"x": {"before": 50.0, "after": 90.0}},
         disturbance={},
         fields={},
-        flights=(f"{EVIL} flight",),
-        notes=(f"{EVIL} note",),
+        flights=(f"{word} flight",),
+        notes=(f"{word} note",),
     )
-    html = identified.page(found, heldout=(f"{EVIL} heldout",), seconds=1.0, versions={"python": "3"})
+    return identified.page(found, heldout=(f"{word} heldout",), seconds=1.0, versions={"python": "3"})
+
+
+def test_the_page_of_identification():
+    html = identification_page(EVIL)
     check_page(html, *(f"{EVIL} {word}" for word in ("name", "said", "flight", "note", "heldout")))
 
 

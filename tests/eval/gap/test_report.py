@@ -174,7 +174,7 @@ def test_the_page_stands_alone(verdict, track):
     text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",)).replace("\u00a0", " ")
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == {"effects": 5, "unknown": 6, "nothing": 4}[verdict]
+    assert text.count("data:image/svg+xml") == {"effects": 6, "unknown": 7, "nothing": 3}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
     assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")

@@ -250,7 +250,7 @@ def test_one_run_is_one_line(tmp_path):
         "strict success",
         "curriculum level",
         "episode length",
-        "episode reward,\nharder as the level rises",
+        "episode reward",
     ]
     (line,) = by_gid(axes[0].lines, "run")
     table = pd.read_csv(run / "evaluations.csv")
@@ -260,6 +260,10 @@ def test_one_run_is_one_line(tmp_path):
     np.testing.assert_allclose(paper.get_ydata(), 100 * 28 / 30)
     assert "93.3 %" in axes[0].texts[0].get_text()
     assert not by_gid(axes[0].collections, "band")
+    (shaded,) = by_gid(axes[3].patches, "curriculum")
+    table = pd.read_csv(run / "learning.csv")
+    last = table["steps"][table["level"] == table["level"].iloc[-1]].iloc[0]
+    np.testing.assert_allclose(shaded.get_width(), last / 1e6)
 
 
 def test_seeds_have_median_and_range(tmp_path):
@@ -291,6 +295,7 @@ def test_level_is_shown_where_it_moves(tmp_path):
     run = write_run(tmp_path / "a", rate=0.0)
     axes = learning_curves([run]).axes
     assert len(axes) == 2 and "curriculum level" not in [a.get_ylabel() for a in axes]
+    assert not by_gid(axes[1].patches, "curriculum")
 
 
 def test_run_without_evaluations(tmp_path):

@@ -157,22 +157,24 @@ def markdown(results: Sequence[dict]) -> str:
 
 
 def draw(results: Sequence[dict]) -> Figure:
-    """Draw told against found: thrust, wind, and the loss of a cut propeller."""
+    """Draw identified over documented sizes: thrust, wind, and the loss of a cut propeller."""
     results = [r for r in results if "error" not in r and r["kind"] != "dose"]
     told = [r for r in results if r["found"] and r["told"]]
     with style.styled():
         figure = Figure(figsize=(9.6, 3.5), layout="constrained")
         thrust, wind, cut = figure.subplots(1, 3)
         _told_against_found(thrust, [r for r in told if r["told"]["of"] == "thrust"])
-        thrust.set(xlabel="told thrust over mass, times the reference's", ylabel="found")
+        thrust.set(
+            xlabel="documented thrust/mass, relative [1]", ylabel="identified thrust/mass, relative [1]"
+        )
         _told_against_found(wind, [r for r in told if r["told"]["of"] == "wind"])
-        wind.set(xlabel="told wind, m/s", ylabel="found, m/s")
+        wind.set(xlabel="documented wind [m/s]", ylabel="identified wind [m/s]")
         for r in (r for r in results if r["dose"] is not None):
             if r["found"]:
                 _with_interval(cut, r["dose"], r["found"])
             else:
                 cut.plot(r["dose"], 0.0, "o", mfc="none", color=style.colour(1), ms=5)
-        cut.set(xlabel="cut off the propeller of M3, mm", ylabel="thrust lost by rotor M3")
+        cut.set(xlabel="length cut off propeller M3 [mm]", ylabel="identified thrust loss of rotor M3 [1]")
         cut.plot([], [], "o", color=style.colour(0), label="named")
         cut.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
         cut.legend(frameon=False, loc="upper left")
@@ -187,7 +189,7 @@ def draw_gains(results: Sequence[dict]) -> Figure:
         for r in results:
             if r["kind"] == "dose" and "error" not in r:
                 _with_interval(axes, r["dose"], r["found"])
-        axes.set(xlabel="told gain KR, N m/rad", ylabel="identified gain of the attitude loop")
+        axes.set(xlabel="documented gain KR [N m/rad]", ylabel="identified attitude gain [1]")
     return figure
 
 

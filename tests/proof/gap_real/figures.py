@@ -105,7 +105,7 @@ def thrust(result: Law) -> Figure:
         v = np.linspace(table.voltage.quantile(0.001), table.voltage.quantile(0.999), 50)
         law = f"fit to all: voltage to the power of {power:.2f}"
         left.plot(v, level * (v / REFERENCE_VOLTAGE) ** power, color=ORANGE, lw=2.4, label=law)
-        reference = f"if it did not matter (the fit at {REFERENCE_VOLTAGE:g} V)"
+        reference = f"no voltage dependence (the fit at {REFERENCE_VOLTAGE:g} V)"
         left.axhline(level, color=INK, ls=":", lw=1.0, label=reference)
         left.set_xlabel("battery voltage [V]")
         left.set_ylabel(f"thrust over mass at {REFERENCE_PWM:,.0f} PWM [m/s²]".replace(",", " "))
@@ -117,7 +117,9 @@ def thrust(result: Law) -> Figure:
         seen = "mean over the heights of the bar, 95 % interval"
         right.errorbar(middle, near.ratio, yerr=near.half, xerr=wide, label=seen, **look)
         right.axhline(1.0, color=INK, ls=":", lw=1.0, label="far from the floor")
-        right.set(xlabel="height above where it stands [cm]", ylabel="thrust over that in free flight")
+        right.set(
+            xlabel="height above standing on the floor [cm]", ylabel="thrust over that in free flight [1]"
+        )
         right.set_title("NanoBench: thrust near the floor", loc="left")
         for axes in (left, right):
             axes.grid(axis="y")
@@ -126,7 +128,7 @@ def thrust(result: Law) -> Figure:
 
 
 def pads(table: pd.DataFrame) -> Figure:
-    """Known hardware changes: what the motors were asked for."""
+    """Return the change of the motor commands after known hardware changes."""
     y = np.arange(len(table))
     with styled():
         figure = Figure(figsize=(9.6, 4.6), layout="constrained")
@@ -137,8 +139,8 @@ def pads(table: pd.DataFrame) -> Figure:
         ):
             seen = table[quantity].abs() > table[f"{quantity}_half"]
             for which, colour, mark, words in (
-                (seen, GREEN, "o", "change told apart from 0 (95 % interval)"),
-                (~seen, MUTED, "s", "not told apart from 0"),
+                (seen, GREEN, "o", "95 % interval excludes 0"),
+                (~seen, MUTED, "s", "95 % interval includes 0"),
             ):
                 error = table[f"{quantity}_half"][which]
                 look = {"ls": "", "marker": mark, "color": colour, "capsize": 2, "ms": 4, "lw": 1.6}
@@ -151,7 +153,7 @@ def pads(table: pd.DataFrame) -> Figure:
         left.set_ylim(len(table) - 0.5, -0.5)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         figure.suptitle(
-            "CrazyPAD: what the motors are asked for in hover after a known change of the hardware, beside\n"
+            "CrazyPAD: motor commands in hover after a known change of the hardware, relative to\n"
             f"the {NORMAL.replace('_', ' ')} of the same vehicle (E8, E9: vehicles; M1 to M4: motors; "
             "W1: a weight, W3: a heavier one)",
             size=10, x=0.01, ha="left",
