@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Flat, LogSource, NewFolder
 from inclined_landing.eval.logs.checks import check_fleet, check_log
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
@@ -62,6 +63,7 @@ def command(
             print(_describe(file, flight, findings))
         if fleet:
             print("together\n" + "\n".join(_finding_line(finding) for finding in fleet))
+        say(_answer([findings for _, findings in reports], fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
         for file, (log, findings) in zip(source.files, reports)
@@ -71,6 +73,16 @@ def command(
         raise UserError(f"{len(refused)} of {len(reports)} logs refused: {'; '.join(refused)}")
     if fleet and fleet[0].decision == "refuse":
         raise UserError(fleet[0].text)
+
+
+def _answer(found: Sequence[Sequence[Finding]], fleet: Sequence[Finding]) -> str:
+    """Return in one sentence how many logs can be used, by the findings of each and of all together."""
+    decisions = [{finding.decision for finding in findings} for findings in found]
+    usable = [seen for seen in decisions if "refuse" not in seen]
+    limited = sum("limit" in seen for seen in usable)
+    count = f"{len(usable)} of {len(found)} log{'s' * (len(found) != 1)} can be used"
+    together = ", but not together" if any(finding.decision == "refuse" for finding in fleet) else ""
+    return f"{count}{f', {limited} with limits' if limited else ''}{together}."
 
 
 def parse_units(units: Sequence[str]) -> dict[str, str]:
