@@ -64,7 +64,7 @@ def show_table(table: Table, console: Console | None = None) -> None:
     for block in blocks:
         part = Table(box=table.box, show_header=table.show_header)
         for k in (*labels, *block):
-            part.add_column(heads[k], justify=table.columns[k].justify, width=widths[k])
+            part.add_column(heads[k], justify=table.columns[k].justify, width=widths[k], overflow="fold")
         for row, texts in zip(table.rows, zip(*(table.columns[k].cells for k in (*labels, *block)))):
             part.add_row(*texts, end_section=row.end_section)
         console.print(part)

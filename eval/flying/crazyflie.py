@@ -41,7 +41,7 @@ def command(
         vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
-        deck: that it positions itself by: lighthouse or flow.
+        deck: positioning deck on the vehicle: lighthouse or flow.
         app: C export (a folder) whose app takes policies from landing-eval upload; needs a C compiler.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.

@@ -29,8 +29,8 @@ def command(policy: AnyPolicy, /, *, uri: Annotated[str, tyro.conf.arg(metavar="
     """Send a policy to the app of a C export on a Crazyflie, in place of the one there.
 
     The vehicle takes it when it fits what the app was compiled for and passes its self test on the vehicle;
-    otherwise the policy before stays. It is gone when the vehicle is switched off. POLICY may also be the
-    policy.bin of an export.
+    otherwise it keeps the one it had. The upload is lost when the vehicle is switched off. POLICY may also be
+    the policy.bin of an export.
 
     Args:
         uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.

@@ -40,7 +40,7 @@ def _overview() -> Table:
     """Return a table of all effects."""
     table = Table(box=None, header_style="bold")
     for title in ("effect", "formula", "a plausible size", "shows in"):
-        table.add_column(title, no_wrap=title == "effect")
+        table.add_column(title, no_wrap=title == "effect", overflow="fold")
     for effect in LIBRARY.values():
         table.add_row(effect.name, effect.formula, _numbers(effect), ", ".join(effect.regimes))
     return table

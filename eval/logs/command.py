@@ -60,9 +60,9 @@ def command(
         print(storage.to_json({"flights": flights, "together": [_finding_json(f) for f in fleet]}))
     else:
         for file, flight, (_, findings) in zip(source.files, flights, reports):
-            print(_describe(file, flight, findings))
+            say(*_describe(file, flight, findings))
         if fleet:
-            print("together\n" + "\n".join(_finding_line(finding) for finding in fleet))
+            say("together", *(_finding_line(finding) for finding in fleet))
         say(_answer([findings for _, findings in reports], fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
@@ -108,12 +108,12 @@ def _check_file(
     return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
 
 
-def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> str:
+def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> list[str]:
     lines = [shown(file, 250)]
     if "rows" in flight:
         rows = f"{flight['rows']} rows, {flight['seconds']:.1f} s, {flight['rate']:.0f} rows per second"
         lines += [f"  {rows}", f"  logged: {', '.join(flight['logged'])}"]
-    return "\n".join(lines + [_finding_line(finding) for finding in findings])
+    return lines + [_finding_line(finding) for finding in findings]
 
 
 def _finding_line(finding: Finding) -> str:

@@ -268,7 +268,7 @@ def sections(report: dict[str, Any]) -> list[Section]:
     if report["effects"]:
         text = (
             "Only the vehicle in the plant has the effect. Medium is the size that a real vehicle may well "
-            "have, weak half as far from none, strong twice, within what is possible."
+            "have; weak is half as much, strong twice as much, within physical limits."
         )
         figure = {"robustness_matrix": "Shares for every effect in three sizes; the most costly at the top."}
         numbers = tables(effects(report), "All numbers: weak / medium / strong")

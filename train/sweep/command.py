@@ -57,7 +57,7 @@ def command(
     page: NewFolder = None,
     site: NewFolder = None,
 ) -> int:
-    """Train and judge what a recipe says, for every seed and variant; the numbers over the seeds.
+    """Train and evaluate what a recipe describes, for every seed and variant; the numbers over the seeds.
 
     The same command again goes on: finished runs are kept, interrupted ones resumed. Exit code 1 says that a
     run failed. With --page or --site nothing is run: the sweeps named, one or more, are shown.

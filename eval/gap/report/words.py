@@ -394,7 +394,8 @@ def residual_sentences(d: Diagnosis) -> list[str]:
             + (f", of a remaining {centimetres(residual.error)}." if math.isfinite(residual.error) else ".")
         )
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append("The residual does not depend on any logged quantity: it is noise and disturbances.")
+        cause = "sensor noise and air disturbances"
+        lines.append(f"The remaining error is unrelated to any logged signal: {cause}.")
     return lines
 
 
