@@ -159,7 +159,8 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
                 wrong = steps_of.failure(job, steps)
                 progress.update(bar, advance=1)
                 cpu, wall = _seconds(steps)
-                screen.print(wrong or f"{job.name}: {cpu:.1f} s of CPU in {wall:.1f} s", soft_wrap=True)
+                took = f"{'failed after ' if wrong else ''}{cpu:.1f} s of CPU in {wall:.1f} s"
+                screen.print(f"{job.name}: {took}", soft_wrap=True)
                 if wrong is None:
                     _check_numbers(sweep.recipe, job)
         failures = [steps_of.failure(job, found[key]) for key, job in sweep.runs.items()]
