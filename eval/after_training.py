@@ -12,6 +12,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval.moving import controllers
@@ -59,7 +60,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
             print(path)
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
-    print(f"everything about this run is in {folder}")
+    say(f"Everything about this run is in {folder}.")
 
 
 def film(flight: Flight, path: Path) -> None:

@@ -49,7 +49,7 @@ COMMANDS = {
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag: a vehicle file."),
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
-    "plan": ("gap", "Plan the safe flight that discriminates best between the probable sets of a report."),
+    "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
     "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
     "gap-example": ("gap", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
     "fly": (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
-from inclined_landing.envs.shared.tables import new_table, printer, share_cell
+from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
 from inclined_landing.eval.base.options import Folder, Look, Range, Seed
 from inclined_landing.eval.pictures import picture, video
@@ -54,11 +55,11 @@ def command(
     task = policy.task
     drawn = task.sample(np.random.default_rng(seed), starts).state
     states = np.concatenate([task.states_at(PAPER_STARTS), drawn])
-    print(f"flying the policy '{POLICY}' from {len(states)} starts ...", flush=True)
+    print(f"flying the policy '{POLICY}' from {len(states)} starts ...", file=sys.stderr)
     flights = record_flights(policy, "mujoco", states, steps=task.judged_steps)
     paper = len(PAPER_STARTS)
     _show({"the paper's three": flights[:paper], f"random, seed {seed}": flights[paper:]})
-    print("filming the paper's three starts ...", flush=True)
+    print("filming the paper's three starts ...", file=sys.stderr)
     points = tuple(",".join(f"{axis:g}" for axis in point) for point in PAPER_STARTS)
     with runs.staged_run(out) as folder:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -68,8 +69,9 @@ def command(
             replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began
-    print(f"{out}: {', '.join(names)}, after {seconds:.0f} s in all")
-    print(f"Open {out / 'landing.html'} in a browser.\n\n{_NEXT}")
+    print(f"{out}: {', '.join(names)}, after {seconds:.0f} s in all\n\n{_NEXT}\n")
+    landed = proportion(sum(flight.strict for flight in flights), len(flights))
+    say(f"The policy landed in {count_words(landed)}; open {out / 'landing.html'} in a browser.")
 
 
 def _show(groups: dict[str, list[Flight]]) -> None:
@@ -81,4 +83,4 @@ def _show(groups: dict[str, list[Flight]]) -> None:
         share = share_cell(proportion(len(reached), len(flights)))
         table.add_row(name, str(len(flights)), share, str(sum(f.strict for f in flights)), times)
     table.caption = "shares with 95 % Wilson intervals; median time"
-    printer().print(table)
+    show_table(table)

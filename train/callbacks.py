@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -149,6 +150,7 @@ class ProgressCallback(BaseCallback):
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.fields[notice]}"),
+            console=Console(stderr=True),
         )
         self.bar.start()
         self.item = self.bar.add_task("", total=self.total, notice="", completed=self.num_timesteps)

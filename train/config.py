@@ -93,7 +93,7 @@ DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
 DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
 # Of touchdown in space, which begins with the descent law: little noise, or what it taught is lost; a long
 # discount, or it comes in too fast.
-AFTER_DESCENT = {
+AFTER_DESCENT: dict[str, Any] = {
     **{"start_from": descent.NAME, "learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998},
     **{"steps": 1_000_000, "environments": 128, "batch_size": 1024},
 }
@@ -169,7 +169,7 @@ class TrainConfig:
     evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
     wrong input with 2.
 
-    `landing-train sweep RECIPE` trains and judges what a recipe says, for every seed.
+    `landing-train sweep RECIPE` trains and evaluates what a recipe describes, for every seed.
     """
 
     task: Annotated[tyro.conf.Positional[str], _TASK] = "landing"

@@ -57,6 +57,8 @@ def _rehearse(config: TrainConfig) -> None:
     task.flight_words(flights[0])
     task.start_words(task.states_at(task.film_starts[:1])[0])
     curriculum = make_curriculum(config.curriculum, config.task, config.gamma, config.without or "")
-    training = ppo.training_environment(dataclasses.replace(config, environments=_FLIGHTS, threads=1))
+    small = dataclasses.replace(config, threads=1)
+    small.environments = _FLIGHTS
+    training = ppo.training_environment(small)
     training.set_conditions(curriculum.conditions())
     training.reset()

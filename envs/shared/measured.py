@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import shlex
+import string
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -174,6 +175,20 @@ class Result:
             f"A run took {cpu} s of CPU and {wall} s of wall time, training and evaluation, "
             f"on {self.machine} at a load of {_range(self.load, 1)}."
         )
+
+    def answer(self, template: str) -> str:
+        """Return a recipe's answer with its numbers filled in; "" where it has none."""
+        texts = {f"{m.variant}.{m.number.name}".removeprefix("."): m.words for m in self.measured}
+        parts = string.Formatter().parse(template)
+        return "".join(text + ("" if name is None else texts[name]) for text, name, _, _ in parts)
+
+    @property
+    def verdict(self) -> str:
+        """Return how many of the bars are met."""
+        bars = [m.met for m in self.measured if m.met is not None]
+        if not bars:
+            return "no bar was set"
+        return f"{sum(bars)} of {len(bars)} bars met" if len(bars) > 1 else f"bar {VERDICTS[bars[0]]}"
 
     def of(self, variant: str, number: str) -> Measured:
         """Return one of `measured`."""

@@ -1,28 +1,75 @@
-"""Tables for the terminal, of one look in all commands."""
+"""Answers in the terminal, of one look in all commands: tables, and sentences on what came out."""
 
 from __future__ import annotations
 
+import os
+
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
 _PIPED_WIDTH = 120  # columns, where the output is no terminal
+_PAD = 3  # columns of a table around a cell
 
 
 def printer(console: Console | None = None) -> Console:
-    """Return a console that prints text as it is; into a pipe or a file in lines of a fixed width."""
+    """Return a console that prints text as it is; into a pipe or a file as wide as COLUMNS says, or 120."""
     console = console or Console(markup=False, highlight=False)
-    if not console.is_terminal:
+    if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _PIPED_WIDTH
     return console
 
 
+def say(*sentences: str, style: str | None = None, console: Console | None = None) -> None:
+    """Print sentences; a terminal gets them wrapped, a pipe or a file each as one line."""
+    console = printer(console)
+    for sentence in sentences:
+        console.print(sentence, style=style, soft_wrap=not console.is_terminal)
+
+
 def new_table(title: str | None, *columns: str, left: int = 1) -> Table:
     """Return an empty table; its first `left` columns are left-aligned, the others, with numbers, right."""
-    result = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold")
+    result = Table(title=title, box=box.SIMPLE_HEAD)
     for k, column in enumerate(columns):
         result.add_column(column, justify="left" if k < left else "right")
     return result
+
+
+def show_table(table: Table, console: Console | None = None) -> None:
+    """Print a table of `new_table` without wrapping its numbers.
+
+    Columns of numbers for which the screen has no room follow below, beside the same labels.
+    """
+    console = printer(console)
+    labels = [k for k, column in enumerate(table.columns) if column.justify == "left"]
+    numbers = [k for k, column in enumerate(table.columns) if column.justify != "left"]
+    heads = [str(column.header) for column in table.columns]
+    cells = [max((cell_len(str(cell)) for cell in column.cells), default=0) for column in table.columns]
+    natural = [_PAD + max(cell_len(head), cell) for head, cell in zip(heads, cells)]
+    blocks: list[list[int]] = [numbers]
+    widths: list[int | None] = [None] * len(heads)
+    if numbers and sum(natural) >= console.width:
+        least = [_PAD + max(cell, *map(cell_len, head.split() or [""])) for head, cell in zip(heads, cells)]
+        widths = [width - _PAD if k in numbers else None for k, width in enumerate(least)]
+        beside = sum(natural[k] for k in labels)
+        beside = min(beside, max(console.width // 2, console.width - sum(least[k] for k in numbers) - 1))
+        blocks = [[]]
+        for k in numbers:
+            if blocks[-1] and beside + sum(least[j] for j in (*blocks[-1], k)) >= console.width:
+                blocks.append([])
+            blocks[-1].append(k)
+    if table.title:
+        console.print(table.title, style="bold")
+    for block in blocks:
+        part = Table(box=table.box, show_header=table.show_header)
+        for k in (*labels, *block):
+            part.add_column(heads[k], justify=table.columns[k].justify, width=widths[k], overflow="fold")
+        for row, texts in zip(table.rows, zip(*(table.columns[k].cells for k in (*labels, *block)))):
+            part.add_row(*texts, end_section=row.end_section)
+        console.print(part)
+    if table.caption:
+        say(str(table.caption), console=console)
 
 
 def share_cell(proportion: dict) -> str:
@@ -31,6 +78,13 @@ def share_cell(proportion: dict) -> str:
         return "-"
     low, high = proportion["interval"]
     return f"{100 * proportion['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def count_words(proportion: dict, what: str = "flights") -> str:
+    """Return a count with its share and interval [%]: `250 of 251 flights (99.6 % [97.8, 99.9])`."""
+    count = f"{proportion['count']} of {proportion['of']} {what}"
+    share = share_cell(proportion).replace(" [", " % [")
+    return count if proportion["share"] is None else f"{count} ({share})"
 
 
 def spread_cell(

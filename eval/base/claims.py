@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib import resources
 
 from inclined_landing.envs.shared.statistics import number
-from inclined_landing.envs.shared.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +92,13 @@ class Section:
         return all(claim.passed for claim in self.claims)
 
 
+def verdict_words(claims: Sequence[Claim]) -> str:
+    """Return in one sentence how many claims hold, and which do not."""
+    failed = [claim.name for claim in claims if not claim.passed]
+    held = f"{len(claims) - len(failed)} of {len(claims)} claims hold"
+    return f"{held}; not met: {'; '.join(failed)}." if failed else f"{held}."
+
+
 class Words:
     """What the sections and claims of a package say: `claims.toml` beside its code.
 
@@ -124,7 +131,6 @@ class Words:
 
 def show_sections(sections: Sequence[Section]) -> None:
     """Print the tables of sections, but not those under a caption, which a page folds; and the remarks."""
-    console = printer()
     for section in sections:
         for table in section.tables:
             if table.caption:
@@ -135,6 +141,5 @@ def show_sections(sections: Sequence[Section]) -> None:
                 if grouped and row[0]:
                     printed.add_section()
                 printed.add_row(*row)
-            console.print(printed)
-        for remark in section.remarks:
-            console.print(remark)
+            show_table(printed)
+        say(*section.remarks)

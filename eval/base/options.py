@@ -39,14 +39,14 @@ LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metava
 
 @dataclasses.dataclass(frozen=True)
 class Flown:
-    """What a policy is flown in.
+    """The conditions of the flights.
 
     Args:
         task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
             your own, written module:Class or file.py:Class, which is then imported.
         plant: the physics to fly in.
         inclination: of the platform in degrees, where it differs from the training's.
-        azimuth: the direction that it faces, in degrees from +x, for policies that fly in space.
+        azimuth: the direction that the platform faces, in degrees from +x, for policies that fly in space.
         vehicle: vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1.
     """
 
@@ -79,7 +79,7 @@ class Flown:
 
 @dataclasses.dataclass(frozen=True)
 class Look:
-    """What a picture looks like.
+    """The picture: from where, how large.
 
     Args:
         camera: where to look from; of videos and whole flights also flight, as near as all of it is seen.
@@ -124,7 +124,7 @@ class FlightSource(LogSource):
             one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
         unit: of a column that states none, roll=deg for example; repeat the option for more.
-        heldout: flights only judged on; without them each flight is judged with the others fitted.
+        heldout: flights for evaluation alone; without them each flight is evaluated on a fit of the others.
         vehicle: vehicle file (TOML), where the model differs from the shipped one.
         platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
     """

@@ -10,7 +10,7 @@ import tyro
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.runs import check_new_run, staged_run
-from inclined_landing.envs.shared.tables import printer
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import import_task, is_path
 from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
@@ -50,13 +50,12 @@ def command(
         policy, import_task(task).name if task is not None and is_path(task) else task, flown
     )
     terms = write(loaded, format, out)
-    say = printer().print
-    say(f"{loaded.name} as {format} in {out}; contract.md says what goes in and out")
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
         say(f"its constants take {4 * terms['cost']['constants']} bytes of flash, beside the firmware")
     reason = c_source.reason_without_app(terms) if format == "c" else None
     if reason is not None:
         say(f"without an app for the Crazyflie: {reason}")
+    say(f"The policy {loaded.name} is exported as {format}; {out / 'contract.md'} says what goes in and out.")
 
 
 def write(policy: Policy, format: str, out: str | Path) -> dict:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Degrees, Range, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.storage import check_file
@@ -40,7 +41,7 @@ def command(
         vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
-        deck: that it positions itself by: lighthouse or flow.
+        deck: positioning deck on the vehicle: lighthouse or flow.
         app: C export (a folder) whose app takes policies from landing-eval upload; needs a C compiler.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
@@ -71,12 +72,15 @@ def command(
     try:
         process.run(float("inf") if seconds is None else seconds)
     except KeyboardInterrupt:
-        print("switched off")
+        pass
     finally:
         process.close()
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             world.trace.write(out)
+    x, y, z = world.body.state[:3]
+    log = "" if out is None else f"; the ground truth is in {out}"
+    say(f"The simulated Crazyflie was switched off at x {x:.2f}, y {y:.2f}, z {z:.2f} m{log}.")
     return 0
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
@@ -178,7 +179,7 @@ def command(
     succeeded = sum(result["landed"] or result["outcome"] == "plan flown" for result in results)
     if not dry_run:
         done = "landed" if plan is None else "flown as planned"
-        print(f"{succeeded} of {flights} {done}; logs in {folder}")
+        say(f"{succeeded} of {flights} {done}; the logs are in {folder}.")
     return 0 if dry_run or succeeded == flights else 3
 
 

@@ -29,8 +29,8 @@ def command(policy: AnyPolicy, /, *, uri: Annotated[str, tyro.conf.arg(metavar="
     """Send a policy to the app of a C export on a Crazyflie, in place of the one there.
 
     The vehicle takes it when it fits what the app was compiled for and passes its self test on the vehicle;
-    otherwise the policy before stays. It is gone when the vehicle is switched off. POLICY may also be the
-    policy.bin of an export.
+    otherwise it keeps the one it had. The upload is lost when the vehicle is switched off. POLICY may also be
+    the policy.bin of an export.
 
     Args:
         uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
@@ -44,16 +44,17 @@ def command(policy: AnyPolicy, /, *, uri: Annotated[str, tyro.conf.arg(metavar="
         from cflib.crazyflie import Crazyflie
     except ModuleNotFoundError as error:
         raise UserError(not_installed(error)) from error
+    from rich.console import Console
     from rich.progress import Progress
 
-    from inclined_landing.envs.shared.tables import printer
+    from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.flying.interfaces import RealClock
     from inclined_landing.eval.flying.vehicle import Radio
 
     find_radio(uri)
     cflib.crtp.init_drivers()
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what it logs is said in a sentence
-    clock, screen = RealClock(), printer()
+    clock, screen = RealClock(), Console(stderr=True)
     radio = Radio(Crazyflie(), clock, 0.0, dry=True)
     radio.open(uri)
     try:
@@ -64,8 +65,9 @@ def command(policy: AnyPolicy, /, *, uri: Annotated[str, tyro.conf.arg(metavar="
         seconds = clock.now() - began
     finally:
         radio.close()
-    screen.print(
-        f"{policy} is loaded: {len(file)} bytes in {seconds:.1f} s, SHA-256 {file[-32:].hex()[:16]}..."
+    say(
+        f"The vehicle accepted {policy}: {len(file)} bytes in {seconds:.1f} s, "
+        f"SHA-256 {file[-32:].hex()[:16]}...; it flies it until it is switched off."
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -62,13 +63,12 @@ def command(
         with styled():
             picture = figures.overview(d, track)
         tick("files")
+    written: Path | None = None
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
             save_figure(picture, folder / "gap.png")
             model.write(d, nominal, folder, base=source.vehicle)
             run.write(folder, "gap", html, d.to_json(), source, began, versions)
+        written = out
     finally:
-        terminal.show(d, notes)
-    print(out / "report.html")
-    if following := words.plan_command(d, out):
-        print(f"To plan the flight that tells more: {following}")
+        terminal.show(d, notes, written)

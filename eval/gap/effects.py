@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from inclined_landing.envs.shared.tables import printer, say
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError, choices, shown
 
@@ -23,10 +23,10 @@ def command(
     for name in names:
         if name not in LIBRARY:
             raise UserError(f"unknown effect {shown(name, 40)!r}; {choices(LIBRARY, name)}")
-    console = Console()
+    console = printer()
     if not names:
         console.print(_overview())
-        console.print("landing-eval effects NAME shows the details of one", highlight=False)
+        say(f"The library has {len(LIBRARY)} effects; landing-eval effects NAME shows the details of one.")
     for name in names:
         console.print(_sheet(LIBRARY[name]))
 
@@ -40,7 +40,7 @@ def _overview() -> Table:
     """Return a table of all effects."""
     table = Table(box=None, header_style="bold")
     for title in ("effect", "formula", "a plausible size", "shows in"):
-        table.add_column(title, no_wrap=title == "effect")
+        table.add_column(title, no_wrap=title == "effect", overflow="fold")
     for effect in LIBRARY.values():
         table.add_row(effect.name, effect.formula, _numbers(effect), ", ".join(effect.regimes))
     return table

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import zipfile
 from importlib import resources
+from pathlib import Path
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder
 
 
@@ -21,4 +23,11 @@ def command(out: Folder) -> None:
     flights = resources.files(__package__).joinpath("example_flights.zip")
     with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
         archive.extractall(folder)
-    print(f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report")
+    introduce(out)
+
+
+def introduce(out: Path) -> None:
+    """Print what the flights in a folder are, and the command that is given them."""
+    command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
+    print(f"To name the effects that the model lacks: {command}")
+    say(f"Twenty flights with hidden effects are in {out}, those of its folder heldout to judge with.")

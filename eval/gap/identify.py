@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, Folder
@@ -35,10 +36,11 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
             versions=versions,
             notes=notes,
         )
+    written: Path | None = None
     try:
         with runs.staged_run(out) as folder:
             identified.write(found, folder, base=source.vehicle)
             run.write(folder, "identify", html, found.to_json(), source, began, versions)
+        written = out / model.VEHICLE
     finally:
-        identified.show(found, notes)
-    print(out / model.VEHICLE)
+        identified.show(found, notes, written)

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.page import embedded, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
@@ -201,17 +201,15 @@ def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str,
 
 def show(summary: dict, out: Path) -> None:
     """Print the outcomes and the sensitivities."""
-    console = printer()
     outcomes = new_table(summary["study"]["title"] or "landing study", "outcome", "landings", "share [%]")
     for name, count, share, low, high in _seen(summary):
         outcomes.add_row(name, str(count), f"{share:.1f} [{low:.1f}, {high:.1f}]")
-    console.print(outcomes)
+    show_table(outcomes)
     if summary["sensitivities"]:
         columns = ("parameter", "log odds of resting per s.d.", "alone, of resting", "of peak force")
         rows = new_table("Sensitivities", *columns)
         for cells in _sensitivities(summary):
             rows.add_row(*cells[: len(columns)])
-        console.print(rows)
-    for sentence in summary["discussion"][1:]:
-        console.print(sentence)
-    console.print(f"page: {out / 'index.html'}")
+        show_table(rows)
+    counted, *more = summary["discussion"]
+    say(*more, f"{counted} The page is {out / 'index.html'}.")

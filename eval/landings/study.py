@@ -240,7 +240,7 @@ def _parameter(
     numbers = entry.values if entry.value is None else (entry.value,)
     values = tuple(_check(parameter, number, entry.unit, factor) for number in numbers or ())
     if len(set(values)) < len(values):
-        raise UserError(f"parameter {name}: a value stands twice in its list")
+        raise UserError(f"parameter {name}: a value is listed twice")
     return Levels(name, values, entry.unit)
 
 
@@ -303,5 +303,5 @@ def _maps(given: tuple[tuple[str, str], ...], varied: tuple[str, ...]) -> tuple[
                 x, y, name = (shown(item, 40) for item in (*pair, name))
                 raise UserError(f"the map of {x} and {y} needs {name} to vary")
         if given.count(pair) > 1:
-            raise UserError(f"the map of {pair[0]} and {pair[1]} stands twice among the maps")
+            raise UserError(f"the map of {pair[0]} and {pair[1]} is listed twice")
     return given

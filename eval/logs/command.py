@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Flat, LogSource, NewFolder
 from inclined_landing.eval.logs.checks import check_fleet, check_log, without_bad_data
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
@@ -60,9 +61,10 @@ def command(
         print(storage.to_json({"flights": flights, "together": [_finding_json(f) for f in fleet]}))
     else:
         for file, flight, (_, findings) in zip(source.files, flights, reports):
-            print(_describe(file, flight, findings))
+            say(*_describe(file, flight, findings))
         if fleet:
-            print("together\n" + "\n".join(_finding_line(finding) for finding in fleet))
+            say("together", *(_finding_line(finding) for finding in fleet))
+        say(_answer([findings for _, findings in reports], fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
         for file, (log, findings) in zip(source.files, reports)
@@ -77,6 +79,16 @@ def command(
 def _refused(findings: Sequence[Finding]) -> bool:
     """Return whether the worst of some findings, the first, refuses the flight."""
     return bool(findings) and findings[0].decision == "refuse"
+
+
+def _answer(found: Sequence[Sequence[Finding]], fleet: Sequence[Finding]) -> str:
+    """Return in one sentence how many logs can be used, by the findings of each and of all together."""
+    decisions = [{finding.decision for finding in findings} for findings in found]
+    usable = [seen for seen in decisions if "refuse" not in seen]
+    limited = sum("limit" in seen for seen in usable)
+    count = f"{len(usable)} of {len(found)} log{'s' * (len(found) != 1)} can be used"
+    together = ", but not together" if any(finding.decision == "refuse" for finding in fleet) else ""
+    return f"{count}{f', {limited} with limits' if limited else ''}{together}."
 
 
 def parse_units(units: Sequence[str]) -> dict[str, str]:
@@ -102,12 +114,12 @@ def _check_file(
     return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
 
 
-def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> str:
+def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> list[str]:
     lines = [shown(file, 250)]
     if "rows" in flight:
         rows = f"{flight['rows']} rows, {flight['seconds']:.1f} s, {flight['rate']:.0f} rows per second"
         lines += [f"  {rows}", f"  logged: {', '.join(flight['logged'])}"]
-    return "\n".join(lines + [_finding_line(finding) for finding in findings])
+    return lines + [_finding_line(finding) for finding in findings]
 
 
 def _finding_line(finding: Finding) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from inclined_landing.envs.shared.tables import new_table, printer, spread_cell
+from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
 
 _ENVIRONMENTS = (
     *("plant, options of the task", "environment", "bare stepping", "task, reward, resets [%]"),
@@ -20,9 +20,8 @@ _SIDES = {
 
 def show(report: dict[str, Any]) -> None:
     """Print the report of `benchmark.command`."""
-    console = printer()
     versions = report["versions"]
-    console.print(
+    say(
         f"{versions['cpu']}, {versions['cores']} cores, load {report['load_before'][0]:.1f} before; "
         f"Python {versions['python']}, MuJoCo {versions['mujoco']}, torch {versions['torch']}; "
         f"seed {report['seed']}. Median (smallest to largest)."
@@ -34,13 +33,19 @@ def show(report: dict[str, Any]) -> None:
         shares = f"{100 * row['in_engine']:.1f}", f"{100 * row['in_contact']:.0f}"
         added = "" if row["over_plain"] is None else _range(row["over_plain"], factor=100)
         table.add_row(row["plant"], *rates, _range(row["overhead"], factor=100), added, *shares)
-    console.print(table)
+    show_table(table)
     table = new_table("Policy, pictures, training", "", "")
     for part in (_policy(report["policy"]), _pictures(report["video"]), _training(report)):
         for cells in part:
             table.add_row(*cells)
         table.add_section()
-    console.print(table)
+    show_table(table)
+    latency, plain = report["policy"]["predict_us"]["median"], rows[0]
+    said = f"{plain['steps_per_second']['median']:,.0f} control steps per second ({plain['plant']})"
+    said += f", {latency:.0f} us for an action"
+    if training := report.get("training"):
+        said += f", {training['steps_per_second']['median']:,.0f} training steps per second"
+    say(f"This machine makes {said}.")
 
 
 def _policy(latency: dict[str, Any]) -> Iterator[tuple[str, str]]:

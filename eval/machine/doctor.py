@@ -84,6 +84,9 @@ def _program(name: str, names: Sequence[str], purpose: str, remedy: str) -> Find
     return Finding(name, found is not None, detail, remedy, needed=False)
 
 
+_MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed
+
+
 def command(*, json: Flag = False) -> int:
     """What is installed, what is missing, and what to do about it.
 
@@ -248,21 +251,24 @@ def _display() -> Finding:
 
 
 def _show(findings: list[Finding]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    console = Console(highlight=False)
-    table = Table(box=box.SIMPLE, show_header=False)
+    from inclined_landing.envs.shared.tables import new_table, say, show_table
+
+    table = new_table(None, "", "", "", left=3)
+    table.show_header = False
     for finding in findings:
-        state = "[green]ok" if finding.ok else ("[red]missing" if finding.needed else "[yellow]-")
+        state = Text("ok", "green") if finding.ok else Text(*_MISSING[finding.needed])
         table.add_row(state, finding.name, Text(finding.detail, overflow="fold"))
-    console.print(table)
+    show_table(table)
     versions = runs.versions()
-    console.print(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
+    say(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
     if versions["git revision"]:
-        console.print(f"source {versions['git revision']}")
-    for finding in findings:
-        if not finding.ok:
-            console.print(f"{finding.name}: {finding.remedy}", markup=False)
+        say(f"source {versions['git revision']}")
+    say(*(f"{finding.name}: {finding.remedy}" for finding in findings if not finding.ok))
+    lacking, without = ([f.name for f in findings if not f.ok and f.needed is x] for x in (True, False))
+    optional = f" Optional and not here: {', '.join(without)}." if without else ""
+    if lacking:
+        say(f"Not everything that is needed works: {', '.join(lacking)}.{optional}")
+    else:
+        say(f"Everything that is needed works.{optional}")

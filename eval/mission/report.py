@@ -11,7 +11,7 @@ import numpy as np
 from inclined_landing.envs.mission import ENDS, LANDING, LEGS, Leg, Mission, Plan
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import new_table, printer, share_cell, spread_cell
+from inclined_landing.envs.shared.tables import count_words, new_table, say, show_table, spread_cell
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
 
 ROLES = ("setpoint", "landing", "touchdown")
@@ -93,9 +93,8 @@ def _leg_json(leg: Leg) -> dict:
 
 def show(report: dict) -> None:
     """Print a report: the success rate, and a row for each leg."""
-    console = printer()
     count = report["missions"]
-    title = f"{count} mission{'s' * (count != 1)}, at rest on the feet: {share_cell(report['at_rest'])} %"
+    title = f"{count} mission{'s' * (count != 1)}"
     names = ("leg", "policy", "flown", "lost", "time [s]", "touched")
     table = new_table(title, *names, left=2)
     for name, leg in report["legs"].items():
@@ -109,9 +108,10 @@ def show(report: dict) -> None:
         "all", "", str(count), str(count - report["at_rest"]["count"]), spread_cell(report["time"]), ""
     )
     over, rest = report["handed_over"], report["rest"]
-    console.print(table)
-    console.print("Share with its 95 % Wilson interval; times of what went well: medians (5 to 95 %).")
-    console.print(
+    show_table(table)
+    say(
+        "Share with its 95 % Wilson interval; times of what went well: medians (5 to 95 %).",
         f"Handed over {spread_cell(over['position'], 1, 100.0)} cm from the point, |y| "
-        f"{spread_cell(over['y'], 1, 100.0)} cm; at rest |y| {spread_cell(rest['y'], 1, 100.0)} cm."
+        f"{spread_cell(over['y'], 1, 100.0)} cm; at rest |y| {spread_cell(rest['y'], 1, 100.0)} cm.",
+        f"At rest on the feet after {count_words(report['at_rest'], 'missions')}.",
     )

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import share_cell
+from inclined_landing.envs.shared.tables import count_words, share_cell
 from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.base.style import MUTED, colour, literal, marker, percent, share_curve, styled
@@ -116,7 +116,8 @@ def sections(report: dict[str, Any]) -> list[Section]:
     figure = {"moving": "Share of the flights at rest on the platform, with 95 % intervals."}
     flown = [(s["name"], s["title"], s["fingerprint"][:12]) for s in report["scenarios"]]
     overall = [
-        f"{row['name']}: {share_cell(row['at_rest'])} % of all flights at rest" for row in report["all"]
+        f"{row['name']} came to rest on the platform in {count_words(row['at_rest'])}."
+        for row in report["all"]
     ]
     tables = [
         Table("", HEADS, [tuple(row) for row in cells(report)]),
@@ -130,7 +131,7 @@ def sections(report: dict[str, Any]) -> list[Section]:
             [],
             tables,
             figure,
-            [CAPTION, *overall, *([] if whole else [partly])],
+            [CAPTION + ".", *([] if whole else [partly]), *overall],
         )
     ]
 

@@ -7,8 +7,14 @@ from typing import Annotated
 
 import tyro
 
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import File
-from inclined_landing.eval.pictures.figures import comparison_curves, learning_curves, save_figure
+from inclined_landing.eval.pictures.figures import (
+    comparison_curves,
+    final_scores,
+    learning_curves,
+    save_figure,
+)
 from inclined_landing.models import storage
 
 
@@ -28,4 +34,6 @@ def command(
     """
     storage.check_file(out)
     names = [name.removeprefix("--").replace("-", "_") for name in by]
-    print(save_figure(comparison_curves(runs, names) if by else learning_curves(runs), out))
+    save_figure(comparison_curves(runs, names) if by else learning_curves(runs), out)
+    scores = final_scores(runs)
+    say(*scores[:-1], f"{scores[-1]} The curves are in {out}.")

@@ -9,7 +9,7 @@ from inclined_landing.eval.base.options import Flag, Flat, Flown, Folder, Look, 
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures import picture
 from inclined_landing.eval.pictures.figures import save_figure, trajectory_figure
-from inclined_landing.eval.pictures.flights import Until, fly_from, print_outcome, start_points
+from inclined_landing.eval.pictures.flights import Until, fly_from, say_outcomes, start_points
 from inclined_landing.eval.pictures.frames import FITTED
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
@@ -55,10 +55,11 @@ def command(
         names = ["trajectory"] if len(start) == 1 else [f"trajectory_{k + 1}" for k in range(len(start))]
         cases = dict(zip(names, start_points(start, task)))
     flights = fly_from(loaded, list(cases.values()), flown.plant, task.judged_steps)
-    for name, flight in zip(cases, flights):
-        for path in draw(flight, out, name):
-            print(path)
-        print_outcome(flight, name)
+    named = dict(zip(cases, flights))
+    for name, flight in named.items():
+        draw(flight, out, name)
+    files = f"{name}.png and {name}.pdf" if len(named) == 1 else f"{', '.join(named)}, each as .png and .pdf"
+    say_outcomes(named, f"{out} has {files}")
 
 
 def draw(flight: Flight, out: Path, name: str) -> list[Path]:

@@ -1,9 +1,8 @@
-"""Flights for pictures: from the points of --start, with a line on stderr about each."""
+"""Flights for pictures: from the points of --start, with a line about each."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +10,7 @@ import tyro
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.errors import UserError, shown
@@ -56,10 +56,22 @@ def continue_flights(flights: Sequence[Flight], until: str) -> list[Flight]:
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
 
 
-def print_outcome(flight: Flight, name: str) -> None:
-    """Print one line about a flight on stderr."""
-    task = flight.task
-    words = task.flight_words(flight)
+def say_outcome(flight: Flight, name: str) -> None:
+    """Print one line about a flight."""
+    words = flight.task.flight_words(flight)
     if isinstance(flight, LandedFlight):
         words += f", motors cut: {flight.ending}"
-    print(f"{name}: from {task.start_words(flight.state[0])}: {words}", file=sys.stderr)
+    say(f"{name}: from {flight.task.start_words(flight.state[0])}: {words}")
+
+
+def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:
+    """Print one line about each flight, by its name, and how many succeeded; shown_in: what shows them."""
+    for name, flight in flights.items():
+        say_outcome(flight, name)
+    say(f"{succeeded(list(flights.values()))}; {shown_in}.")
+
+
+def succeeded(flights: Sequence[Flight]) -> str:
+    """Return how many flights succeeded, in words."""
+    count = len(flights)
+    return f"{sum(flight.success for flight in flights)} of {count} flight{'s' * (count != 1)} succeeded"

@@ -12,7 +12,7 @@ from inclined_landing.eval.pictures.flights import (
     check_ending,
     continue_flights,
     fly_from,
-    print_outcome,
+    say_outcomes,
     start_points,
 )
 from inclined_landing.eval.pictures.frames import checked_look, strobe, write_picture
@@ -39,5 +39,4 @@ def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, p
     drawn = strobe(flight, **dataclasses.asdict(look))
     make_folder(out.parent)
     write_picture(out, drawn)
-    print_outcome(flight, out.name)
-    print(out)
+    say_outcomes({"flight 1": flight}, f"the picture is {out}")

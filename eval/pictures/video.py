@@ -25,7 +25,7 @@ from inclined_landing.eval.pictures.flights import (
     choose_starts,
     continue_flights,
     fly_from,
-    print_outcome,
+    say_outcomes,
     start_points,
 )
 from inclined_landing.eval.pictures.frames import (
@@ -130,10 +130,8 @@ def command(
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
     write(files, frames, total, rate)
-    for path in files:
-        print(path)
-    for k, flight in enumerate(flights):
-        print_outcome(flight, f"flight {k + 1}")
+    named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
+    say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
 
 
 def film(

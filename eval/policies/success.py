@@ -78,7 +78,7 @@ def command(
         thrust_scale: total thrust times this, one row for each value (default: 1).
         effects: one row for every physical effect of the library at a plausible size, which the policy
             knows nothing of; from the frozen grid only (four minutes).
-        disturbance: with the disturbance of the air that the vehicle file has, as landing-eval gap writes it.
+        disturbance: fly in the air disturbance of the vehicle file, as landing-eval gap writes it.
         seed: of the random starts.
         json: print JSON, and nothing else, on standard output.
         out: new folder for success.json and (without effects) flights.csv.

@@ -6,7 +6,14 @@ import math
 
 from rich.table import Table
 
-from inclined_landing.envs.shared.tables import new_table, printer, share_cell, spread_cell
+from inclined_landing.envs.shared.tables import (
+    count_words,
+    new_table,
+    say,
+    share_cell,
+    show_table,
+    spread_cell,
+)
 
 _GROUPS = {
     "paper_starts": "paper's three",
@@ -78,8 +85,7 @@ def show(report: dict) -> None:
         labels = ("thrust",)
         blocks = [[((_thrust(condition),), condition) for condition in report["conditions"]]]
     shown = [column for column in _COLUMNS[kind] if column[1] in blocks[0][0][1]]
-    title, console = _title(report), printer()
-    table = new_table(title, *labels, *(name for name, *_ in shown), left=len(labels))
+    table = new_table(_title(report), *labels, *(name for name, *_ in shown), left=len(labels))
     for block in blocks:
         for label, row in block:
             table.add_row(*label, *(text(row[key]) for _, key, text in shown))
@@ -94,10 +100,10 @@ def show(report: dict) -> None:
     if "at_rest_on_feet" in blocks[0][0][1]:
         caption += "; at rest on feet: 2 s after the motors were cut in the goal box"
     table.caption = caption or None
-    console.print(table)
+    show_table(table)
     if "entry" in report.get("conditions", [{}])[0]:
-        console.print(_entry(report["conditions"]))
-    print(answer(report))
+        show_table(_entry(report["conditions"]))
+    say(answer(report))
 
 
 def answer(report: dict) -> str:
@@ -108,23 +114,23 @@ def answer(report: dict) -> str:
         poor = [row for row in rows if row[counted]["share"] < ENOUGH]
         said = f"{what} in {100 * ENOUGH:.0f} % or more under {len(rows) - len(poor)} of {len(rows)} effects"
         worst = min(rows, key=lambda row: row[counted]["share"], default=None)
-        return f"{said}; least under {worst['effect']}: {_of(worst[counted])}." if worst else f"{said}."
+        return (
+            f"{said}; least under {worst['effect']}: {count_words(worst[counted])}." if worst else f"{said}."
+        )
     parts = []
     for condition in report["conditions"]:
         name = next((name for name in ("grid", "slopes") if name in condition), None)
         row = condition if name is None else condition[name]
         if report["table"] == "error":
-            part = f"{100 * row['error']['mean']:.1f} cm off after 3 s; within 5 cm {_of(row['within'])}"
+            part = (
+                f"{100 * row['error']['mean']:.1f} cm off after 3 s; within 5 cm {count_words(row['within'])}"
+            )
         elif "strict" in row:
-            part = f"landed without a touch before: {_of(row['strict'])}"
+            part = f"landed in {count_words(row['strict'])}, without touching the platform before"
         else:
-            part = f"succeeded: {_of(row['success'])}"
-        parts.append(part if len(report["conditions"]) == 1 else f"thrust {_thrust(condition)}, {part}")
+            part = f"succeeded in {count_words(row['success'])}"
+        parts.append(part if len(report["conditions"]) == 1 else f"at thrust {_thrust(condition)}: {part}")
     return ("; ".join(parts) + ".").capitalize() if len(parts) == 1 else "; ".join(parts).capitalize() + "."
-
-
-def _of(share: dict) -> str:
-    return f"{share['count']} of {share['of']} ({share_cell(share).replace(' [', ' % [')})"
 
 
 def _title(report: dict) -> str:

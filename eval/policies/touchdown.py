@@ -35,7 +35,7 @@ from inclined_landing.envs.mission import slope_normal
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import new_table, printer, share_cell
+from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown, resting
@@ -237,7 +237,6 @@ def command(
 
 def show(report: dict) -> None:
     """Print the report of `evaluate`."""
-    console = printer()
     angle = math.degrees(report["inclination"])
     title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts each"
     names = ("", "motors", "at rest [%]", "into it [m/s]", "along it [m/s]", "peak [N]", "time [s]")
@@ -257,9 +256,19 @@ def show(report: dict) -> None:
         "95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
         f"{report['weight']:.2f} N) and time: medians"
     )
-    console.print(shown)
+    show_table(shown)
     for mu in report["cannot_hold"]:
-        console.print(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted")
+        say(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted")
+    counted = [report["all"]] if report["all"] else report["effects"]
+    ends = {
+        mode: {key: sum(row[mode]["at_rest"][key] for row in counted) for key in ("count", "of")}
+        for mode in MODES
+    }
+    rests = {mode: count_words(proportion(end["count"], end["of"])) for mode, end in ends.items()}
+    say(
+        f"The touchdown policy came to rest on its feet in {rests['touchdown']}; with motors cut in the "
+        f"goal box, in {rests['motor_cut']}."
+    )
 
 
 def _median(value: dict) -> str:

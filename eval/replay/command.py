@@ -15,6 +15,7 @@ import tyro
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Range, Seed, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
@@ -111,8 +112,9 @@ def command(
     for note in notes:
         print(note, file=sys.stderr)
     for recording in recordings:
-        print(f"{recording.name}: {recording.outcome}", file=sys.stderr)
-    print(out)
+        say(f"{recording.name}: {recording.outcome}")
+    count = len(recordings)
+    say(f"{out} shows {count} flight{'s' * (count != 1)}; open it in a browser.")
 
 
 def _in_window(

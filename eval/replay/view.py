@@ -9,8 +9,9 @@ from typing import Annotated
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering.window import Window, check_display
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Range
-from inclined_landing.eval.pictures.flights import fly_from, print_outcome
+from inclined_landing.eval.pictures.flights import fly_from, say_outcome, succeeded
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
@@ -45,8 +46,9 @@ def show(policy: Policy, where: Sequence[tuple[float, ...]], plant: str, how: In
             for k, flight in enumerate(flights):
                 play(window, flight, plant, how.slow)
                 if first:
-                    print_outcome(flight, f"flight {k + 1}")
+                    say_outcome(flight, f"flight {k + 1}")
             first = False
+    say(f"{succeeded(flights)}.")
 
 
 def play(window: Window, flight: Flight, plant: str, slow: float) -> None:

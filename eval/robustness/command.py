@@ -65,7 +65,7 @@ _VEHICLE = tyro.conf.arg(
 
 @dataclasses.dataclass(frozen=True)
 class Changes:
-    """Of --over thrust and effects, on the frozen grid of starts.
+    """For --over thrust and effects, on the frozen grid of starts.
 
     Args:
         thrust: of the vehicle, times what the policies know.
@@ -78,12 +78,12 @@ class Changes:
 
 @dataclasses.dataclass(frozen=True)
 class Draws:
-    """Of --over vehicles.
+    """For --over vehicles.
 
     Args:
         ranges: file of ranges that vehicles are drawn from, or a shipped one.
         draws: vehicles drawn from it (0: none).
-        starts: of the frozen grid that each drawn vehicle flies from; a named one flies from all.
+        starts: how many of the frozen grid each drawn vehicle flies from; a named one flies from all.
         seed: of the drawn vehicles and their starts; choose one that no policy was trained with.
     """
 
@@ -95,7 +95,7 @@ class Draws:
 
 @dataclasses.dataclass(frozen=True)
 class Moving:
-    """Of --over moving, the frozen benchmark of moving platforms.
+    """For --over moving, the frozen benchmark of moving platforms.
 
     Args:
         scenario: of the benchmark, or scenario files (default: all of the benchmark).
@@ -148,7 +148,7 @@ def command(
         out: new folder for index.html, the numbers as JSON and CSV, and the figures.
         plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere. moving is
             always flown in mujoco.
-        every: fly from each of so many starts only; of thrust, effects and slopes.
+        every: fly from every n-th start only; for thrust, effects and slopes.
         vehicle: vehicle files, or shipped vehicles by name: the one that is flown, or those of --over
             vehicles, each flown from the whole frozen grid.
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.

@@ -20,7 +20,7 @@ from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
-from inclined_landing.envs.shared.tables import share_cell, spread_cell
+from inclined_landing.envs.shared.tables import count_words, share_cell, spread_cell
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.conditions import fly_all
@@ -144,10 +144,21 @@ def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
     return found
 
 
+def answers(report: dict[str, Any]) -> list[str]:
+    """Return a sentence on the landings of each policy, over all its slopes or on the one that it knows."""
+    found = []
+    for entry in report["policies"]:
+        landed, slope = entry.get("all", entry["single"][0]), slope_words(entry["task_options"])
+        where = f"on slopes {slope}" if "all" in entry else f"on the slope of {slope}"
+        found.append(f"{entry['name']} landed in {count_words(landed['strict'])} {where}.")
+    return found
+
+
 def sections(report: dict[str, Any]) -> list[Section]:
     """Return the section of the page."""
     figure = {
         "slopes": "Strict success over the inclination with 95 % intervals; in space over all directions."
     }
     table = Table("", HEADS, cells(report))
-    return [Section("slopes", f"Over slopes, {report['plant']} plant", [], [], [table], figure, [CAPTION])]
+    title, said = f"Over slopes, {report['plant']} plant", [CAPTION, *answers(report)]
+    return [Section("slopes", title, [], [], [table], figure, said)]

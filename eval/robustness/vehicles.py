@@ -191,6 +191,19 @@ def cells(report: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
+def answers(report: dict[str, Any]) -> list[str]:
+    """Return a sentence on the landings of each label: with every named vehicle, and with the drawn ones."""
+    flown = [(row["vehicle"], row["outcomes"]) for row in report["vehicles"]]
+    if draws := report["draws"]:
+        flown.append((f"{draws['count']} drawn vehicles", draws["outcomes"]))
+    found = []
+    for label in report["labels"]:
+        shares = {name: outcomes[label]["strict"] for name, outcomes in flown if label in outcomes}
+        counts = [f"{share['count']} of {share['of']} flights with {name}" for name, share in shares.items()]
+        found.append(f"{label} landed in {', '.join(counts)}.")
+    return found
+
+
 def sections(report: dict[str, Any]) -> list[Section]:
     """Return the section of the page."""
     figure = {
@@ -206,6 +219,6 @@ def sections(report: dict[str, Any]) -> list[Section]:
             [],
             [table],
             figure,
-            ["Strict success [%], 95 % intervals."],
+            ["Strict success [%], 95 % intervals.", *answers(report)],
         )
     ]

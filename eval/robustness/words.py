@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from inclined_landing.envs.shared.tables import new_table, printer, share_cell
+from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.robustness.changes import SIZES
 from inclined_landing.eval.robustness.figures import matrix
@@ -130,6 +130,31 @@ def sentences(report: dict) -> list[str]:
     return said
 
 
+def answers(report: dict) -> list[str]:
+    """Return a sentence on what each policy lands under: thrusts, effects of medium size, the worst one."""
+    found = []
+    for k, policy in enumerate(report["policies"]):
+        parts = [f"{policy['name']} landed in {count_words(_nominal(report)['outcomes'][k]['strict'])}"]
+        low, high = survived(report, k)
+        if len(report["thrust"]) > 1:
+            near = f"{100 * ENOUGH:.0f} % or more at thrusts x {low:g} to x {high:g}"
+            parts.append(f"under {100 * ENOUGH:.0f} % at the thrust it knows" if math.isnan(low) else near)
+        medium = {
+            row["effect"]: row["outcomes"][k]["strict"]
+            for row in report["effects"]
+            if row["size"] == "medium"
+        }
+        if medium:
+            good = sum(share["share"] >= ENOUGH_MEDIUM for share in medium.values())
+            worst = min(medium, key=lambda name: medium[name]["share"])
+            parts.append(
+                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(medium)} medium effects, least "
+                f"under {worst}: {count_words(medium[worst])}"
+            )
+        found.append("; ".join(parts) + ".")
+    return found
+
+
 def _answer(plain: int, differing: int) -> str:
     """Return what randomisation does, 1, 0 or -1 on the known vehicle and on differing ones, in words."""
     here = {
@@ -207,7 +232,6 @@ def conditions_csv(report: dict[str, Any]) -> str:
 
 def show(report: dict[str, Any]) -> None:
     """Print the report of `evaluate`."""
-    console = printer()
     title = f"Strict success, {report['starts']} starts, {report['plant']} plant"
     brief = summary(report)
     across = tuple(zip(brief["heads"], *brief["rows"]))  # a column for each policy
@@ -222,9 +246,8 @@ def show(report: dict[str, Any]) -> None:
             printed = new_table(name, *found["heads"][:columns])
             for row in found["rows"]:
                 printed.add_row(*row[:columns])
-            console.print(printed)
-    for sentence in sentences(report):
-        console.print(sentence)
+            show_table(printed)
+    say(*sentences(report), *answers(report))
 
 
 def sections(report: dict[str, Any]) -> list[Section]:
@@ -245,7 +268,7 @@ def sections(report: dict[str, Any]) -> list[Section]:
     if report["effects"]:
         text = (
             "Only the vehicle in the plant has the effect. Medium is the size that a real vehicle may well "
-            "have, weak half as far from none, strong twice, within what is possible."
+            "have; weak is half as much, strong twice as much, within physical limits."
         )
         figure = {"robustness_matrix": "Shares for every effect in three sizes; the most costly at the top."}
         numbers = tables(effects(report), "All numbers: weak / medium / strong")

@@ -10,7 +10,6 @@ import base64
 import dataclasses
 import os
 import re
-import string
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from inclined_landing.envs.shared import measured, runs
 from inclined_landing.envs.shared.measured import VERDICTS, Measured, Result, bar_words
 from inclined_landing.envs.shared.recipe import Number, Recipe, read_recipe, run_name
 from inclined_landing.envs.shared.statistics import number as rounded
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.sweeps.picture import variants_figure
 from inclined_landing.models import storage
@@ -45,9 +45,7 @@ class Found:
     @property
     def answer(self) -> str:
         """Return the answer in one sentence, its numbers filled in; "" where the recipe has none."""
-        texts = {f"{m.variant}.{m.number.name}".removeprefix("."): m.words for m in self.result.measured}
-        parts = string.Formatter().parse(self.recipe.answer)
-        return "".join(text + ("" if name is None else texts[name]) for text, name, _, _ in parts)
+        return self.result.answer(self.recipe.answer)
 
     @property
     def anchor(self) -> str:
@@ -57,10 +55,7 @@ class Found:
     @property
     def verdict(self) -> str:
         """Return how many of its bars are met."""
-        bars = [m.met for m in self.result.measured if m.met is not None]
-        if not bars:
-            return "no bar was set"
-        return f"{sum(bars)} of {len(bars)} bars met" if len(bars) > 1 else f"bar {VERDICTS[bars[0]]}"
+        return self.result.verdict
 
     @property
     def heads(self) -> tuple[str, ...]:
@@ -99,7 +94,7 @@ class Found:
 
 
 def write_page(sweeps: Sequence[Path], out: Path | None, site: Path | None) -> None:
-    """Write the page of sweeps and print the names of its files.
+    """Write the page of sweeps; print the names of its files and the answers.
 
     sweeps: folders of sweeps, or recipes with a result. out: new folder for beyond.html, which holds its
     pictures, and for these as files. site: folder of a documentation: beyond.md there, pictures in its folder
@@ -119,17 +114,22 @@ def write_page(sweeps: Sequence[Path], out: Path | None, site: Path | None) -> N
     ):
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise UserError(f"the {what} {twice[0]} is there twice")
+    written: list[Path] = []
     if site is not None:
         (site / NAME).mkdir(parents=True, exist_ok=True)
-        for path in _write_pictures(found, site / NAME):
-            print(path)
+        written += _write_pictures(found, site / NAME)
         storage.write_text(site / f"{NAME}.md", markdown(found))
-        print(site / f"{NAME}.md")
+        written.append(site / f"{NAME}.md")
     if out is not None:
         with runs.staged_run(out) as folder:
             _write_pictures(found, folder)
             storage.write_text(folder / f"{NAME}.html", html(found))
-        print(out / f"{NAME}.html")
+        written.append(out / f"{NAME}.html")
+    for path in written:
+        print(path)
+    for one in found:
+        answer = f" {one.answer}" if one.answer else ""
+        say(f"{one.recipe.title}: {one.verdict}.{answer}")
 
 
 def html(found: list[Found]) -> str:

@@ -14,13 +14,16 @@ SUBJECTS = ("equivalence", "contact")
 Subject = Annotated[
     str,
     tyro.conf.Positional,
-    tyro.conf.arg(metavar="{equivalence,contact}", help="of the vehicle with the paper's model; of contact."),
+    tyro.conf.arg(
+        metavar="{equivalence,contact}",
+        help="what is checked: the vehicle against the paper's model, or contact.",
+    ),
 ]
 
 
 @dataclasses.dataclass(frozen=True)
 class Equivalence:
-    """Of equivalence.
+    """For equivalence.
 
     Args:
         policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
@@ -35,7 +38,7 @@ class Equivalence:
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
-    """Of contact.
+    """For contact.
 
     Args:
         flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the

@@ -6,6 +6,7 @@ import numpy as np
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
+from inclined_landing.eval.gap.gap_example import introduce
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, write_csv
 
@@ -30,4 +31,4 @@ def command(out: Folder, seed: Seed = 0) -> None:
             recordings = fly_all(HIDDEN, np.random.default_rng((seed, k)), count=count)
             for j, recording in enumerate(recordings):
                 write_csv(recording, folder / name / f"{name}_{j + 1:02d}.csv")
-    print(f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report")
+    introduce(out)

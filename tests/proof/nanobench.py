@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, Range, VehicleFile
 from inclined_landing.eval.gap.flights.windows import prepare_all, remove_tilt
 from inclined_landing.eval.gap.search import rollout
@@ -255,7 +255,6 @@ def _pushed(position, velocity, rotation, pwm, lag, ambient, vehicle, dt, moved,
 
 
 def _show(report: dict) -> None:
-    console = printer()
     names = {"naive": "naive, here", "commands": "ours, by commands", "motors": "ours, by motors"}
     rows = {f"{key}, published": value for key, value in PUBLISHED.items()}
     rows |= {names[key]: value for key, value in report["here"].items()}
@@ -263,5 +262,7 @@ def _show(report: dict) -> None:
         table = new_table(f"mean absolute error of {state}", "model", *(f"h = {h}" for h in report["steps"]))
         for name, row in rows.items():
             table.add_row(name, *(f"{x:.4f}" for x in row[k]))
-        console.print(table)
-    console.print(f"{report['starts']} starts in {len(report['flights'])} flights")
+        show_table(table)
+    errors = ", ".join(f"{names[key]} {row[0][-1]:.4f}" for key, row in report["here"].items())
+    counts = f"{report['starts']} starts in {len(report['flights'])} flights"
+    say(f"{counts}; mean absolute error of {STATES[0]} at h = {report['steps'][-1]}: {errors}.")

@@ -20,7 +20,7 @@ from inclined_landing.envs.shared import cluster, measured
 from inclined_landing.envs.shared import runs as run_folders
 from inclined_landing.envs.shared.options import Flag, NewFolder, Range
 from inclined_landing.envs.shared.recipe import Recipe, read_recipe
-from inclined_landing.envs.shared.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.evaluation import look_up
@@ -57,7 +57,7 @@ def command(
     page: NewFolder = None,
     site: NewFolder = None,
 ) -> int:
-    """Train and judge what a recipe says, for every seed and variant; the numbers over the seeds.
+    """Train and evaluate what a recipe describes, for every seed and variant; the numbers over the seeds.
 
     The same command again goes on: finished runs are kept, interrupted ones resumed. Exit code 1 says that a
     run failed. With --page or --site nothing is run: the sweeps named, one or more, are shown.
@@ -144,11 +144,11 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
     path: of the recipe to write the result into. Raises UserError as soon as a run has ended that lacks a
     number; it would lack it in the others too.
     """
-    console, children = printer(), Children()
+    children = Children()
     found: dict[Key, list[Step]] = {}
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn())
     try:
-        screen = Console(stderr=True)
+        screen = Console(stderr=True, markup=False, highlight=False)
         with (
             Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as progress,
             contextlib.closing(spread(sweep.runs, place, children)) as done,
@@ -159,7 +159,8 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
                 wrong = steps_of.failure(job, steps)
                 progress.update(bar, advance=1)
                 cpu, wall = _seconds(steps)
-                console.print(wrong or f"{job.name}: {cpu:.1f} s of CPU in {wall:.1f} s")
+                took = f"{'failed after ' if wrong else ''}{cpu:.1f} s of CPU in {wall:.1f} s"
+                screen.print(f"{job.name}: {took}", soft_wrap=True)
                 if wrong is None:
                     _check_numbers(sweep.recipe, job)
         failures = [steps_of.failure(job, found[key]) for key, job in sweep.runs.items()]
@@ -174,11 +175,13 @@ def _run(sweep: Sweep, place: Place, path: Path | None) -> int:
         return FAILED
     result = _result(sweep, found)
     storage.write_json(sweep.folder / steps_of.RESULT, result.record())
-    _show(console, sweep.recipe, result)
+    _show(sweep.recipe, result)
     if path is not None:
         recorded.write(path, result.record())
-        console.print(f"the result is in {path}")
-    console.print(f"everything about this sweep is in {sweep.folder}")
+        say(f"The result is in {path}.")
+    say(f"Everything about this sweep is in {sweep.folder}.")
+    answer = f" {said}" if (said := result.answer(sweep.recipe.answer)) else ""
+    say(f"{sweep.recipe.title}: {result.verdict}.{answer}")
     return 0
 
 
@@ -228,7 +231,7 @@ def _ran(job: Job, key: Key, steps: list[Step]) -> measured.Ran:
     return measured.Ran(variant=key[0], seed=key[1], cpu_seconds=cpu, wall_seconds=wall, ended=ended)
 
 
-def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
+def _show(recipe: Recipe, result: measured.Result) -> None:
     """Print the numbers of every variant as a table."""
     heads = ("number", "median (range)", "mean [95 %]", "bar", "")
     count = len(recipe.seeds)
@@ -237,4 +240,4 @@ def _show(console: Console, recipe: Recipe, result: measured.Result) -> None:
         bar, verdict = measured.bar_words(m.number), measured.VERDICTS[m.met]
         table.add_row(m.variant, m.number.title, m.words, m.interval_words, bar, verdict)
     table.caption = result.cost
-    console.print(table)
+    show_table(table)

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder, Range, Seed, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.plan import words
@@ -29,9 +30,9 @@ def command(
     vehicle: VehicleFile = None,
     seed: Seed = 0,
 ) -> None:
-    """Plan the safe flight that discriminates best between the probable sets of a report.
+    """Plan a safe flight that best separates the candidate explanations of a report.
 
-    Takes half a minute at most. Where no flight discriminates, it prints what would and writes nothing.
+    Takes about a minute. Where no flight would separate them, it says what would instead and writes nothing.
     landing-eval fly --plan flies it.
 
     Args:
@@ -45,12 +46,13 @@ def command(
     plan_input = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
     if best.probability >= words.DECIDED and not plan_input.vary:
-        print(f"{best.text} stands alone ({best.probability:.2f}): no flight is needed")
+        say(f"No flight is needed: {best.text} has a probability of {best.probability:.2f}.")
         return
     plan = _designed(plan_input, seconds, seed)
     confounded_lines = words.indistinguishable(plan.discrimination, plan.expected)
     if plan.gain < words.LEAST_GAIN and not plan_input.vary:
-        print("\n".join([words.competing_sets(plan.discrimination), *confounded_lines]))
+        say(words.competing_sets(plan.discrimination), *confounded_lines)
+        say("No flight was planned: none within the safe space would tell these apart.")
         return
     lines = [
         words.competing_sets(plan.discrimination),
@@ -69,7 +71,9 @@ def command(
         save_figure(figure, folder / "plan.png")
     flight, arena = str(out / "flight.csv"), plan_input.arena
     fly = words.next_command(flight, plan_input.platform, None if arena is None else str(arena))
-    print("\n".join([*lines, *words.flight(plan), flight, f"To fly it: {fly}"]))
+    say(*words.flight(plan), *lines[1:])
+    print(f"To fly it: {fly}")
+    say(f"{lines[0]} The flight that separates them best is {flight}.")
 
 
 def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:

@@ -84,8 +84,10 @@ def indistinguishable(discrimination: ModelDiscrimination, expected: np.ndarray)
             names = [discrimination.hypotheses[i].effects for i in own]
             apart = set().union(*names) - set(names[0]).intersection(*names[1:])
             shown = dict.fromkeys(t for n in sorted(apart) if (t := LIBRARY[n].told_by))
-            what = _joined(sorted(apart) if len(apart) > 1 else [*apart, "not"], "or")
-            first = f"No flight planned here tells whether it is {what}."
+            what = _joined(
+                sorted(apart) if len(apart) > 1 else [f"with {name} and without" for name in apart], "and"
+            )
+            first = f"No flight that could be planned separates these candidates: {what}."
             lines.append(" ".join([first, *shown]))
     return lines
 

@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
-from inclined_landing.eval.gap.report.terminal import say
+from inclined_landing.eval.gap.report.terminal import print_answer
 from inclined_landing.eval.gap.search.reference import Reference, posterior_path
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import Vehicle, load_vehicle, write_vehicle
@@ -41,6 +41,18 @@ def sentences(found: Identification) -> list[str]:
         "1 s, angles: open loop.",
     ]
     return lines
+
+
+def changes(found: Identification) -> str:
+    """Return a sentence on the constants whose interval excludes the nominal value."""
+    changed = [p for p in found.parameters if not p.ci95[0] <= p.before <= p.ci95[1]]
+    if not changed:
+        return "No constant differs from the nominal model by more than its 95 % interval."
+    values = (
+        f"{p.name} {words.rounded(p.value, p.ci95, p.unit)} (nominal {words.exact(p.before, p.unit)})"
+        for p in changed
+    )
+    return f"Different from the nominal model: {', '.join(values)}."
 
 
 IDENTIFIABLE = ("effect", "standard error", "confounded with", "excited by")
@@ -126,12 +138,14 @@ def rows(found: Identification) -> list[tuple[str, ...]]:
     ]
 
 
-def show(found: Identification, notes: Sequence[str] = ()) -> None:
-    """Print headline, constants and notes."""
+def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None = None) -> None:
+    """Print constants, notes and headline; vehicle: the file that was written."""
     constants = new_table(None, *_HEADS)
     for row in rows(found):
         constants.add_row(*row)
-    say(headline(found), sentences(found), constants, (*found.notes, *notes), found.inconsistent_flights)
+    lines = (*sentences(found), changes(found))
+    answer = headline(found) + ("" if vehicle is None else f" It is {vehicle}.")
+    print_answer(answer, lines, constants, (*found.notes, *notes), found.inconsistent_flights)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

@@ -1,18 +1,19 @@
-"""A diagnosis in the terminal: the first lines of the page and a small table."""
+"""A diagnosis in the terminal: the numbers, then the first lines of the page, the answer last."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich.table import Table
 
-from inclined_landing.envs.shared.tables import new_table, printer
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis, InconsistentFlights
 
 
-def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
-    """Print verdict, effects, ties, remedies, gap and limits."""
+def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:
+    """Print effects, limits, ties, remedies, gap and verdict; report: the folder with the page."""
     rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", left=2)
     for effect in d.effects:
         ends = (words.label(effect.name), words.probability(effect.probability), words.share(effect.gain))
@@ -24,30 +25,34 @@ def show(d: Diagnosis, notes: Sequence[str] = ()) -> None:
     for row in words.answer_rows(d):
         answer.add_row(*row)
     lines = words.sentences(d)
-    say(words.headline(d), lines, rows, (*d.notes, *notes), d.inconsistent_flights, answer)
+    headline, following = words.headline(d), ""
+    if report is not None:
+        headline += f" The report is {report / 'report.html'}."
+        following = words.plan_command(d, report)
+    notes = (*d.notes, *notes)
+    print_answer(headline, lines, rows, notes, d.inconsistent_flights, answer, following)
 
 
-def say(
+def print_answer(
     headline: str,
     sentences: Sequence[str],
     rows: Table,
     notes: Sequence[str],
     inconsistent_flights: Sequence[InconsistentFlights],
     answer: Table | None = None,
+    following: str = "",
 ) -> None:
-    """Print an answer, inconsistent flights first; repeated notes are removed."""
-    console = printer()
+    """Print an answer, the numbers first and the headline last; repeated notes are removed."""
+    if rows.row_count:
+        show_table(rows)
+    say(*(f"Note: {words.plain(note)}" for note in dict.fromkeys(notes)), style="dim")
+    say(*sentences)
+    if answer is not None and answer.row_count:
+        show_table(answer)
     for one in inconsistent_flights:
         who, *more = words.inconsistency(one)
-        console.print(who, style="bold")
-        for text in more:
-            console.print(text)
-    console.print(headline, style="bold")
-    if answer is not None and answer.row_count:
-        console.print(answer)
-    for text in sentences:
-        console.print(text)
-    if rows.row_count:
-        console.print(rows)
-    for note in dict.fromkeys(notes):
-        console.print(f"Note: {words.plain(note)}", style="dim")
+        say(who, style="bold")
+        say(*more)
+    if following:
+        print(f"To plan a more informative flight: {following}")  # whole, to be copied
+    say(headline, style="bold")

@@ -36,7 +36,6 @@ SHOWN = {
     "rad/s2": (180.0 / math.pi, "deg/s²"),
     "s2/m2": (1.0, "s²/m²"),
 }
-HEADLINE_GAIN = 0.01  # least gain of an effect in the headline
 SETS = 7  # rows of the table of sets
 NAMED = 3  # names of an equivalence class in the headline
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
@@ -180,14 +179,11 @@ def headline(d: Diagnosis) -> str:
             return f"Nothing is missing that all flights share{lines}."
         as_well = "the model explains these flights as well as noise and disturbances allow"
         return f"Nothing is missing{lines}: {as_well}."
-    large = [e for e in d.effects if e.gain >= HEADLINE_GAIN] or list(d.effects)
-    sure = listed([_headline_entry(e) for e in large if e.sure])
-    rest = listed([_headline_entry(e) for e in large if not e.sure])
-    count = len(d.effects) - len(large)
-    smaller = f"{count} smaller effect{'s' * (count > 1)}" if count else ""
+    sure = listed([_headline_entry(e) for e in d.effects if e.sure])
+    rest = listed([_headline_entry(e) for e in d.effects if not e.sure])
     if rest and not sure and d.verdict != "unknown":
-        return f"Possibly wrong or missing in the model: {rest}{smaller and f', and {smaller}'}."
-    parts = [part for part in (sure, rest and f"possibly {rest}", smaller) if part]
+        return f"Possibly wrong or missing in the model: {rest}."
+    parts = [part for part in (sure, rest and f"possibly {rest}") if part]
     if not parts:
         return "Something is missing that no effect of the library explains."
     if d.verdict == "unknown":
@@ -402,7 +398,8 @@ def residual_sentences(d: Diagnosis) -> list[str]:
             + (f", of a remaining {centimetres(residual.error)}." if math.isfinite(residual.error) else ".")
         )
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append("The residual does not depend on any logged quantity: it is noise and disturbances.")
+        cause = "sensor noise and air disturbances"
+        lines.append(f"The remaining error is unrelated to any logged signal: {cause}.")
     return lines
 
 

@@ -24,6 +24,7 @@ def public_flights(name: str, files: Sequence[str], out: Path | None) -> None:
     sets = public_sets()
     if not name:
         print("\n\n".join(_where(key, known) for key, known in sets.items()))
+        print(f"\n{len(sets)} sets of measured flights are known: {', '.join(sets)}.")
         return
     if name not in sets:
         raise UserError(f"unknown set {shown(name)!r}; known are {', '.join(sets)}")
@@ -49,7 +50,7 @@ def public_flights(name: str, files: Sequence[str], out: Path | None) -> None:
             for note in notes:
                 print(f"{shown(file, 250)}: {note}", file=sys.stderr)
         storage.write_text(folder / "source.txt", _where(name, sets[name]) + "\n")
-    print(f"{len(seen)} flights in {out}")
+    print(f"{len(seen)} flights were converted into {out}.")
 
 
 def _packed(text: bytes) -> bytes:

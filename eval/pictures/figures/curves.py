@@ -163,6 +163,23 @@ def _curriculum_end(learning: pd.DataFrame) -> float:
     return float(learning["steps"].iloc[moving[-1] + 1]) if len(moving) else 0.0
 
 
+def final_scores(runs: Sequence[str | Path]) -> list[str]:
+    """Return a sentence for each task of the runs: the score of the last evaluation, median and range."""
+    loaded = [_read_run(folder) for folder in runs]
+    found = []
+    for task in dict.fromkeys(run.task for run in loaded):
+        curve = _score_curve(task)
+        columns = [run.evaluations[curve.column].dropna() for run in loaded if run.task == task]
+        ends = [curve.factor * column.iloc[-1] for column in columns if len(column)]
+        count = f"{len(columns)} run{'s' * (len(columns) != 1)} of {task}"
+        if not ends:
+            found.append(f"{count}, not evaluated yet.")
+            continue
+        spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
+        found.append(f"{count}; {curve.label} at the end: {np.median(ends):.3g}{spread}.")
+    return found
+
+
 def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
     """Return a figure of score and curriculum level over environment steps and CPU time of the training.
 

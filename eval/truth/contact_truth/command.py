@@ -10,8 +10,8 @@ from rich.progress import Progress
 from rich.text import Text
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import new_table, printer
-from inclined_landing.eval.base.claims import Section
+from inclined_landing.envs.shared.tables import new_table, say, show_table
+from inclined_landing.eval.base.claims import Section, verdict_words
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write
@@ -49,8 +49,9 @@ def command(
         for claim in finding.claims:
             verdict = "met" if claim.passed else Text("not met", "bold")
             table.add_row(claim.name, f"{claim.measured:.3g}", claim.tolerance, claim.unit, verdict)
-    printer().print(table)
-    print(out / "contact.html")
+    show_table(table)
+    claims = [claim for finding in findings for claim in finding.claims]
+    say(f"{verdict_words(claims)} The page is {out / 'contact.html'}.")
 
 
 def measure(

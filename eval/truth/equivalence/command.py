@@ -11,7 +11,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.claims import Claim, number
+from inclined_landing.envs.shared.tables import say
+from inclined_landing.eval.base.claims import Claim, number, verdict_words
 from inclined_landing.eval.base.page import png
 from inclined_landing.eval.truth.equivalence import report
 from inclined_landing.models import storage
@@ -50,10 +51,9 @@ def command(out: Path, policy: str, vehicle: Path | None, seed: int, quick: bool
     storage.write_json(folder / "report.json", record)
     storage.write_text(folder / "report.html", page)
     failed = [c for s in sections for c in s.claims if not c.passed]
-    for c in failed:
-        print(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}")
-    print(f"{record['claims'] - len(failed)} of {record['claims']} claims hold, {record['seconds']:.0f} s")
-    print(folder / "report.html")
+    say(*(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}" for c in failed))
+    verdict = verdict_words([c for s in sections for c in s.claims])
+    say(f"{verdict} It took {record['seconds']:.0f} s; the page is {folder / 'report.html'}.")
     return 1 if failed else 0
 
 

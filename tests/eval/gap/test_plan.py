@@ -250,7 +250,7 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
     out = tmp_path / "flight"
     alone = report(tmp_path, dataclasses.replace(DRAG, probability=0.97))
     assert main(["plan", str(alone), "--out", str(out)]) == 0
-    assert "rotor_drag stands alone (0.97)" in capsys.readouterr().out
+    assert "No flight is needed: rotor_drag has a probability of 0.97." in capsys.readouterr().out
     assert not out.exists()
 
 

@@ -152,7 +152,7 @@ BAD = [
     ("from = 0.2, to = 1.4", "from = -0.2, to = 1.4", "friction must be from 0 to 5, not -0.2"),
     ("from = 10, to = 50", "from = 10, to = 60", "inclination must be from 0 to 50 deg, not 60"),
     ("values = [18, 25]", "values = []", "values must be a list of at least 1 entries"),
-    ("values = [18, 25]", "values = [18, 18]", "a value stands twice"),
+    ("values = [18, 25]", "values = [18, 18]", "a value is listed twice"),
     ("values = [18, 25]", 'values = [18, "x"]', "values[1] must be a number, not 'x'"),
     ("to = 40, ", "to = 40, count = 3, ", "count belongs to a factorial"),
     ('unit = "g"', 'unit = "lb"', "mass needs a unit, 'kg' or 'g', not 'lb'"),

@@ -19,7 +19,7 @@ def test_missions_are_counted_and_drawn(tmp_path, capsys):
     words = ["mission", "--start=-1,0.05,1.75", "--start=-1.3,0,1.5", "--no-film", "--out", str(out)]
     assert cli.main(words) == 0
     table = capsys.readouterr().out
-    assert "2 missions, at rest on the feet: 100.0" in table and "slab 2" in table
+    assert "At rest on the feet after 2 of 2 missions (100.0" in table and "slab 2" in table
     assert {path.name for path in out.iterdir()} == {"mission.json", "mission.png", "mission.pdf"}
     report = json.loads((out / "mission.json").read_text())
     assert report["at_rest"]["count"] == report["missions"] == 2 and report["seed"] is None

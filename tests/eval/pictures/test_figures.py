@@ -438,8 +438,8 @@ def test_figure_command_writes_the_paper_s_two_cases(hover_policy, tmp_path, cap
     names = {f"trajectory_{case}{suffix}" for case in ("above", "above_right") for suffix in (".png", ".pdf")}
     assert {p.name for p in (tmp_path / "new").iterdir()} == names
     out, err = capsys.readouterr()
-    assert len(out.split()) == 4
-    assert "from x 1.5, z 1.8 m: goal box not reached" in err and "from x 0, z 2 m" in err
+    assert "from x 1.5, z 1.8 m: goal box not reached" in out and "from x 0, z 2 m" in out and not err
+    assert "0 of 2 flights succeeded; " in out.splitlines()[-1] and str(tmp_path / "new") in out
 
 
 def test_video_command_flies_all_starts(hover_policy, tmp_path):

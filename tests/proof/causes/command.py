@@ -56,8 +56,8 @@ def command(
             print(page.line(result), file=sys.stderr, flush=True)
     results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
     page.write(out, results)
+    print(f"The page is {out / 'report.html'}.")
     print(page.summary_text(results))
-    print(out / "report.html")
 
 
 def _row(data: Path, row: Row) -> dict:

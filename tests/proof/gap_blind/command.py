@@ -86,6 +86,7 @@ def command(
         style.save_figure(figure, out / "reliability.png")
     storage.write_text(out / "report.html", page(results, figure))
     Console().print(markdown(results), markup=False, highlight=False, soft_wrap=True)
+    print(f"{len(drawn)} cases were judged; the page is {out / 'report.html'}.")
 
 
 def _open_set(out: Path, description: dict, labels: dict) -> None:

@@ -59,7 +59,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
         lines += [f"| `{name}` | {j['name']} | {j['flights']} | {_cm(j, 0)} | {_cm(j, 1)} |" for j in judged]
         print("\n".join(lines[-len(judged) :]), flush=True)
     storage.write_text(out / "table.md", "\n".join(lines) + "\n")
-    print(out / "table.md")
+    print(f"{len(chosen)} vehicles were identified and judged; the table is {out / 'table.md'}.")
 
 
 def _flights(data: Path, entry: Mapping, patterns: Sequence[str]) -> list[FlightLog]:

@@ -1,0 +1,125 @@
+"""Every command ends with its outcome in a sentence; tables fit the screen, progress is not on stdout."""
+
+import re
+
+import pytest
+from rich.text import Text
+
+from inclined_landing.envs.shared.tables import new_table, show_table
+from inclined_landing.eval import cli
+from inclined_landing.train import cli as train
+from tests.campaign.commands import place
+
+SHARE = r"\(\d+\.\d % \[\d+\.\d, \d+\.\d\]\)"
+SMALL = "--width 96 --height 64 --backend ray"
+FLOWN = "robustness landing --plant analytic"
+# Command lines, {place} being a folder of the campaign's, and how their last lines end.
+QUICK = {
+    "crazyflie --port 0 --poses 127.0.0.1:9 --seconds 0.05": r"was switched off at x 1\.00, .* m\.",
+    "doctor": r"Everything that is needed works\..*",
+    "effects": r"The library has \d+ effects; .*\.",
+    "export landing --format numpy --out {place}/out": r"is exported as numpy; .*contract.md says .*\.",
+    "gap-example --out {place}/out": r"Twenty flights with hidden effects are in .*out.*\.",
+    "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",
+    "success setpoint --plant analytic": rf"cm off after 3 s; within 5 cm \d+ of 200 flights {SHARE}\.",
+    "mission --missions 2 --no-film": rf"At rest on the feet after 2 of 2 missions {SHARE}\.",
+    "plan {place}/report --out {place}/out": r"No flight is needed: body_drag has .* 1\.00\.",
+    "replay landing --out {place}/a.html": r"a.html shows 3 flights; open it in a browser\.",
+    f"{FLOWN} --every 60 --thrust 1 0.9 --effect wind": rf"landed in 5 of 5 flights {SHARE}; .*wind: .*\.",
+    f"{FLOWN} --every 60 --over slopes": rf"landed in 5 of 5 flights {SHARE} on the slope of -25\.7 deg\.",
+    f"{FLOWN} --over vehicles --vehicle crazyflie-2.0 --draws 0": r"\d+ flights with crazyflie-2\.0\.",
+    "robustness planner --over moving --scenario still_00_deg --flights 1": rf"in 1 of 1 flights {SHARE}\.",
+    f"figure landing --whole {SMALL} --out {{place}}/a.png": r"1 of 1 flight succeeded; .*a\.png\.",
+}
+LONG = {
+    "figure landing --plant analytic --out {place}/out": r"2 of 2 flights succeeded; .*out has .*\.",
+    "landings {place}/study.toml --out {place}/out": r"Of 12 landings: .*index.html\.",
+    f"video landing {SMALL} --out {{place}}/a.mp4": r"1 of 1 flight succeeded; .*a\.mp4\.",
+    "benchmark --quick --no-training": r"This machine makes [\d,]+ control steps per second .*\.",
+    "curves {place}/run --out {place}/a.png": r"1 run of setpoint; .* at the end: .*a\.png\.",
+    "demo --starts 2 --out {place}/out": rf"landed in 5 of 5 flights {SHARE}; open .*html in .*\.",
+    "fly --simulated --yes --out {place}/out": r"1 of 1 landed; the logs are in .*out\.",
+    "gap {place}/20/fit/*.csv --out {place}/out": r"Wrong or .*rotor drag.*report.html\.",
+    "identify {place}/20/fit/*.csv --out {place}/out": r"The identified model .* %.*vehicle.toml\.",
+    "success landing": rf"Landed in 251 of 251 flights {SHARE}, without touching .*\.",
+    "success setpoint --effects --plant analytic": r"under \d+ of \d+ effects; least under .*\.",
+    "touchdown touchdown --friction 0.8 --restitution 0": rf"policy came to rest .* {SHARE}; .*\.",
+    "train setpoint --steps 4096 --out {place}/out": r"Training: ended after .*final.zip\.",
+    "train sweep {place}/small.toml --out {place}/out": r"Small: .*it is .* cm .*\.",
+    "validate contact --out {place}/out": r"\d+ of \d+ claims hold; not met: .*contact.html\.",
+    "validate equivalence --quick --out {place}/out": r"(\d+) of \1 claims hold\. .*report.html\.",
+}
+SWEEP = """
+title = "Small"
+question = "None?"
+answer = "After 4096 steps it is {error} from the goal."
+train = ["setpoint", "--steps", "4096"]
+seeds = [1, 2]
+evaluate = [["success", "{run}/final.zip", "--plant", "analytic", "--out", "{run}/success"]]
+
+[numbers.error]
+title = "error"
+file = "success/success.json"
+path = "conditions.0.error.mean"
+unit = "cm"
+factor = 100
+better = "lower"
+bar = 1000
+over = "mean"
+"""
+LINES = [
+    pytest.param(*case, id=case[0].split(" --out")[0][:60], marks=[pytest.mark.slow] * (case[0] in LONG))
+    for case in (QUICK | LONG).items()
+]
+
+
+def printed(line, folder, capsys) -> tuple[str, str]:
+    """Stdout and stderr of a command line; stars are files."""
+    words = []
+    for word in line.replace("{place}", str(folder)).split():
+        words += sorted(map(str, folder.glob(word[len(str(folder)) + 1 :]))) if "*" in word else [word]
+    code = train.main(words[1:]) if words[0] == "train" else cli.main(words)
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    return out, err
+
+
+@pytest.mark.parametrize(("line", "outcome"), LINES)
+def test_the_last_line_says_what_came_out(line, outcome, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(tmp_path)
+    place(tmp_path)
+    (tmp_path / "small.toml").write_text(SWEEP)
+    if "/20/" in line:
+        printed("gap-example --out {place}/20", tmp_path, capsys)
+    if "/run" in line:
+        printed("train setpoint --steps 4096 --no-report --out {place}/run", tmp_path, capsys)
+    out, _ = printed(line, tmp_path, capsys)
+    last = out.splitlines()[-1]
+    assert re.search(f"{outcome}$", last), last
+    rows = [row for row in out.splitlines() if row.endswith(" ")]  # of tables, which fill their width
+    assert max(map(len, rows), default=0) <= 80
+    assert not {"━", "\r", "…"} & set(out)
+
+
+def test_every_command_has_its_line():
+    """But for upload, whose vehicle is another process; `flying/test_upload.py` has it."""
+    assert {line.split()[0] for line in QUICK | LONG} == set(cli.COMMANDS) - {"upload"} | {"train"}
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_numbers_are_never_wrapped(width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    table = new_table(
+        "A title", "policy", "slopes", "strict [%]", "success [%]", "time to the goal [s]", left=2
+    )
+    cells = ("99.6 [97.8, 99.9]", "98.4 [96.0, 99.4]", "1.72 (0.83 to 2.32)")
+    table.add_row("landing", "on every slope that it knows", *cells)
+    table.add_row(Text("landing-slopes"), "", *cells, end_section=True)
+    table.caption = "What the columns are."
+    show_table(table)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "A title" and lines[-1] == "What the columns are."
+    assert max(map(len, lines)) <= width
+    assert all(sum(cell in line for line in lines) == 2 for cell in cells)
+    assert sum("landing" in line for line in lines) == (2 if width == 120 else 2 * len(cells))
