@@ -232,7 +232,8 @@ class TrainConfig:
         self._check_types()
         kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
         if self._is_in_space_by_default(kind):
-            self = dataclasses.replace(self, dimensions=3)
+            self = dataclasses.replace(self)
+            self.dimensions = 3
         training = kind.training
         try:
             training.check()
