@@ -113,8 +113,7 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
     landed = began in SHIPPED or Path(began).is_file()  # and not a law
     origin = load(began) if landed else None
     if origin is None or origin.task.name == final.task.name:  # the comparison is with a motor cut
-        assert final.task.training.start_from is not None  # of every touchdown
-        origin = load(final.task.training.start_from)
+        origin = load(touchdown.BASELINE)
     table = touchdown.evaluate(final, origin)
     storage.write_json(folder / "touchdown.json", table)
     metrics["success"] = {"final": touchdown.overall(table, "touchdown")}

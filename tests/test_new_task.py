@@ -58,6 +58,6 @@ def test_it_is_pictured(run, tmp_path, capsys):
     assert evaluate([*whole, *size]) == 0
     with Image.open(out) as image:
         assert image.size == (96, 64)
-    assert "from x 0.5, y 0, z 1 m: " in capsys.readouterr().err
+    assert "from x 0.5, y 0, z 1 m: " in capsys.readouterr().out
     assert evaluate(["figure", str(run / "final.zip"), "--out", str(tmp_path), "--plant", "analytic"]) == 0
     assert (tmp_path / "trajectory.pdf").is_file()

@@ -91,11 +91,10 @@ ROBUST, DRAWN_HISTORY = "robust", 3  # ranges, and past steps to tell a vehicle 
 DRAWN_STEPS = 700_000  # min_steps more on drawn vehicles
 # In space, where drawn vehicles differ in more: with the rates of the plane one of three seeds learned it.
 DRAWN_IN_SPACE = {"rollout": 128, "learning_rate": 1e-3}
-# Of touchdown in space, which begins with the descent law: little noise, or what it taught is lost; a long
-# discount, or it comes in too fast.
-AFTER_DESCENT: dict[str, Any] = {
-    **{"start_from": descent.NAME, "learning_rate": 3e-4, "log_std_init": -2.2, "gamma": 0.998},
-    **{"steps": 1_000_000, "environments": 128, "batch_size": 1024},
+# Touchdown in the plane begins with a landing policy, and explores more.
+IN_THE_PLANE: dict[str, Any] = {
+    **{"start_from": "landing-nominal", "learning_rate": 4e-4, "log_std_init": -1.2, "gamma": 0.99},
+    **{"steps": 1_500_000, "environments": 64, "batch_size": 512},
 }
 EVALUATE_EVERY = (16, 32)  # iterations, on one vehicle and on drawn ones
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its own task
@@ -176,15 +175,15 @@ class TrainConfig:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
-    """Of the policy, the starts and the minibatches; periodic evaluation uses starts of its own."""
+    """Of the policy, the starts and the minibatches, not of periodic evaluation."""
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
     copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML), or shipped ones by name, from which each training episode has a vehicle of its own
-    (default: landing and touchdown, robust)."""
+    """Ranges (TOML, or a shipped name) that each episode's vehicle is drawn from (default: landing and
+    touchdown, robust)."""
     nominal: bool = False
-    """The paper's landing: one vehicle, no history, actions around its hover; touchdown then in the plane."""
+    """As in the paper: one vehicle in the plane, no history, actions around hover."""
     max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
     """Stop at this wall time; the checkpoint allows to resume."""
     max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
@@ -251,9 +250,9 @@ class TrainConfig:
         given = {name: getattr(self, name) for name in _OF_THE_TASK if name not in ENDING}
         is_drawn = (self.dimensions or 2) in kind.drawn_vehicles
         drawn = is_drawn and self.fastest is None and not self.nominal  # over moving platforms one vehicle
-        by_descent = self.dimensions == 3 and training.start_from is not None
-        if by_descent:
-            training = dataclasses.replace(training, **AFTER_DESCENT)
+        by_descent = training.start_from == descent.NAME and self.dimensions == 3
+        if training.start_from == descent.NAME and not by_descent:
+            training = dataclasses.replace(training, **IN_THE_PLANE)
         # What tells a vehicle, or a platform's motion: past steps, and actions for more and less thrust.
         tells = drawn or (by_descent and not self.nominal)
         defaults = {name: getattr(training, name) for name in given} | own

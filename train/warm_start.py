@@ -60,6 +60,8 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
             )
         return Descent(task)
     usual = task.training.start_from
+    if usual == descent.NAME:
+        usual = "landing-nominal"  # in its place any policy of this task
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
     return policy

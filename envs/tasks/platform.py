@@ -37,7 +37,7 @@ class LandingOptions(TaskOptions):
     )
     dimensions: int = option(
         2,
-        "3: fly in space, with roll, and not in a plane (default: as the task is).",
+        "3: fly in space, with roll, and not in a plane (default: 2, touchdown 3).",
         limits=(2, 3),
         more={"metavar": "{2,3}"},
         trained_with=True,

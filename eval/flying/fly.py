@@ -205,16 +205,16 @@ def load_flight(
 
     room = load_vehicle(arena) if arena is not None else load_vehicle()
 
-    def built(name: str, tasks: tuple[str, ...], inclination: float | None = None) -> Policy:
+    def built(name: str, tasks: tuple[str, ...], **platform: float) -> Policy:
         task = trained_task(name)
         if task not in tasks:
             raise UserError(
                 f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(tasks)}"
             )
-        policy = load_policy(name, task, vehicle=room, inclination=inclination)
+        policy = load_policy(name, task, vehicle=room, **platform)
         if policy.task.platform_moves:
             raise UserError(f"policy {shown(name)} is for moving platforms; the pilot's stands still")
-        return policy
+        return load_policy(name, policy.task)  # which refuses another slope than its own
 
     angle = room.platform_inclination if inclination is None else math.radians(inclination)
     slope = room.check_inclination(angle)
@@ -223,7 +223,7 @@ def load_flight(
         planned = read_planned(plan, room, slope, platform)
         x, _, z = planned.reference.position[0]
         return planned, hover, [(float(x), float(z))]
-    landing = built(policy or "landing", ("landing", "touchdown"), slope)
+    landing = built(policy or "landing", ("landing", "touchdown"), inclination=slope, azimuth=0.0)
     plane = make_task("landing", room, inclination=slope)
     starts = [plane.parse_start(text) for text in start] or list(PAPER_STARTS)
     return landing, hover, [(point[0], point[1]) for point in starts]

@@ -94,7 +94,9 @@ class Plan:
         """Return what stands in the room."""
         if isinstance(self.landing, PlannedFlight):
             return Surroundings(self.landing.vehicle, self.landing.inclination, self.landing.present)
-        return Surroundings(self.landing.task.vehicle, self.landing.task.inclination)
+        task = self.landing.task
+        # In space a slope that rises along x is one that faces -x: inclination > 0, azimuth pi.
+        return Surroundings(task.vehicle, task.inclination * math.cos(task.azimuth))
 
 
 @dataclasses.dataclass

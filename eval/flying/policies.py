@@ -9,7 +9,7 @@ from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Setpoint, StepContext
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.models.attitude import ROLL_COMMAND, X, Y, Z
+from inclined_landing.models.attitude import ROLL_COMMAND, YAW, X, Y, Z
 
 
 class InvalidAction(Exception):
@@ -48,7 +48,9 @@ class PolicyRunner:
             raise InvalidAction(self.policy)
         action = np.clip(action, -1.0, 1.0)
         self._past.record(observation, action)
-        return action[0], self.task.commands(action)[0]
+        level = state[None].copy()
+        level[:, YAW] = 0.0  # commands are along the arena's axes, and the pilot's to turn
+        return action[0], self.task.body_commands(self.task.commands(action), level, self.platform)[0]
 
 
 class SetpointFollower:

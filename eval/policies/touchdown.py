@@ -53,6 +53,7 @@ FRICTIONS = (0.5, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)
 SETTLING = 100  # control steps that the motor cut has after the goal box
 MODES = ("motor_cut", "touchdown")
+BASELINE = "landing-nominal"  # whose motors are cut
 _FIELDS = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
 
 
@@ -194,7 +195,7 @@ def command(
     policy: PolicyFile,
     /,
     *,
-    baseline: PolicyName = "landing-nominal",
+    baseline: PolicyName = BASELINE,
     vehicle: VehicleFile = None,
     friction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MU [MU ...]")] = FRICTIONS,
     restitution: Annotated[tuple[float, ...], tyro.conf.arg(metavar="E [E ...]")] = RESTITUTIONS,
@@ -206,7 +207,7 @@ def command(
 
     Args:
         policy: touchdown policy file, or the shipped one (touchdown).
-        baseline: landing policy file, or a shipped one; landing-nominal is what touchdown began from.
+        baseline: landing policy file, or a shipped one; landing-nominal is the paper's.
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         friction: between feet and slope.
         restitution: of the feet on the slope, 0 to 0.6.

@@ -148,7 +148,7 @@ def test_no_mission_begins_in_the_platform_under_it_or_outside(start):
 
 def test_policies_must_go_together():
     setpoint, landing, touchdown = POLICIES
-    with pytest.raises(UserError, match="the landing policy touchdown is for the task touchdown"):
+    with pytest.raises(UserError, match="the landing policy touchdown-nominal is for the task touchdown"):
         Plan(setpoint, touchdown, touchdown)
     with pytest.raises(UserError, match="the setpoint policy landing is for the task landing"):
         Plan(landing, landing, touchdown)
