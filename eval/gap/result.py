@@ -230,11 +230,12 @@ class PlantGap:
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """The answer of `diagnose`; `apply` adds the named effects to a vehicle."""
+    """The answer of `diagnose`; `apply` adds what the flights show to a vehicle."""
 
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
-    corrected: Vehicle  # the vehicle diagnosed, with the named effects
+    # The vehicle diagnosed, with the named effects; an identified one with all others estimated again.
+    corrected: Vehicle
     separating_manoeuvre: str | None
     where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
@@ -253,6 +254,10 @@ class Diagnosis:
         ScoredSet, ...
     ] = ()  # with effects that the flights could not have shown, at prior odds
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
+    # Values of all effects that were estimated again; empty without an identified vehicle or a named effect.
+    estimated: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    # Fields of the vehicle that these change, with half-widths of their 95 % intervals.
+    half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return the fitted parameter values: effect -> parameter -> value."""
@@ -275,8 +280,9 @@ class Diagnosis:
         return {name: part for name, part in likely if part >= POSSIBLE}
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
-        """Return `vehicle` with the named effects added."""
-        return effects.apply(vehicle, self.values())
+        """Return `vehicle` with the named effects added, and the others as they were estimated again."""
+        shown = {**self.values(), **self.estimated}
+        return effects.apply(vehicle, {name: shown[name] for name in effects.LIBRARY if name in shown})
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, sequences, strings and numbers."""

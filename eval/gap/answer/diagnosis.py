@@ -44,6 +44,7 @@ from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import EffectSet, slab_deviations
 from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -117,8 +118,8 @@ def diagnose(
         return fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
 
     values = relevant_values(problem, found, fitted_values)
-    local = found.local.with_wide_slabs(frozenset(values))
-    effects, corrected = named_effects(problem, found, values), problem.corrected(values)
+    effects, correction = named_effects(problem, found, values), _Correction.of(problem, found, values)
+    corrected = problem.corrected(correction.values)
     residuals = residual.Residual.by(
         problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
     )
@@ -130,7 +131,7 @@ def diagnose(
     else:
         test, after = (
             problem,
-            [problem.corrected(v) for v in sets.leave_one_out(problem, local, frozenset(values), values)],
+            [problem.corrected(v) for v in correction.left_out],
         )
     where = _regime_errors(test, test.white_errors([vehicle] * len(after)), test.white_errors(after))
     clock("where")
@@ -150,7 +151,7 @@ def diagnose(
         remaining = dataclasses.replace(remaining, error=error)
         effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
         if curves:
-            horizon = _horizon(problem, starts, effects, after, floor)
+            horizon = _horizon(problem, starts, effects, after, floor, correction.again)
             windows = _window_curves(starts, vehicle, corrected)
         clock("show")
         for plant in plants:
@@ -167,6 +168,8 @@ def diagnose(
         verdict="unknown" if unknown else "effects" if effects else "nothing",
         inconsistent_flights=inconsistent,
         effects=effects,
+        estimated=correction.values if correction.again else {},
+        half_widths=correction.half_widths,
         corrected=contact_result.vehicle,
         separating_manoeuvre=manoeuvre or None,
         where=where + contact_result.where,
@@ -184,6 +187,27 @@ def diagnose(
         seconds=clock.spent,
         notes=tuple(notes),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Correction:
+    """Values of the effects that correct the vehicle."""
+
+    values: Values
+    left_out: list[Values]  # for every flight, fitted to the others
+    again: bool = False  # whether the errors of the identified vehicle were estimated again
+    half_widths: dict[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
+
+    @staticmethod
+    def of(problem: Problem, found: sets.SetPosterior, values: Values) -> _Correction:
+        """Return the correction by the named effects at `values`."""
+        names = frozenset(values)
+        if problem.identified and values:
+            again, local = fit_vehicle(problem, values, names, found.inflation)
+            widths = field_half_widths(problem, local, names, again)
+            return _Correction(again, left_out(problem, local, names), True, widths)
+        local = found.local.with_wide_slabs(names)
+        return _Correction(values, sets.leave_one_out(problem, local, names, values))
 
 
 def _steady_force(problem: Candidates, values: Values) -> float:
@@ -334,18 +358,19 @@ def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None
         return None
 
 
-def _horizon(problem, starts, effects: Sequence[NamedEffect], after, floor) -> tuple[HorizonCurve, ...]:
-    """Return error against horizon with the effects added one by one."""
+def _horizon(problem, starts, effects, after, floor, again: bool) -> tuple[HorizonCurve, ...]:
+    """Return error against horizon with the effects added one by one; `again`: then all others too."""
     t = np.arange(1, starts.rows + 1) * starts.dt
-    names, curves = [e.name for e in effects], []
-    for k in range(len(names) + 1):
-        chosen = tuple(names[:k])
-        vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
-        if k and k == len(names):
+    names = [e.name for e in effects]
+    labels = ["nominal", *(f"+ {name}" for name in names), *["+ all others"][: int(again)]]
+    curves = []
+    for k, label in enumerate(labels):
+        if k and k == len(labels) - 1:
             error, _ = rollout.errors_by_flight(starts, after)
         else:
+            vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
             error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
-        curves.append(HorizonCurve(f"+ {names[k - 1]}" if k else "nominal", chosen, t, error, floor))
+        curves.append(HorizonCurve(label, tuple(names[:k]), t, error, floor))
     return tuple(curves)
 
 

@@ -22,7 +22,6 @@ from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
 from inclined_landing.eval.gap.search.evidence import (
     BASE,
-    FittedValues,
     Problem,
     Values,
     identifiable_effects,
@@ -42,8 +41,8 @@ from inclined_landing.eval.gap.search.sets import (
     autocorrelation_inflation,
     fit_jointly,
     leave_one_out,
-    posterior_mode,
 )
+from inclined_landing.eval.gap.search.vehicle_fit import fit_vehicle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import Vehicle, load_vehicle
@@ -53,9 +52,6 @@ PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "atti
 PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which an effect is not identifiable
-MIXED_ROUNDS = 8  # of the fit beside random effects of the flights
-STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
-DEVIANCE_TOLERANCE = 1.0
 ROUGH = 0.2  # above which it is poorly identified
 CONFOUNDED = 0.8  # posterior correlation above which two effects are confounded
 
@@ -157,7 +153,7 @@ def identify(
     problem.confounded = confounding(near)
     problem.between = estimate_between_flight_deviations(problem, near)
     problem.excitation = excitation(problem, near)
-    values = _mixed_effects_fit(problem, values, inflation)
+    values, _ = fit_vehicle(problem, values, frozenset(problem.library), inflation)
     local = LinearGaussian.of(problem, problem.linearise(values, columns, inflation), values)
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
     reference, identifiable = _vehicle_posterior(problem, result, inflation, noise_model.size)
@@ -185,40 +181,6 @@ def identify(
         notes=tuple(notes),
         inconsistent_flights=inconsistent,
     )
-
-
-def _mixed_effects_fit(problem: Problem, values: FittedValues, inflation: np.ndarray) -> FittedValues:
-    """Return the posterior mode of all effects beside random effects of the flights, without model errors.
-
-    Pooled least squares would take what differs between flights, a fresher battery say, for the slope of the
-    thrust over its command. Newton's method with step halving.
-    """
-    names = frozenset(problem.library)
-    columns = problem.columns(problem.library)
-
-    def linearised(at: Values) -> LinearGaussian:
-        return LinearGaussian.of(problem, problem.linearise(at, columns, inflation), at)
-
-    local = linearised(values)
-    for _ in range(MIXED_ROUNDS):
-        here = problem.coordinates(values, columns)
-        change = problem.coordinates(posterior_mode(problem, local, names), columns) - here
-        for share in STEP_SHARES:
-            trial = problem.values_at(names, columns, here + share * change)
-            there = linearised(trial)
-            gain = _deviance(local) - _deviance(there)
-            if gain > 0.0:
-                values, local = trial, there
-                break
-        if gain < DEVIANCE_TOLERANCE:
-            break
-    return values
-
-
-def _deviance(local: LinearGaussian) -> float:
-    """Return -2 log posterior at the linearisation point, random effects marginalised."""
-    # c + x' V^-1 x,  V the slabs' covariance
-    return float(local.c.sum() + local.at @ np.linalg.solve(local.slab, local.at))
 
 
 def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):

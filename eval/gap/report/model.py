@@ -53,6 +53,10 @@ def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str
             sources[field] = f"{sources[field]}; " if field in sources else "identified by landing-eval gap: "
             sources[field] += _source(effect)
             squares[field] = squares.get(field, 0.0) + squared
+    for field, width in d.half_widths.items():
+        again = "estimated again by landing-eval gap, with all others"
+        sources[field] = f"{sources[field]}; {again}" if field in sources else again
+        squares[field] = np.square(width)
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
 
 

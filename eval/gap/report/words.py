@@ -365,6 +365,11 @@ def sentences(d: Diagnosis) -> list[str]:
         lines += [s for s in (sentence(effect), confounding_sentence(effect), plain(effect.note)) if s]
     if d.separating_manoeuvre:
         lines.append(f"To discriminate: {manoeuvre(d)}")
+    if d.estimated:
+        lines.append(
+            "Beside that all constants of the identified vehicle were estimated again, as these flights show "
+            "other sides of them; the vehicle file has them."
+        )
     lines += [gap(plant, g) for plant, g in d.gap.items()]
     return lines + residual_sentences(d)
 

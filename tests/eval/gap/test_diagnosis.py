@@ -186,6 +186,20 @@ def test_unknown_cause_is_not_given_a_name():
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
 
 
+def test_what_the_reference_hardly_showed_is_estimated_again():
+    """Drag that calm flights hardly show: in a wind it shows, and the corrected vehicle has it."""
+    hidden = {"body_drag": {"coefficient": 0.03}}
+    known = identify(flights(hidden, seed=11, count=3, seconds=6.0), VEHICLE)
+    logs = flights({**hidden, "wind": {"x": -3.0}}, seed=12, count=3, seconds=6.0)
+    d = diagnose(logs, known.vehicle, reference=known.reference, curves=False)
+    assert "wind" in d.values() and d.apply(known.vehicle) == d.corrected
+    alone = measure_gap(effects.apply(known.vehicle, d.values()), logs)["error"]
+    print(
+        alone, d.gap["analytic"], d.values(), d.corrected.effects_body_drag, known.vehicle.effects_body_drag
+    )
+    assert d.gap["analytic"].after < 0.8 * alone
+
+
 def test_what_differs_between_flights_is_not_named():
     each = [{"thrust_scale": {"scale": s}} for s in (0.9, 1.1, 0.95, 1.12, 0.93)]
     d = quick(flights(each=each, seed=6))
