@@ -9,8 +9,11 @@ from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.diagnosis import _steady_force
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
-from inclined_landing.eval.gap.search.evidence import Candidates, Problem
+from inclined_landing.eval.gap.search.evidence import BASE, Candidates, Problem
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
+from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.residual import ReferenceResidual
+from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations
 from inclined_landing.models.effects import LIBRARY
@@ -186,18 +189,23 @@ def test_unknown_cause_is_not_given_a_name():
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
 
 
-def test_what_the_reference_hardly_showed_is_estimated_again():
-    """Drag that calm flights hardly show: in a wind it shows, and the corrected vehicle has it."""
-    hidden = {"body_drag": {"coefficient": 0.03}}
-    known = identify(flights(hidden, seed=11, count=3, seconds=6.0), VEHICLE)
-    logs = flights({**hidden, "wind": {"x": -3.0}}, seed=12, count=3, seconds=6.0)
-    d = diagnose(logs, known.vehicle, reference=known.reference, curves=False)
-    assert "wind" in d.values() and d.apply(known.vehicle) == d.corrected
-    alone = measure_gap(effects.apply(known.vehicle, d.values()), logs)["error"]
-    print(
-        alone, d.gap["analytic"], d.values(), d.corrected.effects_body_drag, known.vehicle.effects_body_drag
+def test_what_the_reference_left_uncertain_is_estimated_again():
+    """Drag that calm flights hardly show: named is the wind alone, and the corrected vehicle has both."""
+    logs = flights({"body_drag": {"coefficient": 0.03}, "wind": {"x": -3.0}}, seed=12, count=3, seconds=6.0)
+    library = {name: LIBRARY[name] for name in ("wind", "body_drag", "thrust_scale")}
+    columns = tuple(Candidates.of(VEHICLE, library).columns([*library, BASE]))
+    known = np.diag([0.02**2 if c.effect == "body_drag" else 0.0 for c in columns])
+    reference = Reference(columns, np.zeros(len(columns)), known, ReferenceResidual({}, {}))
+    problem = Problem([prepare(log, VEHICLE) for log in logs], VEHICLE, library, reference)
+    names = frozenset({"wind"})
+    values, local = fit_vehicle(problem, {}, names, np.ones(6))
+    for one in (values, *left_out(problem, local, names)):
+        assert one["body_drag"]["coefficient"] == pytest.approx(0.03, rel=0.15)
+        assert one["wind"]["x"] == pytest.approx(-3.0, rel=0.05)
+    low, high = (
+        0.03 + s * field_half_widths(problem, local, names, values)["effects_body_drag"] for s in (-2, 2)
     )
-    assert d.gap["analytic"].after < 0.8 * alone
+    assert low < values["body_drag"]["coefficient"] < high and high - low < 4 * 1.96 * 0.02
 
 
 def test_what_differs_between_flights_is_not_named():
