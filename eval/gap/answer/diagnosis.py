@@ -194,7 +194,7 @@ class _Correction:
     """Values of the effects that correct the vehicle."""
 
     values: Values
-    left_out: list[Values]  # for every flight, fitted to the others
+    left_out: Sequence[Values]  # for every flight, fitted to the others
     again: bool = False  # whether the errors of the identified vehicle were estimated again
     half_widths: dict[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
 

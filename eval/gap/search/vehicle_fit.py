@@ -32,25 +32,25 @@ def fit_vehicle(
     """
     fitted = [n for n, e in problem.library.items() if n in names or not e.of_the_place]
     columns = problem.columns(fitted)
-    values = {n: problem.neutral(n) | dict(values.get(n, {})) for n in fitted}
+    at: FittedValues = {n: problem.neutral(n) | dict(values.get(n, {})) for n in fitted}
 
-    def linearised(at: Values) -> LinearGaussian:
-        return LinearGaussian.of(problem, problem.linearise(at, columns, inflation), at)
+    def linearised(here: Values) -> LinearGaussian:
+        return LinearGaussian.of(problem, problem.linearise(here, columns, inflation), here)
 
-    local = linearised(values)
+    local = linearised(at)
     for _ in range(ROUNDS):
-        here = problem.coordinates(values, columns)
+        here = problem.coordinates(at, columns)
         change = problem.coordinates(vehicle_mode(problem, local, names), columns) - here
         for share in STEP_SHARES:
             trial = problem.values_at(fitted, columns, here + share * change)
             there = linearised(trial)
             gain = _deviance(local, names) - _deviance(there, names)
             if gain > 0.0:
-                values, local = trial, there
+                at, local = trial, there
                 break
         if gain < DEVIANCE_TOLERANCE:
             break
-    return values, local
+    return at, local
 
 
 def vehicle_mode(

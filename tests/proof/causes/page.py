@@ -73,7 +73,29 @@ def summary_text(results: Sequence[dict]) -> str:
         sign = "at most" if key in ("wrong", "nothing") else "at least"
         share = f"{100 * count / of:.0f} %" if of else "none"
         lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
+    lines += [_unknown_counts(results), _errors(results)]
     return "\n".join(lines + [_baseline_counts(results, method) for method in BASELINES])
+
+
+def _unknown_counts(results: Sequence[dict]) -> str:
+    """Return how often the verdict is `unknown` where the library has the cause, or nothing was changed."""
+    known = [r for r in results if "error" not in r and r["kind"] in ("cause", "nothing")]
+    counts = [
+        f"{sum(r['verdict'] == 'unknown' for r in rows)}/{len(rows)} {words}"
+        for words, rows in (
+            ("known causes", [r for r in known if r["kind"] == "cause"]),
+            ("rows with nothing changed", [r for r in known if r["kind"] == "nothing"]),
+        )
+    ]
+    return f"called unknown as well: {', '.join(counts)}"
+
+
+def _errors(results: Sequence[dict]) -> str:
+    """Return the median error one second ahead, before and after, where a right name is sure."""
+    rows = [r for r in results if "error" not in r and r["kind"] == "cause" and r["right sure"]]
+    ends = [[r[when] for r in rows if r[when] is not None] for when in ("before", "after")]
+    before, after = (f"{100 * np.median(one):.0f}" if one else "-" for one in ends)
+    return f"error one second ahead where a right name is sure, median: {before} to {after} cm"
 
 
 def _baseline_counts(results: Sequence[dict], method: str) -> str:
