@@ -18,9 +18,9 @@ def stopping_distance(velocity: np.ndarray, vehicle: Vehicle, braking: float = B
     """Return the stopping distance (..., 3) [m] along each axis from a velocity (..., 3) [m/s].
 
     v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
-    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: `braking` times
-    the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the lowest thrust
-    of an action holds, half; downwards the highest thrust less g, about half.
+    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: a share,
+    `braking`, of the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the
+    lowest thrust of an action holds, half; downwards the highest thrust less g, about half.
     """
     g = vehicle.environment_gravity
     sideways = g * math.tan(vehicle.command_angle_limit)

@@ -122,7 +122,7 @@ def test_a_retreat_begins_while_there_is_room(axis, speed):
 
 
 def first_off(silences, acceleration=0.0):
-    """The height [m], by 2 mm, at which a vehicle that climbs at 1 m/s has no room, the link being silent so long."""
+    """The height [m], by 2 mm, at which a climb at 1 m/s has no room after these silences [s]."""
     for z in np.arange(1.0, 2.4, 0.002):
         monitor = SafetyMonitor(VEHICLE)
         for k, silence in enumerate(silences):
