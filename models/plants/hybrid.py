@@ -154,7 +154,7 @@ class HybridPlant(MujocoPlant):
                 acting[k] = self.delays.acting(k * step, step)
         else:
             acting[0] = self._ctrl
-        speeds = self.platforms.speeds() if self.platforms else STILL
+        speeds = self.platforms.speeds if self.platforms else STILL
         period = _Period(acting, push, self.torque_needs_motors, speeds)
         count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
         near = self._results.left[:count]
@@ -162,12 +162,11 @@ class HybridPlant(MujocoPlant):
             self._roll(None if len(near) == self.n else near)
         if self.platforms:
             self.platforms.follow(chosen)
-            self.platforms.place(near, self.present)
         self.delays.push_state(self.state, chosen)
         return {}
 
     def _roll(self, ids, record=()):
-        if self.platforms:  # in the engine they are where a vehicle's last step of the engine left them
+        if self.platforms:  # in the engine they are still where its last step of a vehicle left them
             self.platforms.place(self._everyone if ids is None else ids, self.present)
         return super()._roll(ids, record)
 

@@ -33,7 +33,8 @@ _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the 
 class _Clock(NamedTuple):
     """Times of the platforms' motions, and when the engine asks for them."""
 
-    now: np.ndarray  # (n,) s, times of the motions
+    time: np.ndarray  # (n,) s since the vehicles' reset
+    begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
     step: float  # s, of the engine
     late: float  # s by which the engine's speeds and accelerations belong earlier than its positions
 
@@ -75,6 +76,7 @@ class Platforms:
         self.motion = Motion.still(n)
         self.rest = platform.copy()
         self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
+        self._everyone = np.arange(n)
         self._platform = platform
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
         dofs = np.array([int(joint.dofadr[0]) for joint in joints])
@@ -84,14 +86,22 @@ class Platforms:
             dofs,
             float(model.dof_armature[dofs[0]]),
         )
-        self._time = batch.bind("time")
-        self._step = model.opt.timestep
-        self._late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * self._step
-        self._period = substeps * self._step
+        step = model.opt.timestep
+        late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * step
+        self._clock = _Clock(batch.bind("time"), self.begun, step, late)
+        self._period = substeps * step
         self._most = np.zeros(n)
         self._forces = np.zeros((n, substeps, model.nv))
         self._reach = math.hypot(
             vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness
+        )
+        self._moved()
+
+    def _moved(self) -> None:
+        """Take the arrays of the motion, which may be others after more waves were given."""
+        self._waves = self.motion.arrays
+        self.speeds = Speeds(
+            self._most, self.begun, self._waves, self._clock.late, self._period, self._reach
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -102,11 +112,12 @@ class Platforms:
     def make_room(self, arrays: dict[str, np.ndarray]) -> None:
         """Make room for as many waves as a snapshot's arrays have."""
         self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
+        self._moved()
 
     def stop(self, ids, rest: np.ndarray) -> None:
         """Stop the platforms `ids` at `rest` (k, 12)."""
         self.rest[ids], self.begun[ids] = rest, 0.0
-        for array in self.motion.arrays:
+        for array in self._waves:
             array[ids] = 0.0
         self._most[ids] = 0.0
 
@@ -115,12 +126,12 @@ class Platforms:
         if len(moves) != len(self.rest[ids]):
             raise UserError(f"{len(self.rest[ids])} platforms need as many motions, not {len(moves)}")
         self.motion[ids], self.begun[ids] = moves, time
+        self._moved()
         self.bound(ids)
 
     def bound(self, ids=slice(None)) -> None:
         """Bound the speeds of the platforms `ids` anew, whose motions are others."""
-        speeds, rows = self.speeds(), np.arange(len(self.rest))[ids]
-        _most(rows, speeds, self._most)
+        _most(self._everyone[ids], self.speeds, self._most)
 
     def at(self, times) -> np.ndarray:
         """Return states (n, 12) of the platforms at times (n,) or a number [s] since the vehicles' reset."""
@@ -128,24 +139,17 @@ class Platforms:
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the platforms `ids` where their motions have them now, in the engine and in `platform`."""
-        _place(ids, self._clock(), present, self.motion.arrays, self.rest, self._platform, self._joints)
+        _place(ids, self._clock, present, self._waves, self.rest, self._platform, self._joints)
 
     def follow(self, ids: np.ndarray) -> None:
         """Write where the motions have the platforms `ids` now into `platform` alone."""
-        _follow(ids, self._time + self.begun, self.motion.arrays, self.rest, self._platform)
+        _follow(ids, self._clock, self._waves, self.rest, self._platform)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Return forces (k, substeps, nv) that move the platforms `ids` through the period that begins."""
         out = self._forces[: len(ids)]
-        _forces(ids, self._clock(), present, self.motion.arrays, self._joints, out)
+        _forces(ids, self._clock, present, self._waves, self._joints, out)
         return out
-
-    def _clock(self) -> _Clock:
-        return _Clock(self._time + self.begun, self._step, self._late)
-
-    def speeds(self) -> Speeds:
-        """Return what `fastest` needs."""
-        return Speeds(self._most, self.begun, self.motion.arrays, self._late, self._period, self._reach)
 
 
 @numba.njit(cache=True)
@@ -191,10 +195,10 @@ def _most(ids, speeds, out):
 
 
 @numba.njit(cache=True)
-def _follow(ids, times, waves, rest, platform):
+def _follow(ids, clock, waves, rest, platform):
     now = np.empty((3, 6))
     for i in ids:
-        motion.displacement(i, times[i], waves, now)
+        motion.displacement(i, clock.time[i] + clock.begun[i], waves, now)
         motion.write_state(now, rest[i], platform[i])
 
 
@@ -206,7 +210,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
     qpos, qvel, force, positions, dofs, inertia = joints
     now, speed, gain = np.empty((3, 6)), np.empty(6), np.empty(6)
     for i in ids:
-        t = clock.now[i]
+        t = clock.time[i] + clock.begun[i]
         motion.displacement(i, t, waves, now)
         motion.write_state(now, rest[i], platform[i])
         if not present[i]:
@@ -232,7 +236,7 @@ def _forces(ids, clock, present, waves, joints, out):
     for row in range(len(ids)):
         i = ids[row]
         for s in range(out.shape[1]):
-            t = clock.now[i] + (s + 0.5) * clock.step - clock.late
+            t = clock.time[i] + clock.begun[i] + (s + 0.5) * clock.step - clock.late
             motion.acceleration(i, t, waves, now)
             for k in range(6):
                 out[row, s, joints.dofs[k]] = joints.inertia * now[k] if present[i] else 0.0
