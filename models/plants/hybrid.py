@@ -10,8 +10,10 @@ than its centre can move in this step, by `_MARGIN`; slab and base count with th
 sees contacts at the beginning of a time step and at the three other stages of RK4, whose positions are
 within one step of the speeds of that step: the speeds at its two ends, plus their difference for what the
 acceleration does between. A moving platform is taken where it was at the period's beginning, and nearer by
-what any of its points can have moved since (`fastest`). So no contact that the engine would see is
-missed, and contacts, forces and the zone are always the engine's own.
+what any of its points can have moved since: at a speed that its motion never exceeds (`Speeds.most`), or,
+where that is too near, at one that it does not exceed in this period (`fastest`). So no contact that the
+engine would see is missed, and contacts, forces and the zone are always the engine's own. In the engine a
+platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped

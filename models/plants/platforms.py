@@ -100,9 +100,7 @@ class Platforms:
     def _moved(self) -> None:
         """Take the arrays of the motion, which may be others after more waves were given."""
         self._waves = self.motion.arrays
-        self.speeds = Speeds(
-            self._most, self.begun, self._waves, self._clock.late, self._period, self._reach
-        )
+        self.speeds = Speeds(self._most, self.begun, self._waves, self._clock.late, self._period, self._reach)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what a snapshot of the plant needs of them."""
