@@ -14,6 +14,7 @@ from inclined_landing.models.motion import MODES, Motion
 
 WAVES = 2  # per mode
 PERIODS = (1.2, 6.0)  # s, evenly in their logarithm
+_LOGARITHMS = np.log(PERIODS)
 # Of a swell of 1, each wave evenly from 0 to these.
 HEAVE_SPEED = 0.35  # m/s
 HEAVE = 0.12  # m, at most
@@ -30,15 +31,15 @@ def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarra
     # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.
     shape = (k, len(MODES), WAVES)
     speed, heading = fastest * rng.random(k), rng.uniform(-math.pi, math.pi, k)
-    frequency = 2.0 * math.pi / np.exp(rng.uniform(*np.log(PERIODS), shape))
-    share = swell * rng.random(shape)
-    largest = np.zeros(shape)
-    largest[:, 2] = np.minimum(HEAVE_SPEED / frequency[:, 2], HEAVE)
-    largest[:, 3:5] = np.minimum(TILT_RATE / frequency[:, 3:5], TILT)
-    tilt = largest_tilt(share * largest)
-    share[:, 3:5] *= np.minimum(1.0, room / np.maximum(tilt, 1e-9))[:, None, None]
-    velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(k)])
-    return Motion(velocity, share * largest, frequency, rng.uniform(-math.pi, math.pi, shape))
+    frequency = 2.0 * math.pi / np.exp(rng.uniform(*_LOGARITHMS, shape))
+    share, amplitude, velocity = swell * rng.random(shape), np.zeros(shape), np.zeros((k, 3))
+    amplitude[:, 2] = share[:, 2] * np.minimum(HEAVE_SPEED / frequency[:, 2], HEAVE)
+    largest = np.minimum(TILT_RATE / frequency[:, 3:5], TILT)
+    amplitude[:, 3:5] = share[:, 3:5] * largest
+    reduced = np.minimum(1.0, room / np.maximum(largest_tilt(amplitude), 1e-9))
+    amplitude[:, 3:5] = share[:, 3:5] * reduced[:, None, None] * largest
+    velocity[:, 0], velocity[:, 1] = speed * np.cos(heading), speed * np.sin(heading)
+    return Motion.unchecked(velocity, amplitude, frequency, rng.uniform(-math.pi, math.pi, shape))
 
 
 def largest_tilt(amplitude: np.ndarray) -> np.ndarray:

@@ -69,6 +69,13 @@ class Motion:
         """Return the motions of n platforms that do not move."""
         return cls(np.zeros((n, 3)), *np.zeros((3, n, 6, waves)))
 
+    @classmethod
+    def unchecked(cls, *arrays: np.ndarray) -> Motion:
+        """Return the motion of `arrays`, which are in the order of the fields, right, and nobody else's."""
+        motion = cls.__new__(cls)
+        motion.velocity, motion.amplitude, motion.frequency, motion.phase = arrays
+        return motion
+
     def __len__(self) -> int:
         return len(self.velocity) if self.velocity.ndim else 0
 

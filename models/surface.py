@@ -112,21 +112,22 @@ def platform_motion(platform: np.ndarray) -> np.ndarray:
     """Return velocity [m/s] and rates [rad/s] (n, 6) of platforms (n, 12) along the axes of
     `heading_frame`.
     """
-    return _platform_motion(platform, np.empty((len(platform), 6)))
+    return write_platform_motion(platform, np.empty((len(platform), 6)))
 
 
 @numba.njit(cache=True)
-def _platform_motion(platform, out):
+def write_platform_motion(platform, out):
+    """Write `platform_motion` into `out` (n, 6), whose numbers may be shorter; return it."""
     for i in range(len(platform)):
         d = platform[i]
         r = rotation(d[ROLL], d[PITCH], d[YAW])
         sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
-        for k in range(3):
-            out[i, k] = d[VX + k]
-            out[i, 3 + k] = r[k, 0] * d[WX] + r[k, 1] * d[WX + 1] + r[k, 2] * d[WX + 2]
-        for first in (0, 3):
-            x, y = out[i, first], out[i, first + 1]
-            out[i, first], out[i, first + 1] = cos * x + sin * y, cos * y - sin * x
+        wx = r[0, 0] * d[WX] + r[0, 1] * d[WX + 1] + r[0, 2] * d[WX + 2]
+        wy = r[1, 0] * d[WX] + r[1, 1] * d[WX + 1] + r[1, 2] * d[WX + 2]
+        out[i, 0], out[i, 1] = cos * d[VX] + sin * d[VX + 1], cos * d[VX + 1] - sin * d[VX]
+        out[i, 3], out[i, 4] = cos * wx + sin * wy, cos * wy - sin * wx
+        out[i, 2] = d[VZ]
+        out[i, 5] = r[2, 0] * d[WX] + r[2, 1] * d[WX + 1] + r[2, 2] * d[WX + 2]
     return out
 
 

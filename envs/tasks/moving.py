@@ -49,8 +49,11 @@ class MovingLanding(SpaceLanding):
 
     def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32: over the slope, and the platforms' own motion."""
-        seen = super().observe(context)
-        return np.concatenate([seen, surface.platform_motion(context.platform).astype(np.float32)], axis=1)
+        over = super().observe(context)
+        seen = np.empty((len(over), over.shape[1] + len(SEEN_MOVING)), np.float32)
+        seen[:, : over.shape[1]] = over
+        surface.write_platform_motion(context.platform, seen[:, over.shape[1] :])
+        return seen
 
     def in_arena(self, context: StepContext) -> np.ndarray:
         """Return states (n, 13) relative to an arena that is carried along with the platforms' centres."""

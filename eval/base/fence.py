@@ -14,30 +14,35 @@ REACTION_TIME = (0.25, 0.25, 0.12)  # s along x, y, z: see `stopping_distance`
 BRAKING = 0.5  # share of the acceleration commands allow that the set-point policy brakes with
 
 
-def stopping_distance(velocity: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+def stopping_distance(velocity: np.ndarray, vehicle: Vehicle, braking: float = BRAKING) -> np.ndarray:
     """Return the stopping distance (..., 3) [m] along each axis from a velocity (..., 3) [m/s].
 
     v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
-    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: BRAKING times
-    the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the lowest thrust
-    of an action holds, half; downwards the highest thrust less g, about half.
+    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: a share,
+    `braking`, of the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the
+    lowest thrust of an action holds, half; downwards the highest thrust less g, about half.
     """
     g = vehicle.environment_gravity
     sideways = g * math.tan(vehicle.command_angle_limit)
-    brake = BRAKING * np.array([sideways, sideways, 0.5 * g])
+    brake = braking * np.array([sideways, sideways, 0.5 * g])
     speed = np.abs(velocity)
     return speed * REACTION_TIME + speed**2 / (2.0 * brake)
 
 
 def beyond_fence(
-    position: np.ndarray, velocity: np.ndarray, vehicle: Vehicle, margin: float = BOUND_MARGIN
+    position: np.ndarray,
+    velocity: np.ndarray,
+    vehicle: Vehicle,
+    margin: float = BOUND_MARGIN,
+    braking: float = BRAKING,
 ) -> np.ndarray:
     """Return (...,) bool: whether a vehicle in the air is too fast for its distance to an end of the arena.
 
-    position, velocity (..., 3) [m, m/s]; margin [m] kept beside the distance that it needs to stop.
+    position, velocity (..., 3) [m, m/s]; margin [m] kept beside the distance that it needs to stop, which is
+    `stopping_distance` with `braking`.
     """
     ends = np.array([vehicle.arena_x, vehicle.arena_y, vehicle.arena_z], float)
-    room = stopping_distance(velocity, vehicle) + margin
+    room = stopping_distance(velocity, vehicle, braking) + margin
     high = (velocity > 0.0) & (position + room > ends[:, 1])
     low = (velocity < 0.0) & (position - room < ends[:, 0])
     low[..., 2] &= position[..., 2] > FLOOR

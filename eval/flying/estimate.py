@@ -59,6 +59,7 @@ class StateEstimate:
     pose_age: float  # s since the last believed position
     attitude_age: float  # s since the last attitude
     attitude_mismatch: float  # rad between the attitudes of log and motion capture; 0 where one is not known
+    acceleration: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3))  # (3,) m/s2
 
     @property
     def tilt(self) -> float:
@@ -135,6 +136,7 @@ class Estimator:
             math.inf if last is None else time - last,
             math.inf if self.attitude is None else time - self.attitude.time,
             attitude_mismatch,
+            self.filter.mean[2].copy(),
         )
 
     def to_arena(self, attitude: Attitude) -> np.ndarray | None:

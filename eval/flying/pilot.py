@@ -459,9 +459,9 @@ class Pilot:
         """Keep sending stop commands, and log where the vehicle comes to rest."""
         end = self.clock.now() + AFTER_FLIGHT_TIME
         while (now := self.clock.now()) < end:
-            with contextlib.suppress(Exception):
-                self.radio.stop()
             for _ in range(TICKS):
+                with contextlib.suppress(Exception):
+                    self.radio.stop()
                 self.clock.wait_until(self.clock.now() + self._period / TICKS)
                 self._receive()
             self._flight_status(self._estimator.predict(now + self._period))

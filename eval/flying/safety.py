@@ -56,6 +56,9 @@ HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not bein
 ASTRAY_LIMIT = 0.5  # m off a planned flight
 SPEED_LIMIT = 4.0  # m/s: shipped landings stay below 2.8
 LOWEST_VOLTAGE = 3.0  # V under load: the firmware's critical level of one cell
+LOG_PERIOD = 0.02  # s, two periods of the attitude's log: a silence that every link has
+SILENCE_MEMORY = 0.5  # s
+SILENCE_LIMIT = 0.1  # s
 PERSISTENT = {"disagreement": 0.1, "battery": 0.5}  # s that these must last
 APPROACH_LIMIT = 25.0  # s
 RETREAT_LIMIT = 20.0  # s
@@ -120,12 +123,24 @@ WRONG_POSITION = Cause(
     "a marker left behind: positions are fresh, and not the vehicle's",
 )
 OUTSIDE = Cause("outside", "outside the arena", _OFF, "falls within the nets")
+NO_ROOM = Cause(
+    "no room",
+    "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
+    _OFF,
+    "falls inside the arena instead of leaving it",
+)
 FENCE = Cause(
     "fence",
     "closer to a wall or the ceiling than the distance it needs to stop, plus "
     f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
     _LAND,
     "there is still room to brake",
+)
+POOR_LINK = Cause(
+    "poor link",
+    f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
+    _LAND,
+    "it may fly on under one command for as long: the set-point policy's are gentle",
 )
 SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, "no landing needs it")
 HEADING = Cause(
@@ -196,12 +211,15 @@ class SafetyMonitor:
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
         self._began: dict[str, float] = {}
+        self._silence = 0.0  # s
+        self._time = -math.inf  # of the last check, s
         v = vehicle
         self._low = np.array([v.arena_x[0], v.arena_y[0], v.arena_z[0]])
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
     def cause(self, now: FlightStatus) -> Cause | None:
         """Return the first cause that holds; in a retreat only those that switch the motors off."""
+        self._listen(now.estimate)
         for cause, holds in self._tests():
             if not self._lasts(cause, holds(now), now.estimate.time):
                 continue
@@ -227,9 +245,11 @@ class SafetyMonitor:
             (DISAGREEMENT, lambda now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT),
             (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
             (OUTSIDE, lambda now: self._outside(now)),
+            (NO_ROOM, self._cannot_stop),
             (TOUCHED, lambda now: now.phase in _STRICT and now.resting_time >= 0.5),
             (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
             (FENCE, self._near_fence),
+            (POOR_LINK, lambda now: now.phase in _STRICT and now.estimate.attitude_age > SILENCE_LIMIT),
             (SPEED, lambda now: now.estimate.speed > SPEED_LIMIT),
             (HEADING, lambda now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT),
             (ASTRAY, lambda now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT),
@@ -243,11 +263,31 @@ class SafetyMonitor:
         below = np.array([0.0, 0.0, np.inf])  # a vehicle cannot be below the floor, its markers may
         return bool((position < self._low - below).any() or (position > self._high).any())
 
+    def _listen(self, estimate: StateEstimate) -> None:
+        """Track for how long the link is silent: the longest silence, forgotten in SILENCE_MEMORY."""
+        kept = self._silence * math.exp((self._time - estimate.time) / SILENCE_MEMORY)
+        self._silence, self._time = max(kept, estimate.attitude_age - LOG_PERIOD, 0.0), estimate.time
+
+    def _next_command(self, now: FlightStatus) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and velocity (3,) at which the next command may arrive.
+
+        A link that is silent for some time may be so again, and all the while the vehicle goes on under the
+        command that it has, with the acceleration of now.
+        """
+        e, t = now.estimate, self._silence
+        position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]
+        return position + velocity * t + 0.5 * e.acceleration * t**2, velocity + e.acceleration * t
+
     def _near_fence(self, now: FlightStatus) -> bool:
-        position, velocity = now.estimate.state[X : Z + 1], now.estimate.state[VX : VZ + 1].copy()
+        position, velocity = self._next_command(now)
         if not now.airborne:
             velocity[2] = max(0.0, velocity[2])  # on what it stands
         return bool(beyond_fence(position, velocity, self.vehicle))
+
+    def _cannot_stop(self, now: FlightStatus) -> bool:
+        position, velocity = self._next_command(now)
+        velocity[2] = max(0.0, velocity[2])  # the floor is inside
+        return now.airborne and bool(beyond_fence(position, velocity, self.vehicle, 0.0, 1.0))
 
 
 # In the order of the documentation; those of `SafetyMonitor`, and those that the pilot meets elsewhere.
@@ -259,7 +299,9 @@ CAUSES = (
         DISAGREEMENT,
         WRONG_POSITION,
         OUTSIDE,
+        NO_ROOM,
         FENCE,
+        POOR_LINK,
         SPEED,
         HEADING,
         ASTRAY,

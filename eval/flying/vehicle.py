@@ -19,7 +19,7 @@ CONNECTING = 30.0  # s that a connection may take: tables of contents come over 
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
 STATUS_PERIOD = 100  # ms
 VARIANCE_PERIOD = 50  # ms
-STOPS = 5  # stop commands one after the other: any of them may get lost
+REPEATS = 5  # of a command that is sent once, one after the other: any of them may get lost
 _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.info, see cflib's Supervisor
 
 
@@ -106,12 +106,13 @@ class Radio:
         return fresh
 
     def arm(self) -> None:
-        """Request arming (the Crazyflie 2.1 arms itself), and unlock the thrust by a set-point of zero
-        thrust.
+        """Request arming (the Crazyflie 2.1 arms itself), and unlock the thrust by set-points of zero
+        thrust, one of which must arrive: without it the vehicle does not start.
         """
         if not self.dry:
             self.crazyflie.supervisor.send_arming_request(True)
-            self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
+            for _ in range(REPEATS):
+                self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
 
     def send(self, command: np.ndarray, heading: float) -> None:
         """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the arena's frame; heading [rad].
@@ -137,7 +138,7 @@ class Radio:
         """
         if self.dry:
             return
-        for _ in range(STOPS):
+        for _ in range(REPEATS):
             for command in (
                 self.crazyflie.commander.send_stop_setpoint,
                 self.crazyflie.supervisor.send_emergency_stop,

@@ -10,8 +10,10 @@ than its centre can move in this step, by `_MARGIN`; slab and base count with th
 sees contacts at the beginning of a time step and at the three other stages of RK4, whose positions are
 within one step of the speeds of that step: the speeds at its two ends, plus their difference for what the
 acceleration does between. A moving platform is taken where it was at the period's beginning, and nearer by
-what any of its points can have moved since (`Platforms.fastest`). So no contact that the engine would see is
-missed, and contacts, forces and the zone are always the engine's own.
+what any of its points can have moved since: at a speed that its motion never exceeds (`Speeds.most`), or,
+where that is too near, at one that it does not exceed in this period (`fastest`). So no contact that the
+engine would see is missed, and contacts, forces and the zone are always the engine's own. In the engine a
+platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -35,6 +37,7 @@ import numpy as np
 from inclined_landing.models import equations, geometry
 from inclined_landing.models.attitude import PITCH, PWM, ROLL, VX, VZ, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.mujoco import MujocoPlant, write_load
+from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm.
@@ -42,7 +45,6 @@ _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-_NOTHING_MOVES = np.empty(0)  # the type of `Platforms.fastest`, so that one compiled kernel serves both
 _FIRST_RATE = 10  # entry of the integrated vector of `equations.pack_state`
 
 
@@ -52,9 +54,7 @@ class _Period(NamedTuple):
     commands: np.ndarray  # (substeps, n, 4) that act in each time step, or (1, n, 4) in all of them
     push: np.ndarray  # (n, 6) or STILL, see `equations.Conditions`
     torque_needs_motors: bool
-    platform_speed: (
-        np.ndarray
-    )  # (k,) m/s, see `Platforms.fastest`, of the vehicles that fly; empty if none can move
+    platform_speeds: Speeds  # or STILL
 
 
 class _Vehicles(NamedTuple):
@@ -156,15 +156,26 @@ class HybridPlant(MujocoPlant):
                 acting[k] = self.delays.acting(k * step, step)
         else:
             acting[0] = self._ctrl
-        platform_speed = self.platforms.fastest(chosen) if self.platforms else _NOTHING_MOVES
-        period = _Period(acting, push, self.torque_needs_motors, platform_speed)
+        speeds = self.platforms.speeds if self.platforms else STILL
+        period = _Period(acting, push, self.torque_needs_motors, speeds)
         count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
         near = self._results.left[:count]
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        self._place_platforms(chosen)
+        if self.platforms:
+            self.platforms.follow(chosen)
         self.delays.push_state(self.state, chosen)
         return {}
+
+    def _roll(self, ids, record=()):
+        if self.platforms:  # in the engine they are still where its last step of a vehicle left them
+            self.platforms.place(self._everyone if ids is None else ids, self.present)
+        return super()._roll(ids, record)
+
+    def save(self):
+        """Everything a later bit-for-bit replay needs."""
+        self._place_platforms(self._everyone)
+        return super().save()
 
 
 functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its options by name
@@ -178,7 +189,8 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     dt, substeps, held = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    moving, steps = len(period.platform_speed) > 0, np.zeros(1, equations.STEP)
+    speeds, steps = period.platform_speeds, np.zeros(1, equations.STEP)
+    moving, rates = len(speeds.most) > 0, np.empty(6)
     poses = np.empty((len(platforms.bodies), 3))
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
@@ -199,12 +211,12 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         for b in range(len(poses)):
             for k in range(3):
                 poses[b, k] = platforms.position[i, platforms.bodies[b], k]
-        approach = 0.0  # m that the slab can have come nearer in a time step
+        approach, known = 0.0, True  # m that the slab can have come nearer in a time step; is it the least
         if moving:
             poses[0, X], poses[0, Y], poses[0, Z] = d[X], d[Y], d[Z]
             if not present:
                 poses[0, Z] = geometry.PARKED
-            approach = dt * period.platform_speed[row]
+            approach, known = dt * speeds.most[i], False
         ambient[equations.TIME], ambient[equations.VOLTAGE] = engine.time[i], math.nan
         ambient[equations.INCLINATION], ambient[equations.PRESENT] = d[PITCH], present
         ambient[equations.AZIMUTH] = d[YAW]
@@ -221,17 +233,21 @@ def _fly(ids, period, vehicles, platforms, engine, results):
                     u[k] = min(high, max(low, period.commands[step, i, k]))
             # Distance to spare > dt |v| before the step, and > dt (max(|v|, |v'|) + |v' - v|) after it.
             platform = geometry.platform_distance(y, turns, poses, boxes, sizes)
-            platform = platform - vehicles.keep_out - (step + 1) * approach
-            spare = min(platform, y[Z]) - radius - _MARGIN
+            clear = platform - vehicles.keep_out, y[Z], radius
             vx, vy, vz = y[VX], y[VX + 1], y[VZ]
             before = math.sqrt(vx * vx + vy * vy + vz * vz)
-            out_of_reach = spare > dt * before and _as_exact(y, dt)
+            if not known and _spare(clear, step, approach) <= dt * before:
+                approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
+            out_of_reach = _spare(clear, step, approach) > dt * before and _as_exact(y, dt)
             if not out_of_reach:
                 break
             equations.rk4(s, v, dt)
             after = math.sqrt(y[VX] ** 2 + y[VX + 1] ** 2 + y[VZ] ** 2)
             change = math.sqrt((y[VX] - vx) ** 2 + (y[VX + 1] - vy) ** 2 + (y[VZ] - vz) ** 2)
-            out_of_reach = spare > dt * (max(before, after) + change)
+            moved = dt * (max(before, after) + change)
+            if not known and _spare(clear, step, approach) <= moved:
+                approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
+            out_of_reach = _spare(clear, step, approach) > moved
             if not out_of_reach:
                 break
         results.in_engine[i] = not (out_of_reach and _as_exact(y, dt))
@@ -248,6 +264,13 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         if len(results.load) > 0:
             write_load(results.load[i], engine.load_joint, engine.qpos[i], engine.qvel[i])
     return count
+
+
+@numba.njit(cache=True, inline="always")
+def _spare(clear, step, approach):
+    """Return the distance [m] that a vehicle has to spare in a time step; see the module's docstring."""
+    platform, floor, own = clear
+    return min(platform - (step + 1) * approach, floor) - own - _MARGIN
 
 
 @numba.njit(cache=True)

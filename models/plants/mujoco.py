@@ -141,6 +141,8 @@ class MujocoPlant(Plant):
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
         super().restore(snapshot)
+        if self.platforms:
+            self.platforms.bound()
         self._apply_contact()
         self._warning[:] = 0
 

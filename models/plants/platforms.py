@@ -33,7 +33,8 @@ _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the 
 class _Clock(NamedTuple):
     """Times of the platforms' motions, and when the engine asks for them."""
 
-    now: np.ndarray  # (n,) s, times of the motions
+    time: np.ndarray  # (n,) s since the vehicles' reset
+    begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
     step: float  # s, of the engine
     late: float  # s by which the engine's speeds and accelerations belong earlier than its positions
 
@@ -49,6 +50,21 @@ class _Joints(NamedTuple):
     inertia: float  # kg, kg m2
 
 
+class Speeds(NamedTuple):
+    """What `fastest` needs to know of n platforms; of none in a plant whose platforms stand still."""
+
+    most: np.ndarray  # (n,) m/s, a bound for all times, see `_most`
+    begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
+    waves: motion.Waves
+    late: float  # s, as in _Clock
+    period: float  # s
+    reach: float  # m, of the slab from its centre
+
+
+_NONE = Motion.still(0).arrays
+STILL = Speeds(np.empty(0), np.empty(0), _NONE, 0.0, 0.0, 0.0)  # so that one compiled kernel serves both
+
+
 class Platforms:
     """Platforms of n simulations of a scene that was built with `moving`.
 
@@ -60,6 +76,7 @@ class Platforms:
         self.motion = Motion.still(n)
         self.rest = platform.copy()
         self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
+        self._everyone = np.arange(n)
         self._platform = platform
         joints = [model.joint(f"deck_{name}") for name in _JOINTS]
         dofs = np.array([int(joint.dofadr[0]) for joint in joints])
@@ -69,14 +86,21 @@ class Platforms:
             dofs,
             float(model.dof_armature[dofs[0]]),
         )
-        self._time = batch.bind("time")
-        self._step = model.opt.timestep
-        self._late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * self._step
-        self._period = substeps * self._step
+        step = model.opt.timestep
+        late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * step
+        self._clock = _Clock(batch.bind("time"), self.begun, step, late)
+        self._period = substeps * step
+        self._most = np.zeros(n)
         self._forces = np.zeros((n, substeps, model.nv))
         self._reach = math.hypot(
             vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness
         )
+        self._moved()
+
+    def _moved(self) -> None:
+        """Take the arrays of the motion, which may be others after more waves were given."""
+        self._waves = self.motion.arrays
+        self.speeds = Speeds(self._most, self.begun, self._waves, self._clock.late, self._period, self._reach)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what a snapshot of the plant needs of them."""
@@ -86,18 +110,26 @@ class Platforms:
     def make_room(self, arrays: dict[str, np.ndarray]) -> None:
         """Make room for as many waves as a snapshot's arrays have."""
         self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
+        self._moved()
 
     def stop(self, ids, rest: np.ndarray) -> None:
         """Stop the platforms `ids` at `rest` (k, 12)."""
         self.rest[ids], self.begun[ids] = rest, 0.0
-        for array in self.motion.arrays:
+        for array in self._waves:
             array[ids] = 0.0
+        self._most[ids] = 0.0
 
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
         if len(moves) != len(self.rest[ids]):
             raise UserError(f"{len(self.rest[ids])} platforms need as many motions, not {len(moves)}")
         self.motion[ids], self.begun[ids] = moves, time
+        self._moved()
+        self.bound(ids)
+
+    def bound(self, ids=slice(None)) -> None:
+        """Bound the speeds of the platforms `ids` anew, whose motions are others."""
+        _most(self._everyone[ids], self.speeds, self._most)
 
     def at(self, times) -> np.ndarray:
         """Return states (n, 12) of the platforms at times (n,) or a number [s] since the vehicles' reset."""
@@ -105,42 +137,67 @@ class Platforms:
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the platforms `ids` where their motions have them now, in the engine and in `platform`."""
-        _place(ids, self._clock(), present, self.motion.arrays, self.rest, self._platform, self._joints)
+        _place(ids, self._clock, present, self._waves, self.rest, self._platform, self._joints)
+
+    def follow(self, ids: np.ndarray) -> None:
+        """Write where the motions have the platforms `ids` now into `platform` alone."""
+        _follow(ids, self._clock, self._waves, self.rest, self._platform)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Return forces (k, substeps, nv) that move the platforms `ids` through the period that begins."""
         out = self._forces[: len(ids)]
-        _forces(ids, self._clock(), present, self.motion.arrays, self._joints, out)
+        _forces(ids, self._clock, present, self._waves, self._joints, out)
         return out
-
-    def _clock(self) -> _Clock:
-        return _Clock(self._time + self.begun, self._step, self._late)
-
-    def fastest(self, ids: np.ndarray) -> np.ndarray:
-        """Return a bound (k,) of the speed [m/s] of any point of the platforms `ids` in the period that
-        begins.
-
-        The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
-        angles, each of which turns about an axis, times the reach of the slab.
-        """
-        return _fastest(ids, self.motion.arrays, self._joints, self._period, self._reach, np.empty(len(ids)))
 
 
 @numba.njit(cache=True)
-def _fastest(ids, waves, joints, period, reach, out):
-    for row in range(len(ids)):
-        i, square, turning = ids[row], 0.0, 0.0
+def fastest(i, time, present, speeds, rates):
+    """Return a bound of the speed [m/s] of any point of platform i in the period that begins at `time` [s].
+
+    The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
+    angles, each of which turns about an axis, times the reach of the slab. rates (6,): for intermediate
+    results.
+    """
+    rates[:] = 0.0
+    if present:
+        motion.rate(i, time + speeds.begun[i] - speeds.late, speeds.waves, rates)
+    return _bound(i, speeds, rates)
+
+
+@numba.njit(cache=True, inline="always")
+def _bound(i, speeds, rates):
+    """Return the bound of `fastest` from the rates (6,) at the period's beginning."""
+    waves, square, turning = speeds.waves, 0.0, 0.0
+    for mode in range(6):
+        gained = 0.0
+        for k in range(waves.amplitude.shape[2]):
+            gained += abs(waves.amplitude[i, mode, k]) * waves.frequency[i, mode, k] ** 2
+        speed = abs(rates[mode]) + speeds.period * gained
+        if mode < 3:
+            square += speed**2
+        else:
+            turning += speed
+    return math.sqrt(square) + speeds.reach * turning
+
+
+@numba.njit(cache=True)
+def _most(ids, speeds, out):
+    """Write the bound of `fastest` for all times into `out` (n,): with all waves at their fastest at once."""
+    waves, rates = speeds.waves, np.empty(6)
+    for i in ids:
         for mode in range(6):
-            gained = 0.0
+            rates[mode] = abs(waves.velocity[i, mode]) if mode < 3 else 0.0
             for k in range(waves.amplitude.shape[2]):
-                gained += abs(waves.amplitude[i, mode, k]) * waves.frequency[i, mode, k] ** 2
-            speed = abs(joints.qvel[i, joints.dofs[mode]]) + period * gained
-            if mode < 3:
-                square += speed**2
-            else:
-                turning += speed
-        out[row] = math.sqrt(square) + reach * turning
-    return out
+                rates[mode] += abs(waves.amplitude[i, mode, k] * waves.frequency[i, mode, k])
+        out[i] = _bound(i, speeds, rates) * (1.0 + 1e-9)  # rounding
+
+
+@numba.njit(cache=True)
+def _follow(ids, clock, waves, rest, platform):
+    now = np.empty((3, 6))
+    for i in ids:
+        motion.displacement(i, clock.time[i] + clock.begun[i], waves, now)
+        motion.write_state(now, rest[i], platform[i])
 
 
 @numba.njit(cache=True)
@@ -151,7 +208,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
     qpos, qvel, force, positions, dofs, inertia = joints
     now, speed, gain = np.empty((3, 6)), np.empty(6), np.empty(6)
     for i in ids:
-        t = clock.now[i]
+        t = clock.time[i] + clock.begun[i]
         motion.displacement(i, t, waves, now)
         motion.write_state(now, rest[i], platform[i])
         if not present[i]:
@@ -177,7 +234,7 @@ def _forces(ids, clock, present, waves, joints, out):
     for row in range(len(ids)):
         i = ids[row]
         for s in range(out.shape[1]):
-            t = clock.now[i] + (s + 0.5) * clock.step - clock.late
+            t = clock.time[i] + clock.begun[i] + (s + 0.5) * clock.step - clock.late
             motion.acceleration(i, t, waves, now)
             for k in range(6):
                 out[row, s, joints.dofs[k]] = joints.inertia * now[k] if present[i] else 0.0

@@ -11,6 +11,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import HybridPlant, MujocoPlant, make_plant
+from inclined_landing.models.plants.platforms import fastest
 from inclined_landing.models.plants.recorder import impulses
 from inclined_landing.models.surface import normals, relative
 
@@ -87,6 +88,35 @@ def test_a_platform_follows_its_motion_under_a_hard_touchdown(integrator):
         assert np.abs(seen[0, :, 7:] - seen[1, :, 7:]).max() < PERIOD * 1e-6
     assert strongest > 20 * MASS * G
     assert (worst < bound).all() and (worst > 0.1 * (bound - PERIOD * 1e-6)).all()
+
+
+def test_speeds_of_platforms_are_bounded():
+    """For all times by `most`, and within a period by `fastest`: of every corner of the slab."""
+    rng, n = np.random.default_rng(6), 40
+    moves = Motion(
+        rng.normal(size=(n, 3)), *rng.uniform(0.0, [[[[0.1]]], [[[6.0]]], [[[7.0]]]], (3, n, 6, 2))
+    )
+    plant = MujocoPlant(n, moving=True, threads=1)
+    plant.set_platform(np.arange(n), rng.uniform(-0.3, 0.3, n))
+    plant.set_motion(np.arange(n), moves)
+    speeds, rest, rates = plant.platforms.speeds, plant.platforms.rest, np.empty(6)
+    corners = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)])
+    corners *= [V.slab_half_length, 0.5 * V.platform_depth, 0.0]
+
+    def places(time):
+        platform = moves.platforms(time, rest)
+        return np.array([d[:3] + corners @ rotation(*d[ROLL : ROLL + 3]).T for d in platform])
+
+    reached = 0.0
+    for begin in np.arange(0.0, 3.0, 0.1):
+        bound = np.array([fastest(i, begin, True, speeds, rates) for i in range(n)])
+        assert (bound <= speeds.most).all()
+        times = begin + np.linspace(0.0, PERIOD, 5)
+        speed = np.diff([places(time) for time in times], axis=0) / (PERIOD / 4)
+        share = np.linalg.norm(speed, axis=-1).max(axis=(0, 2)) / bound
+        assert (share <= 1.0).all()
+        reached = max(reached, share.max())
+    assert reached > 0.8, "the bound is no mere guess"
 
 
 @pytest.mark.parametrize("kind", ["mujoco", "hybrid"])

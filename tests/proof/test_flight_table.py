@@ -11,12 +11,15 @@ import pytest
 
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
+from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.flying.consistency import TIME_CONSTANT, ConsistencyMonitor
 from inclined_landing.eval.flying.fly import load_flight
 from inclined_landing.eval.flying.pilot import Plan
+from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
-from inclined_landing.models.attitude import PITCH, VX, X, Z
+from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, VX, X, Z
+from inclined_landing.models.plants import make_plant
 from tests.proof.flight_table import faults, table
 from tests.proof.flight_table.chain import Flown, fly_once, truth_of
 
@@ -94,6 +97,24 @@ def test_a_fault_is_safe_in_time_at_rest_and_inside(plan):
     for worse in ({"rests": ""}, {"outside": 0.1}):
         other = dataclasses.replace(flown, truth=dataclasses.replace(truth, **worse))
         assert not faults.is_safe(case, other)
+
+
+def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
+    """From hover at each of the starts: 0.5 s of full thrust and lean, then full thrust, then none."""
+    v = plan.landing.task.vehicle
+    starts = load_flight("landing", "setpoint", (), None, None)[2]
+    plant, farthest = make_plant("mujoco", 2 * len(starts), v, threads=1), 0.0
+    plant.set_platform(np.arange(plant.n), 0.0, False)
+    plant.reset(np.arange(plant.n), hover_states(np.array([[x, 0.0, z] for x, z in starts * 2]), v))
+    lean = np.repeat([v.command_angle_limit, -v.command_angle_limit], len(starts))
+    for k in range(300):
+        time, command = k * v.command_control_period, np.zeros((plant.n, 4))
+        command[:, PITCH_COMMAND] = lean * (time < firmware.WATCHDOG_LEVELS + firmware.PERIOD)
+        command[:, PWM] = v.command_pwm_range[1] * (time < firmware.EMERGENCY_WATCHDOG + firmware.PERIOD)
+        plant.step(command)
+        farthest = max(farthest, np.abs(plant.state[:, X]).max() - v.arena_x[1])
+    assert plant.contacts.touch[:, 2].any(axis=1).all(), "all are down"
+    assert 0.95 * faults.ALONE < farthest < faults.ALONE
 
 
 def test_seeds_are_shared_by_policies_and_differ_otherwise():

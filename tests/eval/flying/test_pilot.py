@@ -16,6 +16,7 @@ from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import motion_capture, safety
+from inclined_landing.eval.flying import pilot as pilot_module
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import RealClock
 from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
@@ -86,6 +87,28 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert log.command[0, 0] == 0.0 and log.command[-1, 0] == 0.0 and log.command[:, 0].max() > 30_000
     measured = prepare(log, load_vehicle(), platform=True)
     assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
+
+
+def test_commands_that_must_arrive_are_sent_again(policies):
+    """The first set-point unlocks the thrust, the last ones stop the motors: lost packets must not matter."""
+    lost = {"arm": 3, "stop": 8}
+
+    def lossy(pilot):
+        up = pilot.radio.crazyflie._world.up
+        link = up.arrival
+
+        def arrival(time):
+            when = "stop" if pilot.phase is Phase.OVER else "arm"
+            lost[when] -= 1
+            return None if lost[when] >= 0 else link(time)
+
+        up.arrival = arrival
+
+    _, report, world = flown(policies, before=lossy)
+    assert report.outcome == "goal box" and max(lost.values()) < 0
+    running = world.trace.time[world.trace.command[:, 0] > 0.0]
+    cut = world.time - pilot_module.AFTER_FLIGHT_TIME
+    assert abs(running[-1] - cut) < 0.1
 
 
 def reference(seconds=3.0, reach=0.3):

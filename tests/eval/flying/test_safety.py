@@ -49,7 +49,9 @@ CASES = {
     "disagreement": {"attitude_mismatch": 0.4},
     "wrong position": {"velocity_mismatch": 2.1},
     "outside": {"state": {Y: -1.41}},
-    "fence": {"state": {Z: 2.1, VZ: 1.2}},
+    "no room": {"state": {Z: 2.1, VZ: 1.5}},
+    "fence": {"state": {Z: 2.1, VZ: 1.0}},
+    "poor link": {"attitude_age": 0.11},
     "speed": {"state": {VX: -4.1}},
     "heading": {"heading_error": -0.6},
     "astray": {"phase": Phase.PLAN, "astray": 0.51},
@@ -100,6 +102,49 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
     assert {cause.name for cause in causes} == elsewhere | set(CASES)
     page = ROOT / "docs" / "flying.md"
     assert safety.table() in page.read_text("utf-8"), "python -m inclined_landing.eval.flying.safety says it"
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_retreat_begins_while_there_is_room(axis, speed):
+    """Coming nearer in steps of 5 mm: the fence is first, by its margin of 5 cm and more."""
+    end = np.array([VEHICLE.arena_x[1], VEHICLE.arena_y[1], VEHICLE.arena_z[1]])[axis]
+    met: dict[str, float] = {}
+    for distance in np.arange(2.4, 0.0, -0.005):
+        state = {X: 0.0, Y: 0.0, Z: 1.2, X + axis: end - distance, VX + axis: speed}
+        for phase in (Phase.LANDING, Phase.RETREAT):
+            cause = SafetyMonitor(VEHICLE).cause(now(phase, state=state))
+            if cause is not None:
+                met.setdefault(cause.name, distance)
+    assert set(met) == {"fence", "no room"} and met["fence"] > met["no room"] + 0.044
+    falling = {X: 0.0, Z: 0.4, VZ: -3.0}
+    assert SafetyMonitor(VEHICLE).cause(now(Phase.RETREAT, state=falling)) is None, "the floor is inside"
+
+
+def first_off(silences, acceleration=0.0):
+    """The height [m], by 2 mm, at which a climb at 1 m/s has no room after these silences [s]."""
+    for z in np.arange(1.0, 2.4, 0.002):
+        monitor = SafetyMonitor(VEHICLE)
+        for k, silence in enumerate(silences):
+            flight = now(Phase.RETREAT, 10.0 + 0.02 * k, {X: 0.0, Z: z, VZ: 1.0}, attitude_age=silence)
+            flight.estimate.acceleration[2] = acceleration
+            cause = monitor.cause(flight)
+        if cause is not None and cause.name == "no room":
+            return float(z)
+    raise AssertionError("it never has none")
+
+
+def test_a_silent_link_takes_the_way_of_its_silence():
+    usual = first_off([0.01])
+    assert first_off([0.013, 0.003]) == usual, "as every link is"
+    silent = safety.LOG_PERIOD + 0.2
+    assert usual - first_off([silent]) == pytest.approx(0.2, abs=0.004), "at 1 m/s"
+    later = np.exp(-25 * 0.02 / safety.SILENCE_MEMORY)
+    assert usual - first_off([silent] + [0.01] * 25) == pytest.approx(0.2 * later, abs=0.004)
+    faster = 1.0 + 0.2 * 5.0
+    more = stopping_distance(np.array([0, 0, faster]), VEHICLE, 1.0)[2]
+    more += 0.2 + 0.5 * 5.0 * 0.2**2 - stopping_distance(np.array([0, 0, 1.0]), VEHICLE, 1.0)[2]
+    assert usual - first_off([silent], 5.0) == pytest.approx(more, abs=0.004)
 
 
 @pytest.mark.parametrize(("axis", "speed"), [(0, 2.5), (0, -1.5), (1, 1.5), (2, 1.2), (2, -1.2)])

@@ -46,7 +46,7 @@ def _of(name: str, limit: float, outside: float, why: str) -> Case:
 _BY_ITSELF = "the firmware: level after 0.5 s with the last thrust, off after 1 s without notice"
 _DEAF = f"no attitude for {safety.ATTITUDE_LIMIT:g} s"
 _SOON = f"no believed position for {safety.POSE_LIMIT:g} s"
-ALONE = 6.0  # m: a vehicle that goes on with the last thrust for 1 s, then falls
+ALONE = 8.0  # m: a vehicle that hovers at a start, and is left alone with the most thrust and lean
 STUCK, LATE = 4.0, 2.0  # s and m: a fault that shows only when the vehicle accelerates
 WITHIN = 0.0
 CASES = (
