@@ -234,7 +234,7 @@ class Diagnosis:
 
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
-    # The vehicle diagnosed, with the named effects; an identified one with all others estimated again.
+    # The vehicle diagnosed, with the named effects; an identified one may have all others estimated again.
     corrected: Vehicle
     separating_manoeuvre: str | None
     where: tuple[RegimeError, ...]
@@ -254,7 +254,7 @@ class Diagnosis:
         ScoredSet, ...
     ] = ()  # with effects that the flights could not have shown, at prior odds
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
-    # Values of all effects that were estimated again; empty without an identified vehicle or a named effect.
+    # Values of all effects that were estimated again; empty where none was.
     estimated: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     # Fields of the vehicle that these change, with half-widths of their 95 % intervals.
     half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)

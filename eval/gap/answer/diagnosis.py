@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Mapping, Sequence
 
@@ -191,7 +192,10 @@ def diagnose(
 
 @dataclasses.dataclass(frozen=True)
 class _Correction:
-    """Values of the effects that correct the vehicle."""
+    """Values of the effects that correct the vehicle: the named ones, or all of an identified vehicle.
+
+    All are estimated again where that predicts flights left out better.
+    """
 
     values: Values
     left_out: Sequence[Values]  # for every flight, fitted to the others
@@ -202,12 +206,23 @@ class _Correction:
     def of(problem: Problem, found: sets.SetPosterior, values: Values) -> _Correction:
         """Return the correction by the named effects at `values`."""
         names = frozenset(values)
-        if problem.identified and values:
-            again, local = fit_vehicle(problem, values, names, found.inflation)
-            widths = field_half_widths(problem, local, names, again)
-            return _Correction(again, left_out(problem, local, names), True, widths)
         local = found.local.with_wide_slabs(names)
-        return _Correction(values, sets.leave_one_out(problem, local, names, values))
+        named = _Correction(values, sets.leave_one_out(problem, local, names, values))
+        if not (problem.identified and values):
+            return named
+        again, local = fit_vehicle(problem, values, names, found.inflation)
+        widths = field_half_widths(problem, local, names, again)
+        whole = _Correction(again, left_out(problem, local, names), True, widths)
+        return min(named, whole, key=lambda one: one.error(problem))
+
+    def error(self, problem: Problem) -> float:
+        """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
+        try:
+            starts = rollout.RolloutWindows.of(problem.flights)
+        except UserError:
+            return math.inf
+        vehicles = [problem.corrected(values) for values in self.left_out]
+        return float(rollout.errors_by_flight(starts, vehicles)[0][-1])
 
 
 def _steady_force(problem: Candidates, values: Values) -> float:
