@@ -4,9 +4,9 @@ motors.
 It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew:
 trajectories of least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the
 platform, sinking into it and going uphill, with the acceleration of a vehicle whose thrust is along the
-platform's normal and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of the platform and
-within what a vehicle commands. Where there is none it flies to a place from which there is one, beside the
-platform's normal and downhill of it. Reinforcement learning goes on from there.
+platform's normal and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of
+the platform and within what a vehicle commands. Where there is none it flies to a place from which there is
+one, beside the platform's normal and downhill of it. Reinforcement learning goes on from there.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
 and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
@@ -69,7 +69,8 @@ class Descent:
         now = thrust * _axes(seen[:, ROLL], seen[:, PITCH]) + down - drag
         jerk = thrust * surface.thrust_turning(context.state, context.platform)
         along = down - (normal @ down)[:, None] * normal
-        end = np.array([(self._rest - DEPTH) * normal, -SINK * normal - UPHILL * along, along, np.zeros_like(along)])
+        sinking = -SINK * normal - UPHILL * along
+        end = np.array([(self._rest - DEPTH) * normal, sinking, along, np.zeros_like(along)])
         (push, jerk, snap), clear = self._trajectories(np.array([place, velocity, now, jerk]), end, normal)
 
         first = (self._rest + ABOVE) * normal + DOWNHILL * along

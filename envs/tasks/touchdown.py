@@ -171,10 +171,10 @@ class InclinedTouchdown(InclinedLanding):
         if c.friction is not None:
             holds = np.tan(steepest_slopes(start))
             low, high = (np.maximum(f, h * holds) for f, h in zip(c.friction, HELD))
-            contact["friction"] = low + (high - low) * rng.random(k) ** 4  # half of it within 6 % of the range
+            contact["friction"] = low + (high - low) * rng.random(k) ** 4  # half within 6 % of the range
         if c.restitution is not None:
             low, high = c.restitution
-            springy = high - (high - low) * rng.random(k) ** 2  # half of it within 25 % of the range
+            springy = high - (high - low) * rng.random(k) ** 2  # half within 25 %
             contact |= {"restitution": springy, "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
 
