@@ -94,7 +94,9 @@ def record_flights(
     States have the platforms that `Task.start` gives them; starts have their own, and their contact.
     plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
     steps: fly at most this many control steps (default: the task's limit).
-    Raises UserError when the number of states is not the plant's.
+    Raises UserError when the number of states is not the plant's, and FloatingPointError when the engine
+    diverges. Only of vehicles that are drawn from a pool it does not: far outside the arena, drawn effects of
+    the air may add thrust without end, and such a flight ends there, without success.
     """
     start = states if isinstance(states, Start) else None
     states = np.atleast_2d(np.asarray(states, float)) if start is None else start.state
@@ -118,12 +120,22 @@ def record_flights(
     last = 0
     while last < limit and not ended.all():
         actions[last] = policy.predict(observation)
-        step = env.step(actions[last], ended == 0)
+        env.act(actions[last])
+        lost = np.zeros(n, bool)
+        try:
+            plant.step(env.commands, ended == 0)
+        except FloatingPointError:
+            if not plant.pool:
+                raise
+            lost = plant.diverged
+            plant.reset(np.flatnonzero(lost), state[0, lost])  # where it stands still from now on
+        step = env.outcome()
         observation = step.observation
         commands[last] = env.commands
         last += 1
         state[last], reward[last], platform[last] = plant.state, step.reward, plant.platform
-        now = (ended == 0) & (step.terminated | step.truncated | (last == limit))
+        state[last, lost] = state[last - 1, lost]
+        now = (ended == 0) & (step.terminated | step.truncated | lost | (last == limit))
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
     actions[last], commands[last] = actions[last - 1], commands[last - 1]

@@ -358,10 +358,10 @@ class TouchdownCurriculum(NoCurriculum):
     0.2 down to none at RAMP. Three tenths begin around the raised edge: most of the starts that failed lie
     there, as the edge has to be passed at once, and few uniform starts show it. Where slopes are drawn, three
     tenths are among the steepest, as nothing else is as hard to rest on. Friction and restitution are drawn
-    for every episode. Leaving the arena, falling to the floor or lying on the slab the wrong way
-    terminates the episode with a penalty: a truncation would bootstrap from states whose value the critic
-    never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero; only the
-    critic learns at first (`warm_start.CRITIC_FIRST`).
+    for every episode, mostly slippery and springy. Leaving the arena, falling to the floor or lying on the
+    slab the wrong way terminates the episode with a penalty: a truncation would bootstrap from states whose
+    value the critic never learned. The learning rate is constant for 40 % of the run and then falls linearly
+    to zero; only the critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
     name = "touchdown"

@@ -3,10 +3,10 @@ motors.
 
 It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew:
 trajectories of least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the
-platform, sinking into it, with the acceleration of a vehicle whose thrust is along the platform's normal
-and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of the platform and
-within what a vehicle commands. Where there is none it flies to a place from which there is one, beside the
-platform's normal and downhill of it. Reinforcement learning goes on from there.
+platform, sinking into it and going uphill, with the acceleration of a vehicle whose thrust is along the
+platform's normal and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of
+the platform and within what a vehicle commands. Where there is none it flies to a place from which there is
+one, beside the platform's normal and downhill of it. Reinforcement learning goes on from there.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
 and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
@@ -29,6 +29,7 @@ CHECKED = np.linspace(0.1, 1.0, 8)  # of a trajectory's time, where it is checke
 LIFT = (0.3, 1.7)  # of a trajectory, thrust in weights
 # A trajectory ends a little inside the platform, so that it does not hover above.
 DEPTH, SINK = 0.02, 0.25  # m under the height at rest, and m/s into the platform
+UPHILL = 0.08  # s, times gravity along the slope: speed uphill, which gravity takes back while it bounces
 SLACK = 0.01  # m further down that a trajectory is not refused for
 CONE, APEX = 0.5, 0.1  # height of a trajectory over the platform, per m beyond `APEX` m from its centre
 EDGE = 0.1  # m around the slab where it keeps it
@@ -68,7 +69,8 @@ class Descent:
         now = thrust * _axes(seen[:, ROLL], seen[:, PITCH]) + down - drag
         jerk = thrust * surface.thrust_turning(context.state, context.platform)
         along = down - (normal @ down)[:, None] * normal
-        end = np.array([(self._rest - DEPTH) * normal, -SINK * normal, along, np.zeros_like(along)])
+        sinking = -SINK * normal - UPHILL * along
+        end = np.array([(self._rest - DEPTH) * normal, sinking, along, np.zeros_like(along)])
         (push, jerk, snap), clear = self._trajectories(np.array([place, velocity, now, jerk]), end, normal)
 
         first = (self._rest + ABOVE) * normal + DOWNHILL * along

@@ -82,8 +82,8 @@ class Conditions(LandingConditions):
     beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact: float = IMPACT  # reward lost for each weight of force beyond two
-    friction: tuple[float, float] | None = None  # drawn per episode, and holds; None: the plant's own
-    restitution: tuple[float, float] | None = None
+    friction: tuple[float, float] | None = None  # drawn per episode, mostly low; None: the plant's own
+    restitution: tuple[float, float] | None = None  # mostly high
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,9 +171,11 @@ class InclinedTouchdown(InclinedLanding):
         if c.friction is not None:
             holds = np.tan(steepest_slopes(start))
             low, high = (np.maximum(f, h * holds) for f, h in zip(c.friction, HELD))
-            contact["friction"] = low + (high - low) * rng.random(k) ** 2  # more often slippery
+            contact["friction"] = low + (high - low) * rng.random(k) ** 4  # half within 6 % of the range
         if c.restitution is not None:
-            contact |= {"restitution": rng.uniform(*c.restitution, k), "contact_time": CONTACT_TIME}
+            low, high = c.restitution
+            springy = high - (high - low) * rng.random(k) ** 2  # half within 25 %
+            contact |= {"restitution": springy, "contact_time": CONTACT_TIME}
         return dataclasses.replace(start, contact=contact or None)
 
     def thrust_of(self, other: Task) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.models.attitude import LAG
+from inclined_landing.models.attitude import LAG, VX
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle
@@ -181,6 +181,23 @@ def test_policies_fly_the_assigned_vehicles():
         assert flight.inclination == pytest.approx(vehicle.platform_inclination, abs=1e-15)
     alone = record_flights(policy, make_plant("mujoco", 1, pool[1]), starts[:1])[0]
     np.testing.assert_array_equal(flights[1].state, alone.state)
+
+
+def test_a_drawn_vehicle_that_diverges_has_failed():
+    """With thrust that grows with the speed it flies off; the others fly on as if they were alone."""
+    wild = LIBRARY["translational_lift"].apply(V, {"coefficient": 0.15})
+    policy = load_policy("landing-nominal")
+    starts = policy.task.states_at([(1.0, 2.0)] * 2)
+    starts[1, VX] = 5000.0
+    plant = make_plant("hybrid", 2, V, pool=[wild])
+    plant.assign([1], [1])
+    flights = record_flights(policy, plant, starts)
+    alone = record_flights(policy, make_plant("hybrid", 1, V), starts[:1])[0]
+    np.testing.assert_array_equal(flights[0].state, alone.state)
+    assert flights[0].success and not flights[1].success
+    assert flights[1].duration < 1.0 and np.isfinite(flights[1].state).all()
+    with pytest.raises(FloatingPointError):
+        record_flights(policy, make_plant("hybrid", 1, wild), starts[1:])
 
 
 def test_robust_spans_the_library():

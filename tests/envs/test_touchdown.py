@@ -166,7 +166,9 @@ def test_training_starts_draw_contact_and_closeness():
     x, z = start.state[:, X], start.state[:, Z] - V.platform_surface_height
     height = x * math.sin(task.inclination) + z * math.cos(task.inclination)
     assert height.max() < 0.28 and np.abs(start.state[:, PITCH] - task.inclination).max() < 0.15
-    assert 0.55 <= start.contact["friction"].min() < 0.6 < 1.15 < start.contact["friction"].max() <= 1.2
+    friction, restitution = start.contact["friction"], start.contact["restitution"]
+    assert 0.55 <= friction.min() < 0.6 < 1.15 < friction.max() <= 1.2 and np.median(friction) < 0.65
+    assert 0.0 <= restitution.min() < 0.05 and restitution.max() <= 0.5 and np.median(restitution) > 0.3
     plant = MujocoPlant(500, threads=1)
     BatchEnv(task, plant, seed=0).reset()
     assert len(np.unique(plant.save().arrays["contact"][:, 0])) == 500
