@@ -199,7 +199,7 @@ def draw(results: Sequence[dict]) -> Figure:
         cut.set(xlabel="length cut off propeller M3 [mm]", ylabel="identified thrust loss of rotor M3 [1]")
         cut.plot([], [], "o", color=style.colour(0), label="named")
         cut.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
-        cut.legend(frameon=False, loc="upper left")
+        cut.legend(frameon=False, loc="lower right")
     return figure
 
 
