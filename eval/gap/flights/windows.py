@@ -34,7 +34,6 @@ GROUND_HEIGHT = 0.02
 # Lower bounds of the noise estimate, for smoothed logs: m, rad.
 LEAST_POSITION_NOISE, LEAST_ANGLE_NOISE = 1e-4, 3e-4
 LEAST_REQUEST_NOISE = 1e-3  # of the sum of all requests
-MOST_PWM = 65535.0  # of a motor: 16 bits of the firmware
 YAW = 5  # channel
 # Signs of the motors M1 (front right), M2 (back right), M3 (back left) and M4 (front left) in a positive
 # torque about the body's x, y and z axes (M2 and M4 turn clockwise).
@@ -233,7 +232,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
     ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
     ambient[:, 2:4] = vehicle.platform_inclination, float(platform)
-    usable = in_free_flight(log, vehicle) & ~saturated(log)
+    usable = in_free_flight(log, vehicle)
     usable[t < SKIP_AT_START] = False
     for start, stop in gaps:
         usable[(log.t > start - 1e-9) & (log.t < stop + 1e-9)] = False
@@ -241,7 +240,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     if not len(starts):
         raise UserError(
             f"{log.name}: no window of {WINDOW:g} s in free flight; nothing of it can be used "
-            f"({100 * usable.mean():.0f} % of its rows are in flight, with no motor at its limit)"
+            f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)
     error_responses = ErrorResponses.of(rows, dt, vehicle, requests is not None)
@@ -301,11 +300,6 @@ def prepare_all(
             refused.append(str(error))
             continue
         notes += [f"{log.name}: {note}" for note in log.notes]
-        share = 100.0 * saturated(log).mean()
-        if share >= 1.0:
-            notes.append(
-                f"{log.name}: a motor is at its limit in {share:.0f} % of the rows, which are left out"
-            )
     if not flights:
         raise UserError("; ".join(refused))
     if len({f.thrust_is_measured for f in flights}) > 1:
@@ -348,17 +342,6 @@ def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
     for k in np.flatnonzero(bad[1:] != bad[:-1]):
         wide[max(0, k - round(0.05 / dt)) : k + 2 + round(0.1 / dt)] = True
     return ~wide
-
-
-def saturated(log: FlightLog) -> np.ndarray:
-    """Return in which rows (m,) a motor is asked for more than it can give, or for less than nothing.
-
-    There the loops are open: what the controller wants is neither what the vehicle gets nor what its motion
-    needs.
-    """
-    if log.requests is None:
-        return np.zeros(len(log.t), bool)
-    return ((log.requests < 0.0) | (log.requests > MOST_PWM)).any(axis=1)
 
 
 def _on_ground(height: np.ndarray) -> np.ndarray:

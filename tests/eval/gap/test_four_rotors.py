@@ -94,18 +94,6 @@ def test_requests_balance_force_and_torque(change):
     np.testing.assert_allclose(torque, expected, atol=1e-12)
 
 
-def test_a_motor_at_its_limit_tells_nothing():
-    """Where one is asked for more than it can give, or for less than nothing, the loops are open."""
-    log = flown(V, 4)
-    requests = log.requests.copy()
-    requests[200:210, 2], requests[500:505, 0] = 70_000.0, -1.0
-    notes = []
-    (flight,) = prepare_all([dataclasses.replace(log, requests=requests)], V, False, notes)
-    assert not flight.usable[200:210].any() and not flight.usable[500:505].any()
-    assert flight.usable.sum() == prepare(log, V).usable.sum() - 15
-    assert any("at its limit in 2 % of the rows" in note for note in notes)
-
-
 @pytest.mark.slow
 def test_a_weak_rotor_is_named_and_not_a_weight():
     reference = identify([flown(V, k) for k in range(4)], V)
