@@ -22,7 +22,7 @@ def command(
     /,
     out: Path,
     *,
-    half: Literal["development", "heldout", "both"] = "development",
+    half: Literal["development", "heldout", "fresh", "all"] = "development",
     only: tuple[str, ...] = (),
     processes: Annotated[int, tyro.conf.arg(metavar="INT")] = 2,
 ) -> None:
@@ -31,14 +31,14 @@ def command(
     Args:
         data: folder with the clones of the five repositories (`landing-eval logs --public` says which).
         out: folder for table.md, causes.json, figures and report.html; rows that are in it are kept.
-        half: flights that the workflow was looked at with, or those that were held out.
+        half: flights that the workflow was looked at with, those that were held out, or those that came last.
         only: names of repositories.
         processes: rows at a time.
     """
-    rows = [r for r in known_rows() if half in (r.half, "both") and (not only or r.set in only)]
+    rows = [r for r in known_rows() if half in (r.half, "all") and (not only or r.set in only)]
     if not rows:
         known = sorted({r.set for r in known_rows()})
-        raise UserError(f"no rows; --only takes {', '.join(known)}, and some have no held-out half")
+        raise UserError(f"no rows; --only takes {', '.join(known)}, and not all have every half")
     if not 1 <= processes <= 64:
         raise UserError(f"--processes must lie from 1 to 64, not {processes}")
     if not data.is_dir():

@@ -24,7 +24,7 @@ from inclined_landing.models.parameters import Vehicle, load_vehicle
 from ..gap_blind import baselines
 from . import rough
 
-HALVES = ("development", "heldout")
+HALVES = ("development", "heldout", "fresh")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
 
 
