@@ -164,7 +164,7 @@ def test_simulated_flights_follow_the_plan():
 
 @pytest.fixture(scope="module")
 def plan():
-    return design([DRAG, BODY], VEHICLE, seconds=10.0)
+    return design([DRAG, BODY], VEHICLE, seconds=10.0, reference=Reference.of_file(None, VEHICLE))
 
 
 def test_the_design_is_safe_repeatable_and_tells(plan):
