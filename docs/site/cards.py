@@ -387,12 +387,12 @@ def _fails(rows: list[dict]) -> Iterator[str]:
 
 
 def recipe_of(metadata: dict) -> tuple[Recipe, str] | None:
-    """The recipe, and its variant, whose training of its first seed made a policy."""
+    """The recipe, and its variant, one of whose trainings made a policy."""
     made = _words(shlex.split(metadata["command"])[1:])
     for file in sorted((ROOT / "train" / "recipes").glob("*.toml")):
         recipe = read_recipe(file)
         for variant, more in recipe.variants.items():
-            if recipe.train and recipe.result and metadata["seed"] == recipe.seeds[0]:
+            if recipe.train and recipe.result and metadata["seed"] in recipe.seeds:
                 if _words([*recipe.train, *more]) == made:
                     return recipe, variant
     return None
