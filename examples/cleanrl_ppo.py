@@ -50,7 +50,7 @@ log_std = torch.nn.Parameter(torch.full((actions,), -0.4))
 weights = [*actor.parameters(), *critic.parameters(), log_std]
 optimizer = torch.optim.Adam(weights, lr=RATE, eps=1e-5)
 curriculum = AdaptiveCurriculum(GAMMA)  # without one, no landing is learned
-env.ease(curriculum.conditions())
+env.set_conditions(curriculum.conditions())
 x = seen(env.reset(seed=seed)[0])
 rewards, values, ends, length = np.zeros((T, N)), np.zeros((T + 1, N)), np.zeros((T, N)), np.zeros(N, int)
 
@@ -88,7 +88,7 @@ for done in range(N * T, steps + 1, N * T):
         torch.nn.utils.clip_grad_norm_(weights, 0.5)
         optimizer.step()
     curriculum.advance(done)
-    env.ease(curriculum.conditions())
+    env.set_conditions(curriculum.conditions())
     optimizer.param_groups[0]["lr"] = max(RATE * curriculum.learning_rate_share(done, steps), 1e-3 * RATE)
 
 judge = gymnasium.make_vec(
