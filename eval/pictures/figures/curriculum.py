@@ -88,15 +88,15 @@ def _draw_stage(axes: Axes, task: InclinedLanding, sprites: SpriteRenderer, stat
         axes.spines[spine].set_visible(True)
     if c.platform:
         draw_platform(axes, inclination, task.vehicle)
-    low, high = task.start_box()
+    low, high = (corner[[0, -1]] for corner in task.start_box())  # x, z
     box = Rectangle(low, *(high - low), fill=False, ec=INK, lw=1.1, ls=(0, (4, 2)), zorder=3, gid="starts")
     axes.add_patch(box)
     for state in states:
         draw_vehicle(axes, sprites, state, colour=_START, alpha=0.8, zorder=4, gid="start")
-    goal = np.zeros(13)
-    goal[[X, Z]], goal[PITCH] = task.goal_position, inclination
+    goal, centre = np.zeros(13), np.array(task.goal_position)[[0, -1]]
+    goal[[X, Z]], goal[PITCH] = centre, inclination
     d = c.goal_size
-    corner = np.array(task.goal_position) - d
+    corner = centre - d
     axes.add_patch(Rectangle(corner, 2 * d, 2 * d, fc=GREEN, alpha=0.16, lw=0, zorder=4.4))
     axes.add_patch(Rectangle(corner, 2 * d, 2 * d, fill=False, ec=GREEN, lw=1.1, zorder=4.5, gid="goal box"))
     draw_vehicle(axes, sprites, goal, colour=GOAL_COLOUR, zorder=4.6, gid="target")
