@@ -16,6 +16,7 @@ from inclined_landing.eval.gap.answer.named import (
     joint_sets,
     named_effects,
     relevant_values,
+    useful_values,
 )
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
@@ -119,6 +120,7 @@ def diagnose(
         return fit_least_squares(problem, values, found.inflation, prior=slab_deviations).values
 
     values = relevant_values(problem, found, fitted_values)
+    values = useful_values(problem, found, values, fitted_values)
     effects, correction = named_effects(problem, found, values), _Correction.of(problem, found, values)
     corrected = problem.corrected(correction.values)
     residuals = residual.Residual.by(

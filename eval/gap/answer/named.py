@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import stats
@@ -16,16 +16,19 @@ from inclined_landing.eval.gap.result import (
     NamedEffect,
     ScoredSet,
 )
+from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.gap.search.contact import ContactPosterior
-from inclined_landing.eval.gap.search.evidence import Problem, Values
+from inclined_landing.eval.gap.search.evidence import FittedValues, Problem, Values
 from inclined_landing.eval.gap.search.fit import dersimonian_laird
 from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
-from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior
+from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, leave_one_out
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
+from inclined_landing.models.errors import UserError
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
 RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
+WORTH = 0.05  # share by which the pose error one second ahead grows without a named effect
 LIKELY = 0.03  # probability of an effect that counts as confounded with another
 CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
@@ -72,6 +75,41 @@ def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[Effect
         if not least or shares[least] >= RELEVANT:
             return values
         names -= {least}
+
+
+def useful_values(
+    problem: Problem, found: SetPosterior, values: Values, fit: Callable[[EffectSet], Values]
+) -> Values:
+    """Return the values of the effects without which flights left out are predicted worse.
+
+    Backward elimination by the pose error one second ahead, open loop: an effect is dropped where without it
+    the error does not grow, the others as they are, and by less than WORTH with these fitted again. All of
+    `values` where no stretch is so long. fit: values of a set of effects.
+    """
+    # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
+    try:
+        starts = rollout.RolloutWindows.of(problem.flights)
+    except UserError:
+        return values
+
+    def error(left_out: Sequence[Values]) -> float:
+        return rollout.log_pose_error(starts, [problem.corrected(v) for v in left_out])
+
+    def fitted(names: EffectSet) -> tuple[float, Values, list[FittedValues]]:
+        there = fit(names)
+        left_out = leave_one_out(problem, found.local.with_wide_slabs(names), names, there)
+        return error(left_out), there, left_out
+
+    here, values, left_out = fitted(frozenset(values))
+    while values:
+        others = {name: [{n: x for n, x in v.items() if n != name} for v in left_out] for name in values}
+        dispensable = [name for name in sorted(values) if error(others[name]) <= here]
+        fewer = [fitted(frozenset(values) - {name}) for name in dispensable]
+        best = min(fewer, key=lambda one: one[0], default=None)
+        if best is None or best[0] > here + math.log1p(WORTH):
+            break
+        here, values, left_out = best
+    return values
 
 
 def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:

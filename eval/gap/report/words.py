@@ -177,6 +177,12 @@ def headline(d: Diagnosis) -> str:
         lines = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
             return f"Nothing is missing that all flights share{lines}."
+        if d.possible and d.nothing < 0.5:
+            name, part = next(iter(d.possible.items()))
+            return (
+                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but those left "
+                "out are predicted no better with it."
+            )
         as_well = "the model explains these flights as well as noise and disturbances allow"
         return f"Nothing is missing{lines}: {as_well}."
     sure = listed([_headline_entry(e) for e in d.effects if e.sure])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numba
 import numpy as np
@@ -67,6 +67,14 @@ class RolloutWindows:
 
     def __len__(self) -> int:
         return len(self.first)
+
+    def by_flight(self, vehicles: Sequence[Vehicle]) -> Iterator[tuple[RolloutWindows, Vehicle]]:
+        """Yield the windows of every flight that has some, with its vehicle."""
+        for k, vehicle in enumerate(vehicles):
+            own = self.flight_of == k
+            if own.any():
+                none = np.zeros(int(own.sum()), int)
+                yield RolloutWindows([self.flights[k]], none, self.first[own], self.rows, self.dt), vehicle
 
     def gather(self, values: Sequence[np.ndarray], rows: int | None = None) -> np.ndarray:
         """Return the rows (n, rows, ...) of every window from one array for each flight."""
@@ -294,18 +302,25 @@ def errors_by_flight(
             translation_error(starts, vehicle),
         )
     squares, translation, total = 0.0, 0.0, 0
-    for k, own in enumerate(vehicle):
-        part = dataclasses.replace(
-            starts,
-            flights=[starts.flights[k]],
-            first=starts.first[starts.flight_of == k],
-            flight_of=np.zeros(int((starts.flight_of == k).sum()), int),
-        )
-        if len(part):
-            squares = squares + len(part) * position_error(simulate(part, own, plant), part.measured()) ** 2
-            translation = translation + len(part) * translation_error(part, own) ** 2
-            total += len(part)
+    for part, own in starts.by_flight(vehicle):
+        squares = squares + len(part) * position_error(simulate(part, own, plant), part.measured()) ** 2
+        translation = translation + len(part) * translation_error(part, own) ** 2
+        total += len(part)
     return np.sqrt(squares / total), np.sqrt(translation / total)
+
+
+def log_pose_error(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> float:
+    """Return the sum of the logarithms of three errors at the end of the horizon: position, tilt, heading.
+
+    Each flight has its own vehicle. The log likelihood of normal errors of unknown variance per window, but
+    for the sign and a constant. Errors of zero, of what was not logged or is taken as measured, are left out.
+    """
+    errors = [
+        (simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)
+    ]  # (n, 6) each
+    squares = (np.concatenate(errors) ** 2).mean(axis=0)
+    parts = np.array([squares[:3].sum(), squares[3:5].sum(), squares[5]])
+    return float(0.5 * np.log(parts[parts > 0.0]).sum())
 
 
 def measure_gap(

@@ -8,7 +8,9 @@ import pytest
 from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.diagnosis import _steady_force
 from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.answer.named import useful_values
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
+from inclined_landing.eval.gap.search import sets
 from inclined_landing.eval.gap.search.evidence import BASE, Candidates, Problem
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
 from inclined_landing.eval.gap.search.reference import Reference
@@ -206,6 +208,18 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
         0.03 + s * field_half_widths(problem, local, names, values)["effects_body_drag"] for s in (-2, 2)
     )
     assert low < values["body_drag"]["coefficient"] < high and high - low < 4 * 1.96 * 0.02
+
+
+@pytest.mark.parametrize("wrong", [{"com_offset": {"x": 0.004, "y": 0.0}}, {"wind": {"x": 1e-3, "y": 0.0}}])
+def test_names_that_do_not_predict_better_are_dropped(wrong):
+    """Beside the hidden thrust, a name that misleads and one that changes nothing."""
+    library = {name: LIBRARY[name] for name in ("thrust_scale", *wrong)}
+    logs = flights({"thrust_scale": {"scale": 0.88}}, seed=1, count=3, seconds=6.0)
+    problem = Problem([prepare(log, VEHICLE) for log in logs], VEHICLE, library)
+    found = sets.search(problem)
+    given = {"thrust_scale": {"scale": 0.88}} | wrong
+    kept = useful_values(problem, found, given, lambda names: {n: given[n] for n in names})
+    assert kept == {"thrust_scale": {"scale": 0.88}}
 
 
 def test_what_differs_between_flights_is_not_named():

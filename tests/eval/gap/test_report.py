@@ -144,6 +144,9 @@ def test_headlines_say_what_is_known_and_what_is_not():
     assert words.headline(example()) == f"Wrong or missing in the model: {ratio} and attitude trim (97 %)."
     assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
     assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
+    certain = (ScoredSet(("wind",), 0.98, {}, {}), ScoredSet((), 0.02, {}, {}))
+    useless = words.headline(dataclasses.replace(example("nothing"), sets=certain))
+    assert useless.startswith("Nothing to correct: wind (98 %) fits these flights, but")
     little = dataclasses.replace(
         example(), effects=(named("wind", {"x": 0.3, "y": 0.0}, 0.5), example().effects[1])
     )
