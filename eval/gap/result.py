@@ -70,9 +70,13 @@ class NamedEffect:
     def sure(self) -> bool:
         """Return whether the probability is at least SURE: few such names were wrong on held-out families.
 
-        Not where the fit ends at a bound: the flights ask for more of it than there can be.
+        Not where the fit ends at a bound, as the flights ask for more of it than there can be, nor where the
+        interval of every size holds the neutral value.
         """
-        return self.probability >= SURE and not any(p.at_bound for p in self.parameters.values())
+        about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
+        sizes = [p for name, p in self.parameters.items() if name not in about]
+        differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] for p in sizes)
+        return self.probability >= SURE and differs and not any(p.at_bound for p in self.parameters.values())
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""

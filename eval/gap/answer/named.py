@@ -28,7 +28,7 @@ from inclined_landing.models.errors import UserError
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
 RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
-WORTH = 0.05  # share by which the pose error one second ahead grows without a named effect
+WORTH = 0.05  # share by which the error one second ahead grows without a named effect
 LIKELY = 0.03  # probability of an effect that counts as confounded with another
 CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
@@ -82,31 +82,37 @@ def useful_values(
 ) -> Values:
     """Return the values of the effects without which flights left out are predicted worse.
 
-    Backward elimination by the pose error one second ahead, open loop: an effect is dropped where without it
-    the error does not grow, the others as they are, and by less than WORTH with these fitted again. All of
-    `values` where no stretch is so long. fit: values of a set of effects.
+    Backward elimination by the position error one second ahead, open loop, or the heading's for an effect on
+    yaw alone: an effect is dropped where without it the error does not grow, the others as they are, and by
+    less than WORTH with these fitted again. All of `values` where no stretch is so long. fit: values of a set
+    of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
     try:
         starts = rollout.RolloutWindows.of(problem.flights)
     except UserError:
         return values
+    judged_by = {name: int(set(problem.library[name].channels) == {"yaw"}) for name in values}
 
-    def error(left_out: Sequence[Values]) -> float:
-        return rollout.log_pose_error(starts, [problem.corrected(v) for v in left_out])
+    def errors(left_out: Sequence[Values]) -> np.ndarray:
+        return rollout.position_and_heading_error(starts, [problem.corrected(v) for v in left_out])
 
-    def fitted(names: EffectSet) -> tuple[float, Values, list[FittedValues]]:
+    def fitted(names: EffectSet) -> tuple[np.ndarray, Values, list[FittedValues]]:
         there = fit(names)
         left_out = leave_one_out(problem, found.local.with_wide_slabs(names), names, there)
-        return error(left_out), there, left_out
+        return errors(left_out), there, left_out
 
     here, values, left_out = fitted(frozenset(values))
     while values:
-        others = {name: [{n: x for n, x in v.items() if n != name} for v in left_out] for name in values}
-        dispensable = [name for name in sorted(values) if error(others[name]) <= here]
-        fewer = [fitted(frozenset(values) - {name}) for name in dispensable]
-        best = min(fewer, key=lambda one: one[0], default=None)
-        if best is None or best[0] > here + math.log1p(WORTH):
+        fewer = []
+        for name in sorted(values):
+            k, rest = judged_by[name], frozenset(values) - {name}
+            others = [{n: v[n] for n in rest} for v in left_out]
+            if errors(others)[k] <= here[k]:
+                without = fitted(rest)
+                fewer.append((without[0][k] / max(here[k], 1e-12), without))
+        growth, best = min(fewer, key=lambda one: one[0], default=(math.inf, None))
+        if best is None or growth > 1.0 + WORTH:
             break
         here, values, left_out = best
     return values

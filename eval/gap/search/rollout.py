@@ -309,18 +309,13 @@ def errors_by_flight(
     return np.sqrt(squares / total), np.sqrt(translation / total)
 
 
-def log_pose_error(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> float:
-    """Return the sum of the logarithms of three errors at the end of the horizon: position, tilt, heading.
-
-    Each flight has its own vehicle. The log likelihood of normal errors of unknown variance per window, but
-    for the sign and a constant. Errors of zero, of what was not logged or is taken as measured, are left out.
-    """
+def position_and_heading_error(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
+    """Return the errors (2,) of position [m] and heading [rad] at the horizon's end, one vehicle a flight."""
     errors = [
         (simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)
     ]  # (n, 6) each
     squares = (np.concatenate(errors) ** 2).mean(axis=0)
-    parts = np.array([squares[:3].sum(), squares[3:5].sum(), squares[5]])
-    return float(0.5 * np.log(parts[parts > 0.0]).sum())
+    return np.sqrt([squares[:3].sum(), squares[5]])
 
 
 def measure_gap(
