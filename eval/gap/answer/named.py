@@ -24,11 +24,12 @@ from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, leave_one_out
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
+from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
 RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
-WORTH = 0.05  # share by which the error one second ahead grows without a named effect
+WORTH = 0.1  # share by which an error one second ahead grows without a named effect
 LIKELY = 0.03  # probability of an effect that counts as confounded with another
 CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
@@ -82,20 +83,20 @@ def useful_values(
 ) -> Values:
     """Return the values of the effects without which flights left out are predicted worse.
 
-    Backward elimination by the position error one second ahead, open loop, or the heading's for an effect on
-    yaw alone: an effect is dropped where without it the error does not grow, the others as they are, and by
-    less than WORTH with these fitted again. All of `values` where no stretch is so long. fit: values of a set
-    of effects.
+    Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
+    where an effect acts on the attitude or on yaw. It is dropped where without it the first of these does not
+    grow, the others as they are, and none by WORTH with the others fitted again. All of `values` where no
+    stretch is so long. fit: values of a set of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
     try:
         starts = rollout.RolloutWindows.of(problem.flights)
     except UserError:
         return values
-    judged_by = {name: int(set(problem.library[name].channels) == {"yaw"}) for name in values}
+    by = {name: _judged_by(problem.library[name]) for name in values}
 
     def errors(left_out: Sequence[Values]) -> np.ndarray:
-        return rollout.position_and_heading_error(starts, [problem.corrected(v) for v in left_out])
+        return rollout.pose_errors(starts, [problem.corrected(v) for v in left_out])
 
     def fitted(names: EffectSet) -> tuple[np.ndarray, Values, list[FittedValues]]:
         there = fit(names)
@@ -105,17 +106,24 @@ def useful_values(
     here, values, left_out = fitted(frozenset(values))
     while values:
         fewer = []
-        for name in sorted(values):
-            k, rest = judged_by[name], frozenset(values) - {name}
+        for name in (n for n in sorted(values) if by[n]):
+            first, rest = by[name][0], frozenset(values) - {name}
             others = [{n: v[n] for n in rest} for v in left_out]
-            if errors(others)[k] <= here[k]:
+            if errors(others)[first] <= here[first]:
                 without = fitted(rest)
-                fewer.append((without[0][k] / max(here[k], 1e-12), without))
-        growth, best = min(fewer, key=lambda one: one[0], default=(math.inf, None))
-        if best is None or growth > 1.0 + WORTH:
+                growth = without[0][by[name]] / np.maximum(here[by[name]], 1e-12)
+                if growth.max() <= 1.0 + WORTH:
+                    fewer.append((growth[0], without))
+        if not fewer:
             break
-        here, values, left_out = best
+        _, (here, values, left_out) = min(fewer, key=lambda one: one[0])
     return values
+
+
+def _judged_by(effect: Effect) -> list[int]:
+    """Return which of position, tilt and heading (0, 1, 2) an effect acts on; motor requests are none."""
+    acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
+    return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
 
 
 def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:

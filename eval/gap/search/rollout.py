@@ -309,13 +309,13 @@ def errors_by_flight(
     return np.sqrt(squares / total), np.sqrt(translation / total)
 
 
-def position_and_heading_error(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
-    """Return the errors (2,) of position [m] and heading [rad] at the horizon's end, one vehicle a flight."""
+def pose_errors(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
+    """Return the errors (3,) of position [m], tilt and heading [rad] at the end, with a vehicle a flight."""
     errors = [
         (simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)
     ]  # (n, 6) each
     squares = (np.concatenate(errors) ** 2).mean(axis=0)
-    return np.sqrt([squares[:3].sum(), squares[5]])
+    return np.sqrt([squares[:3].sum(), squares[3:5].sum(), squares[5]])
 
 
 def measure_gap(
