@@ -277,7 +277,8 @@ def _contact_result(
             notes.append(f"{few}: contact effects need {contact.LEAST_LANDINGS}")
         return _ContactResult(corrected)
     problem, named = contact.contact_posterior(landings, corrected, library)
-    after = problem.corrected(named.values)
+    effects = contact_effects(problem, named)
+    after = problem.corrected({e.name: e.values() for e in effects})
     if named.unexplained:
         notes.append(
             f"something in the motion after the touch repeats that no effect explains (p {named.p_value:.2g})"
@@ -285,7 +286,7 @@ def _contact_result(
     test = landings_of(heldout, corrected) or landings
     where = _touchdown_errors(test, vehicle, after)
     remaining = Touchdowns(len(landings), named.unexplained, named.p_value)
-    return _ContactResult(after, test, contact_effects(problem, named), where, named, remaining)
+    return _ContactResult(after, test, effects, where, named, remaining)
 
 
 class _Clock:

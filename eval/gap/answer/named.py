@@ -209,6 +209,9 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
     """Return the named contact effects with estimates, largest gain first."""
     effects = []
     for name, sized in found.sizes.items():
+        members = (name, *confounded_with(found, name))
+        if found.probability(*members) < NAMED:
+            continue
         (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
         estimate = Estimate(
             value=sized.value,
@@ -221,11 +224,8 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
             per_flight_error=tuple(map(float, sized.error)),
             spread=dersimonian_laird(sized.each, sized.error),
         )
-        members = (name, *confounded_with(found, name))
-        remedy = problem.library[name].remedy
-        effects.append(
-            NamedEffect(name, members, found.probability(name), {p.name: estimate}, found.gains[name], remedy)
-        )
+        probability, remedy = found.probability(*members), problem.library[name].remedy
+        effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
     return tuple(sorted(effects, key=lambda e: -e.gain))
 
 

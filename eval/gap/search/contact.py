@@ -72,9 +72,9 @@ class ContactPosterior:
         """Return the values of the most probable set."""
         return self.sets[0].values
 
-    def probability(self, name: str) -> float:
-        """Return the marginal probability of an effect."""
-        return sum(s.probability for s in self.sets if name in s.names)
+    def probability(self, *names: str) -> float:
+        """Return the marginal probability that at least one of some effects is missing."""
+        return sum(s.probability for s in self.sets if s.names & set(names))
 
 
 def contact_posterior(
