@@ -67,11 +67,6 @@ class ContactPosterior:
         """Return the most probable set."""
         return self.sets[0].names
 
-    @property
-    def values(self) -> FittedValues:
-        """Return the values of the most probable set."""
-        return self.sets[0].values
-
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
         return sum(s.probability for s in self.sets if s.names & set(names))

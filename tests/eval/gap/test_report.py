@@ -131,6 +131,13 @@ def test_what_was_not_named_is_possible_from_some_probability_on():
     assert d.possible == {} and dataclasses.replace(d, sets=(*d.sets, *more)).possible == {"wind": 0.06}
 
 
+def test_a_size_that_may_be_zero_is_not_sure():
+    effect = named("thrust_scale", {"scale": 0.9})
+    for ends, sure in (((0.85, 0.95), True), ((0.85, 1.02), False)):
+        parameters = {"scale": dataclasses.replace(effect.parameters["scale"], ci95=ends)}
+        assert dataclasses.replace(effect, parameters=parameters).sure is sure
+
+
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
         text = words.meaning(named(name, effect.plausible))

@@ -1,18 +1,23 @@
 """Contact effects named from landings of the independent simulator."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.named import confounded_with, joint_sets
+from inclined_landing.eval.gap.answer.named import NAMED, confounded_with, contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.contact import (
     LEAST_LANDINGS,
+    ContactEstimate,
+    ContactPosterior,
     common_residual_p_value,
     contact_posterior,
     inflation,
 )
+from inclined_landing.eval.gap.search.sets import SetProbability
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem, static_deflection
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -26,6 +31,23 @@ def higher():
     """Sixteen landings on a platform some 3 cm off its nominal height, and its offset."""
     recordings, drawn = landings("platform_height", "strong", seed=23)
     return logs(recordings, contact=True), drawn.parameters["offset"]
+
+
+@pytest.mark.parametrize("likely", [False, True])
+def test_an_unlikely_effect_of_contact_is_not_named(likely):
+    """Though it is in the most probable set: the others share the rest."""
+    share = NAMED + 0.05 if likely else NAMED - 0.05
+    sized = ContactEstimate(1.3, (1.1, 1.5), np.full(8, 1.3), np.full(8, 0.1))
+    probable = SetProbability(frozenset({"friction"}), share, {"friction": {"scale": 1.3}})
+    posterior = ContactPosterior(
+        (probable, SetProbability(frozenset(), 1.0 - share, {})),
+        {"friction": sized},
+        {"friction": 1.0},
+        False,
+        0.5,
+    )
+    effects = contact_effects(SimpleNamespace(library=LIBRARY), posterior)
+    assert [e.name for e in effects] == ["friction"] * likely
 
 
 def test_landings_are_found_with_their_start_states(higher):
@@ -67,9 +89,9 @@ def test_a_contact_effect_is_named_among_few(higher):
     problem, found = contact_posterior(landings_of(flights[:LEAST_LANDINGS], VEHICLE), VEHICLE, few)
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
     assert found.probability("platform_height") > 0.9 and confounded_with(found, "platform_height") == ()
-    assert found.values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
+    assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     low, high = found.sizes["platform_height"].ends
-    assert low < found.values["platform_height"]["offset"] < high and high - low < 0.006
+    assert low < found.sets[0].values["platform_height"]["offset"] < high and high - low < 0.006
     assert found.gains == {"platform_height": 1.0} and not found.unexplained
 
 
@@ -106,10 +128,10 @@ def test_probabilities_of_sets_of_linear_landings(higher, monkeypatch):
     assert made_up(monkeypatch, landings, {"friction": 0.02}).names == frozenset()
     found = made_up(monkeypatch, landings, {"contact_stiffness": -0.7})
     assert found.names == {"contact_stiffness"} and found.sets[0].probability > 0.9
-    assert found.values["contact_stiffness"]["scale"] == pytest.approx(np.exp(-0.7), abs=0.02)
+    assert found.sets[0].values["contact_stiffness"]["scale"] == pytest.approx(np.exp(-0.7), abs=0.02)
     both = made_up(monkeypatch, landings, {"friction": -0.4, "platform_height": 0.015})
     assert both.names == {"friction", "platform_height"}
-    assert both.values["platform_height"]["offset"] == pytest.approx(0.015, abs=0.001)
+    assert both.sets[0].values["platform_height"]["offset"] == pytest.approx(0.015, abs=0.001)
     assert sum(s.probability for s in both.sets) == pytest.approx(1.0, abs=0.02)
 
 
