@@ -65,18 +65,20 @@ class NamedEffect:
     remedy: str
     note: str = ""  # a sentence
     cost: float = math.nan  # m, position error one second ahead that it alone makes
+    unresolved: bool = False  # a lag or a delay, named from flights recorded at too low a rate to show one
 
     @property
     def sure(self) -> bool:
         """Return whether the probability is at least SURE: few such names were wrong on held-out families.
 
         Not where the fit ends at a bound, as the flights ask for more of it than there can be, nor where the
-        interval of every size holds the neutral value.
+        interval of every size holds the neutral value, nor a lag that the flights cannot show.
         """
         about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
         sizes = [p for name, p in self.parameters.items() if name not in about]
         differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] for p in sizes)
-        return self.probability >= SURE and differs and not any(p.at_bound for p in self.parameters.values())
+        at_bound = any(p.at_bound for p in self.parameters.values())
+        return self.probability >= SURE and differs and not (at_bound or self.unresolved)
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""

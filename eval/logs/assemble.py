@@ -108,6 +108,7 @@ def assemble(
         requests=requests,
         rotor_speed=speeds,
         thrust_is_measured=channels["cmd_thrust_pwm"].measured,
+        from_quaternion=quaternion,
         notes=tuple(dict.fromkeys(notes)),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,14 @@ import numpy as np
 from inclined_landing.eval.logs import motion, values
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import FlightLog
+from inclined_landing.eval.logs.mapping import FULL_COMMAND
 from inclined_landing.models.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
 HOVER_JUMP = 0.10  # difference of hover thrust between two groups of flights
 HOVER_SPREAD = 0.06
 NOMINAL_VOLTAGE = 4.0
+LEAST_HOVER = 0.4  # of the full command: the Crazyflies of public flights hover at 0.5 to 0.9 of it
 
 
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
@@ -27,7 +29,8 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     """
     findings = list(values.check(log))
     if not any(finding.decision == "refuse" for finding in findings):
-        findings += motion.check(without_bad_data(log, findings))
+        good = without_bad_data(log, findings)
+        findings += [*motion.check(good), *_check_hover(good)]
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
 
@@ -70,6 +73,14 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
         text = f"hover thrust differs by {spread:.0f} % between flights ({words}): one vehicle, one load?"
         return (limit("cmd_thrust_pwm", text),)
     return ()
+
+
+def _check_hover(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding where the vehicle hovers at a smaller share of the full command than Crazyflies do."""
+    share = hover_command(log) / FULL_COMMAND
+    if share < LEAST_HOVER:
+        text = f"hovers at {100 * share:.0f} % of the full command, where Crazyflies need 50 to 90 %"
+        yield limit("cmd_thrust_pwm", f"{text}: is the unit right (newton taken for a fraction, say)?")
 
 
 def _list_names(names: list[str]) -> str:

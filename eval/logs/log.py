@@ -59,6 +59,7 @@ class FlightLog:
     rotor_speed: np.ndarray | None = None  # (m, 4) rad/s of rotors M1 to M4, as measured
     # Whether the thrust command is that of the measured rotor speeds, which lag behind no command.
     thrust_is_measured: bool = False
+    from_quaternion: bool = False  # whether the attitude was logged as a quaternion
     notes: tuple[str, ...] = ()  # what reader and checks want a person to know
 
     def __post_init__(self):

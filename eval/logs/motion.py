@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from scipy.signal import savgol_filter
+from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
 from inclined_landing.eval.logs.log import FlightLog
@@ -29,6 +30,12 @@ WRONG_TURN = np.radians(60.0)
 LONGEST_LAG = 0.4  # s
 LONGEST_DELAY = 0.3  # s: the slowest attitude loop and radio known here stay below 0.2
 LONGEST_LEAD = 0.015  # s by which a response may seem to lead its cause before the clocks are doubted
+STILL, STANDS = 0.03, 0.5  # m/s below which, and s for which at least, a vehicle that stands does not move
+PLACE = 0.005  # m that the measured position of a vehicle that stands may stray
+# Of the command in flight, by which that of a vehicle that does not move differs from it only where something
+# holds the vehicle: near the ground, and with another battery voltage, it differs by less.
+HELD = 0.2
+LEAST_QW = 0.1  # which few quaternions of level vehicles are below, those that face backwards
 CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is in the air
 
 
@@ -37,6 +44,8 @@ class Motion:
     """Smoothed motion of one flight in the air, on a grid of RATE; complex: x + iy."""
 
     height: np.ndarray  # z (m)
+    attitude: np.ndarray  # (m, 3) roll, pitch, yaw
+    lean: np.ndarray  # where the thrust pointed, in the frame of the world
     tilt: np.ndarray  # pitch - i roll, NaN where one is not logged
     thrust_tilt: np.ndarray  # where the thrust pointed, in the frame of the heading
     commanded_tilt: np.ndarray  # commanded tilt
@@ -54,12 +63,55 @@ def motion(log: FlightLog) -> list[Motion]:
     """Return the stretches with the motors on, without gaps, that last at least SHORTEST."""
     result = []
     for piece in log.pieces(SHORTEST):
-        on = ~(piece.command[:, 0] <= MOTORS_OFF)
-        edges = np.flatnonzero(np.diff(np.r_[False, on, False]))
-        for a, b in edges.reshape(-1, 2):
+        on = ~(piece.command[:, 0] <= MOTORS_OFF) & ~standing(piece)
+        for a, b in _runs(on):
             if b - a > 1 and piece.t[b - 1] - piece.t[a] >= SHORTEST:
                 result.append(_motion(piece.rows(slice(a, b)).resampled(RATE)))
     return result
+
+
+def standing(log: FlightLog) -> np.ndarray:
+    """Return the rows (m,) in which something holds the vehicle: the ground, mostly.
+
+    It does not move, and the thrust commanded is not the one that it flies with; all rows until it leaves the
+    place. None of a log without a second in motion.
+    """
+    pieces = log.pieces()
+    still = [_still(piece) for piece in pieces]
+    pwm = np.concatenate([piece.command[~s, 0] for piece, s in zip(pieces, still)])
+    flown = pwm[pwm > MOTORS_OFF]
+    result = np.zeros(len(log), bool)
+    if len(flown) < log.rate:
+        return result
+    level = float(np.median(flown))
+    for piece, own in zip(pieces, still):
+        first = int(np.searchsorted(log.t, piece.t[0]))
+        for a, b in _runs(own):
+            if (
+                piece.t[b - 1] - piece.t[a] < STANDS
+                or abs(piece.command[a:b, 0].mean() - level) < HELD * level
+            ):
+                continue
+            distance = np.linalg.norm(piece.position - np.median(piece.position[a:b], axis=0), axis=1)
+            near = distance < PLACE + 4.0 * np.median(distance[a:b])
+            near[a:b] = True
+            begin, end = next(run for run in _runs(near) if run[0] <= a < run[1])
+            result[first + begin : first + end] = True
+    return result
+
+
+def _still(piece: FlightLog) -> np.ndarray:
+    """Return the rows (m,) of a stretch without gaps in which the smoothed velocity is below STILL."""
+    rows = 2 * max(2, round(WINDOW * piece.rate)) + 1
+    if len(piece) < rows:
+        return np.zeros(len(piece), bool)
+    velocity = savgol_filter(piece.position, rows, 1, deriv=1, delta=1 / piece.rate, axis=0)
+    return np.linalg.norm(velocity, axis=1) < STILL
+
+
+def _runs(mask: np.ndarray) -> np.ndarray:
+    """Return the first row and the row after the last of every stretch (k, 2) in which a mask is true."""
+    return np.flatnonzero(np.diff(np.r_[False, mask, False])).reshape(-1, 2)
 
 
 def _motion(log: FlightLog) -> Motion:
@@ -74,12 +126,14 @@ def _motion(log: FlightLog) -> Motion:
     acceleration, speed = smooth(log.position, 2), smooth(log.position, 1)
     roll, pitch, yaw = (smooth(column) for column in log.attitude.T)
     upward = np.maximum(acceleration[:, 2] + GRAVITY, 2.0)
-    thrust_tilt = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
+    lean = (acceleration[:, 0] + 1j * acceleration[:, 1]) / upward
     velocity = None if log.velocity is None else smooth(log.velocity)
     return Motion(
         height=log.position[:, 2],
+        attitude=log.attitude,
+        lean=lean,
         tilt=pitch - 1j * roll,
-        thrust_tilt=thrust_tilt * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
+        thrust_tilt=lean * np.exp(-1j * np.where(np.isnan(yaw), 0.0, yaw)),
         commanded_tilt=smooth(log.command[:, 2]) - 1j * smooth(log.command[:, 1]),
         pwm=smooth(log.command[:, 0]),
         force=np.linalg.norm(acceleration + [0.0, 0.0, GRAVITY], axis=1),
@@ -114,10 +168,12 @@ def check(log: FlightLog) -> Iterator[Finding]:
             "cmd_thrust_pwm", "no second with the motors on: signs, units and clocks were not checked"
         )
         return
-    swapped = list(_check_swapped_height(parts))
-    if swapped:
-        yield from swapped
-        return
+    for wrong in (_check_swapped_height(parts), _check_quaternion(parts) if log.from_quaternion else ()):
+        found = list(wrong)
+        yield from found
+        if any(finding.decision == "refuse" for finding in found):
+            return
+    yield from _check_standing(log)
     yield from _check_thrust(parts)
     tilt = list(_check_attitude(parts))
     yield from tilt
@@ -137,6 +193,52 @@ def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
             yield refuse(
                 "z", f"{axis} moves up and down with the thrust command, z does not: they are swapped"
             )
+
+
+# Names of a quaternion's numbers, what they may be instead, and where w, x, y, z lie in what was read then.
+_ORDERS = (
+    ("qw, qx, qy, qz", "x, y, z, w", (3, 0, 1, 2)),
+    ("qx, qy, qz, qw", "w, x, y, z", (1, 2, 3, 0)),
+)
+
+
+def _check_quaternion(parts: list[Motion]) -> Iterator[Finding]:
+    """Yield a finding where the attitude makes sense with the quaternion's numbers in another order."""
+    yaw_roll_pitch = np.concatenate([p.attitude for p in parts])[:, [2, 0, 1]]
+    numbers = Rotation.from_euler("ZXY", yaw_roll_pitch).as_quat(scalar_first=True)
+    lean = np.concatenate([p.lean for p in parts])
+    missed = _unexplained(numbers, lean)
+    for named, order, places in _ORDERS:
+        other = _unexplained(numbers[:, places], lean)
+        if other < 0.5 * min(1.0, missed):
+            text = (
+                f"{named} follow the horizontal acceleration only if their numbers lie in the order {order}"
+            )
+            yield refuse("qw, qx, qy, qz", f"{text}: exchange the columns, or say so in a mapping file")
+        elif order == "x, y, z, w" and np.median(np.abs(numbers[:, 0])) < LEAST_QW and missed > 0.5 * other:
+            text = (
+                "qw stays near 0: the vehicle faces -x throughout, or the order of the numbers is x, y, z, w"
+            )
+            yield limit("qw, qx, qy, qz", text)
+
+
+def _unexplained(quaternion: np.ndarray, lean: np.ndarray) -> float:
+    """Return the share of the variance of `lean` (m,) that attitudes (m, 4), w first, leave unexplained."""
+    x, y, z = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0]).T
+    error = lean - (x + 1j * y) / np.maximum(z, 0.2)
+    return float(np.var(error) / max(np.var(lean), 1e-12))
+
+
+def _check_standing(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding where the vehicle stands with its motors running."""
+    rows = _runs(standing(log) & (log.command[:, 0] > MOTORS_OFF))
+    seconds = [log.t[b - 1] - log.t[a] for a, b in rows]
+    if sum(seconds) > STANDS:
+        begin = log.t[rows[int(np.argmax(seconds))][0]]
+        text = (
+            f"stands for {sum(seconds):.1f} s with its motors running, most of it from t = {begin:.2f} s on"
+        )
+        yield info("cmd_thrust_pwm", f"{text}: not taken for flight")
 
 
 def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:

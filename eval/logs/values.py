@@ -21,7 +21,9 @@ from inclined_landing.eval.logs.log import (
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
-LEAST_RATE = 20.0  # Hz: below, a window of 0.6 s holds too few rows to tell lag from delay
+# Hz: commands are sent every 20 ms or faster and held from row to row: on average they are dated
+# (dt - 20 ms)/2 wrong, beyond the 5 ms of lag that matter for dt > 30 ms.
+LEAST_RATE = 30.0
 JUMP = 0.03  # m that a row may lie away from its neighbours besides what HARDEST allows
 LARGEST_ACCELERATION = 40.0  # m/s2
 LARGEST_SPEED = 15.0  # m/s
@@ -32,6 +34,10 @@ MOTORS_OFF = 10_000.0  # PWM
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
+_OF_A_FORCE = (
+    "Newton, gram or m/s2 need a mapping file with cmd_thrust_pwm = { column = 'NAME', full = NUMBER }, "
+    "the thrust in that unit at the full command"
+)
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -173,6 +179,9 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
             yield limit(
                 name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which no model here covers"
             )
+    if np.median(np.cos(np.nan_to_num(log.attitude[:, :2])).prod(axis=1)) < 0.0:
+        order = " The order of the quaternion's numbers, x, y, z, w or w, x, y, z?" * log.from_quaternion
+        yield refuse("roll, pitch", f"the vehicle is upside down in most of the rows.{order}")
     if np.ptp(np.nan_to_num(log.attitude[:, :2]), axis=0).max() < 1e-9:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
 
@@ -208,13 +217,16 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
         unit = "fraction" if top <= 1.5 else "%"
         yield refuse(
             "cmd_thrust_pwm",
-            f"column cmd_thrust_pwm never exceeds {top:.3g}, but PWM is 0 to 65535: state its unit ({unit}?)",
+            f"column cmd_thrust_pwm never exceeds {top:.3g}, but PWM is 0 to 65535: a {unit}? "
+            f"State its unit. {_OF_A_FORCE}",
         )
     elif np.ptp(pwm) < 1.0:
         yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm is always {top:.6g}: not what was flown with")
     elif top < MOTORS_OFF:
         yield refuse(
-            "cmd_thrust_pwm", f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight"
+            "cmd_thrust_pwm",
+            f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight, or in another unit. "
+            + _OF_A_FORCE,
         )
     else:
         share = (pwm >= 65534.0).mean()

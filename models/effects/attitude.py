@@ -91,6 +91,7 @@ EFFECTS = (
         remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
         channels=("attitude",),
         apply=_time_constant,
+        is_lag=True,
         says="the attitude loops have {scale} times the modelled time constant",
     ),
     Effect(
@@ -114,6 +115,7 @@ EFFECTS = (
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
         apply=_second_order,
+        is_lag=True,
         forms=("attitude late",),
         form=0.2,
         says="the rate loop lags {rate_lag} more than modelled",
@@ -215,6 +217,7 @@ EFFECTS = (
         "drift shows while no yaw rate is commanded, a gain does not.",
         channels=("yaw",),
         apply=_yaw_loop,
+        is_lag=True,
         says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
         # Commands that only hold the heading answer to what disturbs it: 0.3 rad/s turn it by more.
         requires={"yaw_rate_command": 0.3},

@@ -34,6 +34,7 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("translation",),
         apply=added("effects_thrust_delay", "delay"),
+        is_lag=True,
         of_the_drive=True,
         says="thrust commands act {delay} after they were sent",
     ),
@@ -49,6 +50,7 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
+        is_lag=True,
         says="attitude commands act {delay} after they were sent",
     ),
     Effect(
@@ -64,6 +66,7 @@ EFFECTS = (
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
         channels=("translation", "attitude", "yaw"),
         apply=added("effects_mocap_delay", "delay"),
+        is_lag=True,
         says="the measured pose is {delay} older than its time stamp",
     ),
 )

@@ -258,10 +258,17 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
                 ci95=(low, high),
                 per_flight=tuple(c.number(before, float(x)) for x in value + known.deviation),
                 spread=known.between * abs(c.number(before, 2.0) - c.number(before, 1.0)),
-                note="at its bound" if min(value - p.bounds[0], p.bounds[1] - value) < 1e-6 else "",
+                note=_note(problem, effect, min(value - p.bounds[0], p.bounds[1] - value) < 1e-6),
             )
         )
     return tuple(result)
+
+
+def _note(problem: Problem, effect: str, at_bound: bool) -> str:
+    """Return what a constant is to be read with; empty for nothing."""
+    if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
+        return "not to be told from other lags at this rate of rows"
+    return "at its bound" if at_bound else ""
 
 
 def _field_half_widths(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):

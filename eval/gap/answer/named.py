@@ -24,6 +24,7 @@ from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, leave_one_out
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError
 
@@ -39,6 +40,8 @@ def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tupl
     sizes, lost = _estimates(problem, found, values), squared_error_increase(problem, found, values)
     before, after = (squares_by_channel(problem, found, v).sum() for v in ({}, values))
     members = {name: (name, *confounded_with(found, name)) for name in values}
+    slow = [f.name for f in problem.flights if not f.shows_lags]
+    unresolved = {name: bool(slow) and problem.library[name].is_lag for name in values}
     effects = [
         NamedEffect(
             name=name,
@@ -47,10 +50,21 @@ def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tupl
             parameters=sizes[name],
             gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
             remedy=problem.library[name].remedy,
+            note=_too_slow(slow) if unresolved[name] else "",
+            unresolved=unresolved[name],
         )
         for name in values
     ]
     return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def _too_slow(flights: Sequence[str]) -> str:
+    """Return a sentence on flights recorded at too low a rate to tell lags apart."""
+    names = ", ".join(flights[:3]) + (f" and {len(flights) - 3} more" if len(flights) > 3 else "")
+    return (
+        f"Whether it is this lag, another one or none cannot be told from {names}, of fewer than "
+        f"{LEAST_RATE:g} rows per second: log 50 or more."
+    )
 
 
 def probable_effects(found: SetPosterior) -> EffectSet:

@@ -15,6 +15,8 @@ from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.motion import standing
+from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
 from inclined_landing.models.errors import UserError
@@ -23,7 +25,7 @@ from inclined_landing.models.parameters import Vehicle
 WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of
 SMOOTHING = 0.1  # s to either side of a sample, for velocities
-SKIP_AT_START = 0.25  # s of a log, for the unknown thrust lag to decay
+SKIP_AT_START = 0.25  # s of a log, and after a gap, for the unknown thrust lag to decay
 NEAR = 0.15  # m above a surface that counts as near
 LOW_BATTERY = 3.4  # V under load
 REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_battery")
@@ -91,6 +93,11 @@ class MeasuredFlight:
     def has_angle_commands(self) -> bool:
         """Return whether both attitude commands were logged."""
         return bool(self.logged[YAW - 2 : YAW].all())
+
+    @property
+    def shows_lags(self) -> bool:
+        """Return whether it has rows enough per second to tell one lag or delay from another."""
+        return 1.0 / self.dt > 0.99 * LEAST_RATE
 
     @property
     def yaw_rate_command(self) -> np.ndarray | None:
@@ -235,7 +242,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     usable = in_free_flight(log, vehicle)
     usable[t < SKIP_AT_START] = False
     for start, stop in gaps:
-        usable[(log.t > start - 1e-9) & (log.t < stop + 1e-9)] = False
+        usable[(log.t > start - 1e-9) & (log.t < stop + SKIP_AT_START + 1e-9)] = False
     starts = _window_starts(usable, rows)
     if not len(starts):
         raise UserError(
@@ -322,11 +329,12 @@ def measurement_noise(values: np.ndarray) -> np.ndarray:
 
 
 def in_free_flight(log: FlightLog, vehicle: Vehicle) -> np.ndarray:
-    """Return which rows (m,) are in free flight: thrust commanded, no contact, not on the ground."""
+    """Return which rows (m,) are in free flight: thrust commanded, no contact, not standing."""
     dt = float(np.median(np.diff(log.t)))
     bad = np.isnan(log.position).any(axis=1) | np.isnan(log.attitude[:, :2]).all(axis=1)
     bad |= np.isnan(log.command[:, 0])
     bad |= log.command[:, 0] < IDLE * vehicle.hover_pwm
+    bad |= standing(log)
     if log.contact is not None:
         bad |= log.contact
     else:

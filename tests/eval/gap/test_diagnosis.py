@@ -416,6 +416,14 @@ def test_rows_on_the_ground_are_no_free_flight():
     assert not _on_ground(np.full(100, 1.0) + 1e-3).any()
 
 
+def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
+    """Held commands are dated up to 100 ms wrong, which looks like other lags too."""
+    logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2)
+    lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.unresolved]
+    assert lags and all(LIBRARY[e.name].is_lag and not e.sure for e in lags)
+    assert all("of fewer than 30 rows per second" in e.note for e in lags)
+
+
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():
     a, b = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.0])
     bounds = np.array([[-10.0, -1.0], [10.0, 1.0]])

@@ -5,10 +5,13 @@ import dataclasses
 import numpy as np
 import pandas
 import pytest
+from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_command
+from inclined_landing.eval.logs.motion import standing
+from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.errors import UserError
 
 ATTITUDE_LAG, THRUST_LAG = 0.08, 0.05  # s
@@ -144,7 +147,10 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
             change(log, cmd_thrust_pwm=pwm * 1.6),
             "cmd_thrust_pwm holds .*, but PWM is 0 to 65535",
         ),
-        "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), "state its unit .fraction"),
+        "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), r"a fraction\? State its unit"),
+        "newton": (change(log, cmd_thrust_pwm=pwm / 65535 * 0.6), "Newton, gram or m/s2 need a mapping file"),
+        "millinewton": (change(log, cmd_thrust_pwm=pwm / 110), "full = NUMBER"),
+        "upside down": (change(log, roll=roll + np.pi), "upside down in most of the rows"),
         "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),
         "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is no flight"),
         "millivolt": (
@@ -183,6 +189,7 @@ def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
         "vx and vy mirror": change(log, vy=-log.velocity[:, 1]),
         "vz is not the derivative": change(log, vz=-log.velocity[:, 2]),
         "column cmd_roll is always 0": change(log, cmd_roll=0),
+        "hovers at 32 % of the full command": change(log, cmd_thrust_pwm=log.command[:, 0] / 2),
         "saturated": change(log, cmd_thrust_pwm=np.minimum(log.command[:, 0] * 1.5, 65535)),
         "lasts only 3 s": log.between(0, 3),
         "only 10 rows per second": log.rows(slice(None, None, 10)),
@@ -324,6 +331,59 @@ def test_flights_that_hold_their_height_are_judged(seed):
     assert hover_command(landed) == pytest.approx(42_000, rel=0.03)
     (mixed,) = check_fleet([held, flight(seed + 1, level=True), flight(seed, hover=55_000, level=True)])
     assert mixed.decision == "refuse" and "different vehicles are mixed" in mixed.text
+
+
+@pytest.mark.parametrize("seconds, pwm", [(3, 12_000.0), (3, np.linspace(0.0, 33_000.0, 300)), (1, 28_000.0)])
+@pytest.mark.parametrize("begin", [0, 500, 900])
+def test_motors_that_run_on_the_floor_are_no_flight(begin, seconds, pwm):
+    """A vehicle that stands drifts by noise alone; the edges are blurred by half the smoothing, 0.25 s."""
+    log, rows = flight(), slice(begin, begin + 100 * seconds)
+    log = on_the_floor(log, rows)
+    log.command[rows, 0] = pwm
+    first, last = log.position[rows][0], log.position[rows][-1]
+    log.position[: rows.start] += first - log.position[max(rows.start - 1, 0)]
+    log.position[rows.stop :] += last - log.position[min(rows.stop, len(log) - 1)]
+    stood = np.flatnonzero(standing(log))
+    assert rows.start - 25 <= stood[0] <= rows.start + 25 and rows.stop - 25 <= stood[-1] < rows.stop + 25
+    assert len(stood) == stood[-1] - stood[0] + 1
+    assert any("with its motors running" in text for text in found(log, "info"))
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_a_hover_is_no_standing(level):
+    """As still as the noise lets one see, at the command that it flies with, within the HELD of standing."""
+    for share in (0.85, 1.15):
+        log = flight(level=level)
+        log.position[400:900], log.command[400:900, 0] = log.position[400], share * 42_000
+        assert not standing(log).any()
+    assert not standing(flight(level=level)).any()
+
+
+@pytest.mark.parametrize(
+    "named, order", [(("qw", "qx", "qy", "qz"), "xyzw"), (("qx", "qy", "qz", "qw"), "wxyz")]
+)
+@pytest.mark.parametrize("heading", [0.0, -0.2, 1.5])
+def test_a_quaternion_in_another_order_is_refused(named, order, heading, tmp_path):
+    log = dataclasses.replace(flight(heading=heading), velocity=None)
+    w_first = Rotation.from_euler("ZXY", log.attitude[:, [2, 0, 1]]).as_quat(scalar_first=True)
+    right, wrong = tmp_path / "right.csv", tmp_path / "wrong.csv"
+    table = log_table(log).drop(columns=["roll", "pitch", "yaw", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"])
+    table.assign(**dict(zip(("qw", "qx", "qy", "qz"), w_first.T))).to_csv(right, index=False)
+    numbers = w_first if order == "wxyz" else w_first[:, [1, 2, 3, 0]]
+    table.assign(**dict(zip(named, numbers.T))).to_csv(wrong, index=False)
+    assert not any("order" in note for note in read_log(right).notes)
+    with pytest.raises(UserError, match=r"numbers lie in the order|upside down .* order of the quaternion"):
+        read_log(wrong)
+
+
+def test_a_vehicle_that_faces_backwards_is_believed_where_it_moves(tmp_path):
+    for log, doubted in (
+        (flight(heading=np.pi), False),
+        (flight(heading=np.pi, planar=True, level=True), True),
+    ):
+        at_rest = np.mean(log.position, axis=0) + 1e-3 * (log.position - np.mean(log.position, axis=0))
+        log = dataclasses.replace(log, from_quaternion=True, position=at_rest if doubted else log.position)
+        assert any("qw stays near 0" in text for text in found(log, "limit")) == doubted
 
 
 @pytest.mark.parametrize("moves", [True, False])
