@@ -6,16 +6,18 @@ The Gymnasium and Stable-Baselines3 faces are thin shells over this class.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext
+from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext, joined
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.plants import Plant
 
 _TRIES = 1000
 _START = ("state", "inclination", "present", "goal_size")  # what is recorded of a start
@@ -32,7 +34,8 @@ def as_floats(value, what: str) -> np.ndarray:
             return array.astype(float, copy=False)
     except Exception:  # whatever the conversion of another library's array raises
         pass
-    raise UserError(f"{what} must be an array of real numbers")
+    remedy = "; of a tensor give tensor.detach().cpu().float()" if hasattr(value, "detach") else ""
+    raise UserError(f"{what} must be an array of real numbers{remedy}")
 
 
 def check_seed(seed) -> None:
@@ -70,8 +73,12 @@ class BatchEnv:
         drawn anew and hovering at first. None: the vehicles stay what the plant assigned.
     """
 
-    def __init__(self, task: Task, plant, seed: int | None = None, nominal: float | None = None):
-        self.task, self.plant, self.n = task, plant, plant.n
+    def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
+        if not (isinstance(task, Task) and isinstance(plant, Plant)):
+            given = shown(f"{task!r} and {plant!r}", 80)
+            raise UserError(f"BatchEnv takes a Task and a Plant, of make_task and make_plant, not {given}")
+        self.task, self.n = task, plant.n
+        self.plant: Any = plant  # a Plant of one of the kinds in PLANTS
         self.nominal = nominal
         self.seed(seed)
         n = self.n
@@ -104,7 +111,18 @@ class BatchEnv:
     def draw_from(self, rng: np.random.Generator) -> None:
         """Use `rng` for random starts, and for the disturbance where the plant has it."""
         self.rng = rng
+        self._own: dict[int, np.random.Generator] = {}
         if self.plant.disturbance:
+            self.plant.disturbance.seed(rng)
+
+    def draw_each_from(self, rngs: dict[int, np.random.Generator]) -> None:
+        """Use a generator of its own for the random starts of each of these vehicles, until `draw_from`.
+
+        The disturbance, of which all draw from one stream, begins anew from the first generator. One vehicle
+        is drawn as by `draw_from`.
+        """
+        self._own |= rngs
+        for rng in reversed(list(rngs.values()) if self.plant.disturbance else []):
             self.plant.disturbance.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
@@ -124,6 +142,7 @@ class BatchEnv:
 
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
+        ids = ids if isinstance(ids, slice) else self._numbers(ids)
         return self._with_past(self._present(ids), ids)
 
     def _with_past(self, observation: np.ndarray, ids) -> np.ndarray:
@@ -142,7 +161,9 @@ class BatchEnv:
         state (k, 13): given starts instead of random ones, as `Task.start` has their platforms; or start: of
         k episodes, with everything.
         """
-        ids = np.arange(self.n) if ids is None else np.asarray(ids)
+        ids = np.arange(self.n) if ids is None else self._numbers(ids)
+        if not (start is None or isinstance(start, Start)):
+            raise UserError(f"start must be a Start, not {shown(repr(start), 40)}; states go into state=")
         if state is not None:
             state = as_floats(state, "the start state")
             if state.shape != (len(ids), self.plant.state.shape[1]):
@@ -155,8 +176,7 @@ class BatchEnv:
         if state is not None:
             start = self.task.start(state)
         elif start is None:
-            self._draw_vehicles(ids)
-            start = self._draw_starts(ids)
+            start = self._draw(ids)
             start.state[:, LAG] *= self.plant.hover_share[ids]
         self._place(ids, start)
         if start.contact is not None:
@@ -169,7 +189,8 @@ class BatchEnv:
 
         Returns their observations.
         """
-        ids, start = np.asarray(ids), self.task.start(self.plant.state[ids].copy())
+        ids = self._numbers(ids)
+        start = self.task.start(self.plant.state[ids].copy())
         self._place(ids, start)
         return self._begin(ids, start)
 
@@ -193,9 +214,31 @@ class BatchEnv:
         if start.motion is not None:
             self.plant.set_motion(ids, start.motion)
 
-    def _draw_starts(self, ids: np.ndarray) -> Start:
+    def _numbers(self, ids) -> np.ndarray:
+        """Return the numbers (k,) of vehicles given as such or as a mask (n,); raise UserError for others."""
+        array = np.asarray(ids)
+        if array.dtype == bool and array.shape == (self.n,):
+            return np.flatnonzero(array)
+        if array.shape == (0,):
+            return array.astype(int)
+        if array.dtype.kind in "iu" and array.ndim == 1 and -self.n <= array.min() <= array.max() < self.n:
+            return array
+        raise UserError(
+            f"ids must be numbers of vehicles from 0 to {self.n - 1}, or a mask ({self.n},), "
+            f"not {shown(repr(ids), 40)}"
+        )
+
+    def _draw(self, ids: np.ndarray) -> Start:
+        """Draw the vehicles `ids` and return their random starts, of each by its generator if it has one."""
+        if self._own and len(ids) > 1:
+            return joined([self._draw(one) for one in ids[:, None]])
+        rng = self._own.get(int(ids[0]), self.rng) if self._own and len(ids) else self.rng
+        self._draw_vehicles(ids, rng)
+        return self._draw_starts(ids, rng)
+
+    def _draw_starts(self, ids: np.ndarray, rng: np.random.Generator) -> Start:
         """Return random starts of the vehicles `ids`, clear of the platform for vehicles of any size."""
-        start = self.task.sample(self.rng, len(ids))
+        start = self.task.sample(rng, len(ids))
         todo = np.arange(len(ids) if len(self.plant.fleet.reach) > 1 else 0)
         for _ in range(_TRIES):
             if not len(todo):
@@ -203,22 +246,26 @@ class BatchEnv:
             self._place(ids, start)
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if len(todo):
-                start.put(todo, self.task.sample(self.rng, len(todo)))
+                start.put(todo, self.task.sample(rng, len(todo)))
         raise UserError("the task's starts leave no room for the largest vehicle of the plant")
 
-    def _draw_vehicles(self, ids: np.ndarray) -> None:
+    def _draw_vehicles(self, ids: np.ndarray, rng: np.random.Generator) -> None:
         if self.nominal is None or not self.plant.pool:
             return
-        drawn = self.rng.integers(1, len(self.plant.pool) + 1, len(ids))
-        drawn[self.rng.random(len(ids)) < self.nominal] = 0
+        drawn = rng.integers(1, len(self.plant.pool) + 1, len(ids))
+        drawn[rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
 
-        wanted: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
+        active: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
         Raises UserError when an action has the wrong shape or is not finite.
         """
+        if active is not None:
+            active = np.asarray(active)
+            if active.shape != (self.n,) or active.dtype.kind not in "biu":
+                raise UserError(f"active must be {self.n} times True or False")
         self.act(actions)
         self.plant.step(self.commands, active)
         return self.outcome()

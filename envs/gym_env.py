@@ -28,9 +28,14 @@ and of the vector environment:
 |---|---|---|
 | `num_envs` | 1 | how many vehicles |
 | `autoreset_mode` | "SameStep" | when a new episode begins; or "NextStep", "Disabled" (Gymnasium) |
+| `max_episode_steps` | None | truncate episodes after so many steps, if the task does not before |
 
-`reset(options={"state": array})` starts from given states, (13,) or (n, 13). What is not of these names,
-types and sizes is a UserError, a ValueError with one sentence.
+`reset(options={"state": array})` starts from given states, (13,) or (n, 13). With `reset(seed=[...])` every
+vehicle of the vector environment has a seed of its own, and starts as a single environment with that seed.
+What is not of these names, types and sizes is a UserError, a ValueError with one sentence.
+
+`copy.deepcopy` and pickle give an environment that goes on alike; it opens a window of its own. A process
+forked from one that used an environment can go on with it, but for windows and OpenGL (`render_backend`).
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import as_floats, check_seed
+from inclined_landing.envs.batch import as_floats, check_seed, is_whole
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
@@ -64,8 +69,22 @@ def _reset_option(options, name: str, known: tuple[str, ...]):
     return options.get(name)
 
 
+def _seeds(seed, n: int) -> list[int | None] | None:
+    """Return n seeds, or None for one seed of all n vehicles; raise UserError for neither."""
+    array = isinstance(seed, np.ndarray) and seed.ndim > 0
+    each = list(seed) if array or isinstance(seed, (list, tuple, range)) else None
+    if each is not None and len(each) != n:
+        raise UserError(f"{n} vehicles need one seed or {n}, not {len(each)}")
+    for one in [seed] if each is None else each:
+        check_seed(one)
+    return each
+
+
 class TaskEnv(gym.Env):
-    """Gymnasium environment of one vehicle on one task."""
+    """Gymnasium environment of one vehicle on one task.
+
+    Its `metadata` has the render modes that this machine has: "human" only where there is a display.
+    """
 
     metadata = _METADATA
     task_name: str
@@ -92,10 +111,11 @@ class TaskEnv(gym.Env):
             from inclined_landing.envs.rendering import check_picture_options
 
             check_picture_options(width, height, camera, render_backend)
-        if render_mode == "human":
-            from inclined_landing.envs.rendering.window import check_display
+        from inclined_landing.envs.rendering.window import check_display, headless
 
+        if render_mode == "human":
             check_display()
+        self.metadata = _METADATA | {"render_modes": modes[1:] if headless() else modes}
         self.batch = make_batch(
             self.task_name, 1, plant=plant, plant_options=plant_options, vehicle=vehicle, **task_options
         )
@@ -112,7 +132,7 @@ class TaskEnv(gym.Env):
         """Return (observation, info) of a new episode, at random or from `options["state"]`."""
         state = _reset_option(options, "state", ("state",))
         check_seed(seed)
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else int(seed))
         self.batch.draw_from(self.np_random)
         if state is not None:
             state = np.atleast_2d(as_floats(state, "the start state"))
@@ -122,7 +142,10 @@ class TaskEnv(gym.Env):
 
     def step(self, action):
         """Return (observation, reward, terminated, truncated, info); see the class docstring."""
-        step = self.batch.step(as_floats(action, "the action")[None])
+        action = as_floats(action, "the action")
+        if action.shape != self.action_space.shape:
+            raise UserError(f"the action must have shape {self.action_space.shape}, not {action.shape}")
+        step = self.batch.step(action[None])
         info = {
             "reward_terms": {name: float(term[0]) for name, term in step.terms.items()},
             "is_success": bool(step.success[0]),
@@ -172,6 +195,10 @@ class TaskEnv(gym.Env):
             self._window = Window(self.task.vehicle)
         self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._platform, seconds=seconds)
 
+    def __getstate__(self) -> dict:
+        """Return what a copy has in common with this environment: not what draws it."""
+        return self.__dict__ | {"_renderer": None, "_window": None}
+
     def close(self) -> None:
         if self._window is not None:
             self._window.close()
@@ -196,6 +223,7 @@ class TaskVectorEnv(VectorEnv):
         vehicle=None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        max_episode_steps: int | None = None,
         **task_options,
     ):
         try:
@@ -210,6 +238,10 @@ class TaskVectorEnv(VectorEnv):
                 "the vector environment does not render; record a single one, or make_vec with "
                 "vectorization_mode='sync'"
             )
+        if not (max_episode_steps is None or (is_whole(max_episode_steps) and max_episode_steps > 0)):
+            steps = shown(repr(max_episode_steps), 40)
+            raise UserError(f"max_episode_steps must be a whole number from 1 on, not {steps}")
+        self.max_episode_steps = max_episode_steps
         self.batch = make_batch(
             self.task_name,
             num_envs,
@@ -227,19 +259,26 @@ class TaskVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Return (observations, info); `options["reset_mask"]` (n,) resets some vehicles only."""
+    def reset(self, *, seed=None, options: dict | None = None):
+        """Return (observations, info); `options["reset_mask"]` (n,) resets some vehicles only.
+
+        seed: of all vehicles, or n of them, of which a None leaves a vehicle's random numbers as they are.
+        """
         state, mask = (_reset_option(options, name, _RESET) for name in _RESET)
-        check_seed(seed)
+        each = _seeds(seed, self.num_envs)
+        one = seed if each is None else None
         ids = np.arange(self.num_envs)
         if mask is not None:
             mask = np.asarray(mask)
             if mask.shape != (self.num_envs,) or mask.dtype != bool:
                 raise UserError(f"reset_mask must be {self.num_envs} times True or False")
             ids = ids[mask]
-        super().reset(seed=seed)
-        if seed is not None:
+        super().reset(seed=None if one is None else int(one))
+        if one is not None:
             self.batch.draw_from(self.np_random)
+        if each is not None:
+            rngs = {int(i): np.random.default_rng(each[i]) for i in ids if each[i] is not None}
+            self.batch.draw_each_from(rngs)
         self.batch.reset(ids, state)
         self._ended[ids] = False
         return self.batch.observe(), {}
@@ -259,6 +298,8 @@ class TaskVectorEnv(VectorEnv):
                 "with reset(options={'reset_mask': mask})"
             )
         step = env.step(actions, ~waiting)
+        if self.max_episode_steps is not None:
+            step.truncated |= (env.length >= self.max_episode_steps) & ~step.terminated
         info = {"reward_terms": step.terms, "is_success": step.success, "touched": env.touched.copy()}
         observation = step.observation
         if waiting.any():

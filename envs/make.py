@@ -15,7 +15,7 @@ from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 
 MOST_VEHICLES = 100_000  # of one environment
@@ -46,10 +46,7 @@ def make_batch(
         raise UserError(
             f"num_envs must be a whole number from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}"
         )
-    if vehicle is None or isinstance(vehicle, (str, Path)):
-        vehicle = load_vehicle(vehicle)
-    if not isinstance(vehicle, Vehicle):
-        raise UserError(f"vehicle must be a Vehicle or the path of a file, not {shown(repr(vehicle), 40)}")
+    vehicle = as_vehicle(vehicle)
     if not isinstance(plant, str) or plant not in PLANTS:
         raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {', '.join(PLANTS)}")
     plant_options = {} if plant_options is None else plant_options
@@ -84,8 +81,7 @@ def make_for(
     """
     import gymnasium
 
-    if vehicle is None or isinstance(vehicle, (str, Path)):
-        vehicle = load_vehicle(vehicle)
+    vehicle = as_vehicle(vehicle)
     trained = load_policy(policy, vehicle=vehicle).task
     given = {"vehicle": vehicle, **trained.options, **options}
     name = f"{__package__}:{TASK_CLASSES[trained.name]}-v0"

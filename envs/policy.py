@@ -30,7 +30,7 @@ from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.envs.weights import METADATA
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle, load_vehicle
 
 _FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
 # One of every shipping task, called like it; and more of them, called like their files.
@@ -200,6 +200,8 @@ def write_metadata(path: str | Path, metadata: dict) -> None:
 
 def locate(name: str | Path) -> Path:
     """Return the path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
+    if not isinstance(name, (str, os.PathLike)):
+        raise UserError(f"a policy is a path or the name of a shipped one, not {shown(repr(name), 40)}")
     if str(name) in SHIPPED:
         path = _FOLDER / f"{name}.zip"
         if not path.is_file():
@@ -217,7 +219,7 @@ def load_policy(
     path: str | Path,
     task: Task | str | None = None,
     *,
-    vehicle: Vehicle | None = None,
+    vehicle: Vehicle | str | Path | None = None,
     inclination: float | None = None,
     azimuth: float | None = None,
 ) -> Policy:
@@ -232,6 +234,9 @@ def load_policy(
     Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
     metadata's PWM, options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
+    if not (task is None or isinstance(task, (str, Task))):
+        raise UserError(f"task must be a Task or the name of one, not {shown(repr(task), 40)}")
+    vehicle = None if vehicle is None else as_vehicle(vehicle)
     path = locate(path)
     file = weights.read_file(path)
     metadata, network = _checked(file.metadata, path), _actor(file.tensors, file.header, path)

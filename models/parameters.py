@@ -332,6 +332,15 @@ def _crazyflie() -> Vehicle:
     return Vehicle(**values)
 
 
+def as_vehicle(vehicle: Vehicle | str | Path | None) -> Vehicle:
+    """Return a vehicle: the one given, or as `load_vehicle` reads it; raise UserError for anything else."""
+    if vehicle is None or isinstance(vehicle, (str, Path)):
+        return load_vehicle(vehicle)
+    if not isinstance(vehicle, Vehicle):
+        raise UserError(f"vehicle must be a Vehicle or the path of a file, not {shown(repr(vehicle), 40)}")
+    return vehicle
+
+
 def check_vehicle(vehicle: Vehicle) -> None:
     """Raise UserError, naming the entry, if a value is outside its range or contradicts another.
 

@@ -66,9 +66,9 @@ def make_renderer(
     """
     check_picture_options(width, height, camera, backend)
     if backend == "auto":
-        from inclined_landing.envs.rendering.gl import probe
+        from inclined_landing.envs.rendering.gl import lost, probe
 
-        on_hardware = not isinstance(camera, View) and probe().hardware
+        on_hardware = not isinstance(camera, View) and probe().hardware and not lost()
         backend = "gl" if on_hardware else "ray"
     if backend == "gl":
         from inclined_landing.envs.rendering.gl import GLRenderer

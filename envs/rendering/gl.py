@@ -2,7 +2,8 @@
 
 Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. So the
 libraries are looked for with ctypes first; nothing here runs at import and no environment variable
-of MuJoCo is set.
+of MuJoCo is set. In a forked process whose parent has used OpenGL the next call would wait for ever: there
+it is refused.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import functools
+import os
 from typing import Any, cast
 
 import mujoco
@@ -23,8 +25,18 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
 _REMEDY = "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), or use backend='ray'"
+_LOST = (
+    "OpenGL does not survive a fork, and this process was forked from one that had used it: start it with "
+    "'spawn', or use backend='ray'"
+)
 _EGL_PLATFORM_DEVICE, _EGL_EXTENSIONS = 0x313F, 0x3055
 _MAX_GEOMS = 20000
+_process: int | None = None  # that used OpenGL first
+
+
+def lost() -> bool:
+    """Return whether this is a forked process whose parent has used OpenGL, which its children cannot."""
+    return _process not in (None, os.getpid())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +108,9 @@ def probe() -> Probe:
 
 def _context(width: int, height: int):
     """Return a current OpenGL context of MuJoCo; raise UserError with the remedy."""
+    global _process
+    if lost():
+        raise UserError(_LOST)
     found = probe()
     if not found.kind:
         raise UserError(f"no OpenGL rendering here, {found.missing} is missing: {_REMEDY}.")
@@ -106,6 +121,7 @@ def _context(width: int, height: int):
             from mujoco.osmesa import GLContext
         context = GLContext(width, height)
         context.make_current()
+        _process = os.getpid()
     except (ImportError, RuntimeError) as error:
         raise UserError(f"OpenGL rendering failed to start ({error}): {_REMEDY}.") from error
     return context
@@ -142,6 +158,11 @@ class GLRenderer(SceneRenderer):
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._vehicle_root = model.body("crazyflie").id
+
+    def _pose(self, scene, inclination: float | None) -> Pose:
+        if lost():
+            raise UserError(_LOST)
+        return super()._pose(scene, inclination)
 
     def _move_platform(self, pose: Pose) -> None:
         k = int(self.model.body("platform").mocapid[0])

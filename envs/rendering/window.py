@@ -1,7 +1,8 @@
 """MuJoCo's viewer as a window that shows one vehicle while it flies.
 
 Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is
-missing becomes a sentence. The window has a thread of its own: mouse and menus work between two moments.
+missing becomes a sentence. The window has a thread of its own: mouse and menus work between two moments. It
+stays with the process that opened it: one forked from that shows nothing.
 """
 
 from __future__ import annotations
@@ -31,9 +32,14 @@ _SHADOWS = 2048  # pixels; the scene's 8192 are for stills, and slow without a g
 _EYE, _TARGET = (-1.9, -3.4, 2.1), (0.0, 0.0, 1.35)  # m, where one looks from and to at first
 
 
+def headless() -> bool:
+    """Return whether there is no display, as the environment variables of Linux tell."""
+    return sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def check_display() -> None:
     """Raise UserError, with the remedy, where no window with OpenGL can be opened."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if headless():
         raise UserError(f"a window needs a display, and there is none here; {REMEDY}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # glfw tells its errors as warnings
@@ -78,6 +84,7 @@ class Window:
             )
         except RuntimeError as error:  # macOS wants its own interpreter
             raise UserError(f"the viewer did not start: {error}; {REMEDY}") from error
+        self._process = os.getpid()
         self._look()
         self._due = time.monotonic()
 
@@ -92,8 +99,8 @@ class Window:
 
     @property
     def open(self) -> bool:
-        """Whether the window is open."""
-        return self._viewer is not None and self._viewer.is_running()
+        """Whether the window is open, in the process that opened it."""
+        return self._viewer is not None and self._process == os.getpid() and self._viewer.is_running()
 
     def show(
         self,
@@ -136,7 +143,7 @@ class Window:
     def close(self) -> None:
         """Close the window and wait until its thread has released it."""
         viewer, self._viewer = self._viewer, None
-        if viewer is None:
+        if viewer is None or self._process != os.getpid():
             return
         viewer.close()
         patience = time.monotonic() + 2.0

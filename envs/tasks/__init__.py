@@ -65,7 +65,7 @@ def import_task(path: str) -> type[Task]:
 
     As with modules, a second import of the same path is the first.
     """
-    if path in _OWN:
+    if isinstance(path, str) and path in _OWN:
         return _OWN[path]
     kind = import_class(path)
     if kind.name in TASKS:

@@ -39,7 +39,7 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle, constants, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle, constants
 from inclined_landing.models.plants import Contacts
 from inclined_landing.models.plants.base import PLATFORM_SIZE
 
@@ -232,7 +232,7 @@ class Task(abc.ABC):
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         given = self.options_type(**options)
-        self.vehicle = limited(vehicle or load_vehicle(), given.angle_limit)
+        self.vehicle = limited(as_vehicle(vehicle), given.angle_limit)
         self.pwm_centre = resolve_pwm_centre(given.pwm_centre, self.vehicle)
         self.pwm_span = resolve_pwm_span(given.pwm_span, self.vehicle)
         given.check()

@@ -30,7 +30,7 @@ What happens at touching is seen by `recorder.Recorder`, at every step of the en
 
 from __future__ import annotations
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.analytic import AnalyticPlant
 from inclined_landing.models.plants.base import Attitude, Contacts, Plant, Snapshot
@@ -54,8 +54,8 @@ PLANTS = {"mujoco": MujocoPlant, "hybrid": HybridPlant, "analytic": AnalyticPlan
 
 def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
     """A plant by name: one of PLANTS."""
-    if kind not in PLANTS:
-        raise UserError(f"unknown plant {kind!r}; known are {', '.join(PLANTS)}")
+    if not isinstance(kind, str) or kind not in PLANTS:
+        raise UserError(f"unknown plant {shown(repr(kind), 40)}; known are {', '.join(PLANTS)}")
     if kind == "analytic" and options.pop("moving", False):
         raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
     if "unrest" in options:  # the old name of the option

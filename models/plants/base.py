@@ -14,10 +14,10 @@ from inclined_landing.models import equations, geometry, perturbation
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle, check_vehicle
 
 Attitude = Literal["rate_loop", "kinematic"]
 PLATFORM_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
@@ -114,8 +114,10 @@ class Plant:
     ):
         if attitude not in ("rate_loop", "kinematic"):
             raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
-        if n < 1:
-            raise UserError(f"a plant needs at least one vehicle, not {n}")
+        if isinstance(n, bool) or not (isinstance(n, (int, np.integer)) and 0 < n < 2**31):
+            raise UserError(
+                f"a plant needs a whole number of vehicles, at least one, not {shown(repr(n), 40)}"
+            )
         if not (math.isfinite(keep_out) and keep_out >= 0):
             raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
         if control_period is not None and not (math.isfinite(control_period) and control_period > 0):
@@ -123,7 +125,7 @@ class Plant:
         self.n = n
         self.shapes: geometry.Shapes
         self.fleet: geometry.Fleet
-        self.vehicle = vehicle or load_vehicle()
+        self.vehicle = as_vehicle(vehicle)
         self.pool = tuple(pool)
         self._vehicles = (self.vehicle, *self.pool)
         for member in self._vehicles:

@@ -125,15 +125,6 @@ class HybridPlant(MujocoPlant):
         c, model = self.contacts, self.model
         left = np.empty(self.n, int)
         self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, left)
-        self._engine = _Engine(
-            *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
-            # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
-            np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
-            model.actuator_history[:, 0],
-            model.actuator_historyadr,
-            self._load_joint,
-        )
-        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, self._mocap)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
@@ -141,6 +132,18 @@ class HybridPlant(MujocoPlant):
             model.opt.timestep,
             self.substeps,
         )
+
+    def _bind(self, batch):
+        super()._bind(batch)
+        self._engine = _Engine(
+            *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
+            # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
+            np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
+            self.model.actuator_history[:, 0],
+            self.model.actuator_historyadr,
+            self._load_joint,
+        )
+        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, self._mocap)
 
     def advance(self, commands, ids=None, record=()):
         """`step` without its check, for the vehicles `ids` (k,) alone; see `MujocoPlant.advance`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
+from inclined_landing.models.plants.engine import Engine
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
@@ -101,24 +103,16 @@ class MujocoPlant(Plant):
         self._fields = _differing([self.model, *others])
         of_all = [self.model, *others] if sizes_differ(self._vehicles) else [self.model]
         self._meet([geometry.shapes_of(model) for model in of_all])
-        threads = min(threads or len(os.sched_getaffinity(0)), n)
-        self.batch = mujoco.batch.Batch(self.model, n, threads)
-        bind = self.batch.bind
-        self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
-        self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
         self._load_joint = load_joint(self.model)
-        self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._mocap = np.array([int(self.model.body(b).mocapid[0]) for b in geometry.PLATFORM_BODIES])
-        self.platforms = None  # of a moving plant
+        self.platforms: Platforms | None = None  # of a moving plant
+        self._bind(Engine(self.model, n, min(threads or len(os.sched_getaffinity(0)), n)))
         if moving:
             self.platforms = Platforms(self.model, self.batch, self.vehicle, self.platform, self.substeps)
-        self._warning = self.batch.warning
-        self._history = bind("history") if self.model.nhistory else None
         self._held = _held_histories(self.model) if self.model.nhistory else None
         self._seen = np.zeros((n, self.substeps, self.model.nsensordata))
         self.contact_sensors = contact_sensors(self.model)
         self._everyone = np.arange(n)
-        self._applied = bind("xfrc_applied")[:, self.model.body("crazyflie").id]
         self._perturbed = self._contact_set = False
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
@@ -129,6 +123,30 @@ class MujocoPlant(Plant):
         self._contact = self._contact_of_each[self.choice]
         self.set_platform(np.arange(n), self.inclination)
         self.reset(np.arange(n), self.state)
+
+    @property
+    def batch(self) -> Engine:
+        """The engine; in a forked process, to which its threads are lost, a copy of it from now on."""
+        if self._batch.lost:
+            self._bind(copy.copy(self._batch))
+        return self._batch
+
+    def _bind(self, batch: Engine) -> None:
+        """Take an engine, and the arrays of it that the plant reads and writes."""
+        self._batch, bind = batch, batch.bind
+        self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
+        self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
+        self._warning = batch.warning
+        self._history = bind("history") if self.model.nhistory else None
+        self._applied = bind("xfrc_applied")[:, self.model.body("crazyflie").id]
+        if self.platforms:
+            self.platforms.bind(batch)
+
+    def __setstate__(self, state: dict) -> None:
+        """Take over what a copied or pickled plant held, with arrays of the new engine."""
+        self.__dict__.update(state)
+        self._bind(self._batch)
 
     def _arrays(self):
         own = {"engine": self.batch.state, "contact": self._contact}

@@ -97,6 +97,12 @@ class Platforms:
         )
         self._moved()
 
+    def bind(self, batch) -> None:
+        """Take the arrays of a copy of the engine."""
+        qpos, qvel, force = batch.bind("qpos"), batch.bind("qvel"), batch.bind("qfrc_applied")
+        self._joints = self._joints._replace(qpos=qpos, qvel=qvel, force=force)
+        self._clock = self._clock._replace(time=batch.bind("time"))
+
     def _moved(self) -> None:
         """Take the arrays of the motion, which may be others after more waves were given."""
         self._waves = self.motion.arrays

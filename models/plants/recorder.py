@@ -72,8 +72,7 @@ class Recorder:
         self.touch = Touch(np.full(n, np.nan), np.full((n, 7), np.nan), np.full((n, 6), np.nan))
         self.feet_force = np.zeros(n)  # N, largest normal force on the feet, sampled at the engine's steps
         plant.reset(np.arange(n), states)
-        self._engine = {name: plant.batch.bind(name) for name in _COLUMNS}
-        self._older = tuple(self._engine[name][:, : _COLUMNS[name]].copy() for name in ("qpos", "qvel"))
+        self._older = tuple(plant.batch.bind(name)[:, : _COLUMNS[name]].copy() for name in ("qpos", "qvel"))
         self._time = 0.0
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
@@ -88,7 +87,7 @@ class Recorder:
     def advance(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
         """`step` without an error: `plant.diverged` tells."""
         plant, own = self.plant, np.arange(self.plant.n) if ids is None else ids
-        begun = {name: field[own, None] for name, field in self._engine.items()}
+        begun = {name: plant.batch.bind(name)[own, None] for name in _COLUMNS}
         seen = plant.advance(commands, ids, record=tuple(begun))
         both = {name: np.concatenate([begun[name], seen[name]], axis=1) for name in begun}
         moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())

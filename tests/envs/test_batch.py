@@ -242,3 +242,30 @@ def test_an_episode_taken_over_begins_where_the_vehicle_is():
         np.testing.assert_array_equal(array, before.arrays[name])
     np.testing.assert_array_equal(observation, env.observe([1]))
     assert env.length.tolist() == [3, 0] and env.touched.tolist() == [False, False]
+
+
+@pytest.mark.parametrize("ids", [2, [4], [-5], [0.5], [True, False], "0", [[0, 1]]])
+def test_vehicles_that_are_not_there_are_refused(ids):
+    env = build(4)
+    for call in (env.reset, env.observe, env.begin_in_place):
+        with pytest.raises(UserError, match=r"ids must be numbers of vehicles from 0 to 3, or a mask \(4,\)"):
+            call(ids)
+
+
+def test_a_mask_or_no_vehicle_can_be_reset():
+    env = build(4)
+    env.reset()
+    env.step(np.zeros((4, 2)))
+    assert len(env.reset([])) == 0
+    assert env.reset([True, False, True, False]).shape == (2, 5) and env.length.tolist() == [0, 1, 0, 1]
+
+
+def test_what_is_no_task_plant_or_start_is_refused():
+    env = build(2)
+    for wrong in (lambda: BatchEnv("landing", env.plant), lambda: BatchEnv(type(env.task), env.plant)):
+        with pytest.raises(UserError, match="BatchEnv takes a Task and a Plant"):
+            wrong()
+    with pytest.raises(UserError, match="start must be a Start, not"):
+        env.reset(start=hovering((0, 0, 1.8)))
+    with pytest.raises(UserError, match="active must be 2 times True or False"):
+        env.step(np.zeros((2, 2)), [True])

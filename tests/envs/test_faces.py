@@ -1,11 +1,14 @@
 """The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
 
+import copy
+import pickle
 import sys
 import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env as gymnasium_check
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
@@ -56,13 +59,20 @@ def vec_env(n=3, task="landing", plant="analytic", seed=0, **options) -> BatchVe
 # --- Gymnasium, one vehicle --------------------------------------------------------------------------
 
 
-def test_gymnasiums_checker_passes_on_registered_environments(task):
-    env = gym.make(IDS[task])
+def test_gymnasiums_checker_passes_on_registered_environments(task, monkeypatch):
+    """Without a display, where "human" is no render mode."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    env = gym.make(IDS[task], **{name: PICTURE[name] for name in ("width", "height", "render_backend")})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*Box observation space.*infinity")  # positions are free
-        gymnasium_check(env.unwrapped, skip_render_check=True)
+        gymnasium_check(env.unwrapped)
     assert env.observation_space.shape == (SIZES[task][0],) and env.action_space.shape == (SIZES[task][1],)
+    assert env.metadata["render_modes"] == ["rgb_array"]
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert gym.make(IDS[task], plant="analytic").metadata["render_modes"] == ["human", "rgb_array"]
 
 
 @pytest.mark.parametrize("kind", [InclinedLandingEnv, SetpointEnv])
@@ -185,6 +195,11 @@ WRONG_OPTIONS = [
     (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be a whole number from 1 to 100000, not 0"),
     (InclinedLandingVectorEnv, {"num_envs": 10**9}, "num_envs must be a whole number"),
     (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be a whole number"),
+    (
+        InclinedLandingVectorEnv,
+        {"max_episode_steps": 0},
+        "max_episode_steps must be a whole number from 1 on",
+    ),
 ]
 
 
@@ -205,13 +220,19 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         (single, {"options": [state]}, "options of reset must be a dictionary"),
         (single, {"seed": -1}, "a seed must be a whole number from 0 on, not -1"),
         (single, {"seed": 0.5}, "a seed must be a whole number"),
+        (vector, {"seed": [1, 2]}, "3 vehicles need one seed or 3, not 2"),
+        (vector, {"seed": [1, 2, -3]}, "a seed must be a whole number from 0 on, not -3"),
         (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
         (vector, {"options": {"reset_mask": [True]}}, "reset_mask must be 3 times True or False"),
         (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must be 3 times True or False"),
     ):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
-    single.reset(seed=2**70)
+    for seed in (2**70, np.int64(3)):
+        single.reset(seed=seed)
+        vector.reset(seed=seed)
+    with pytest.raises(UserError, match=r"the action must have shape \(.,\), not \(1,\)"):
+        single.step([0.0])
     with pytest.raises(UserError, match="the action must be an array of real numbers"):
         single.step(["up", "down"])
     for wrong in (0.0, float("nan"), float("inf"), "small"):
@@ -227,6 +248,42 @@ def test_episode_ends_after_300_steps_by_truncation(task):
     for k in range(300):
         *_, terminated, truncated, _ = env.step(np.zeros(SIZES[task][1]))
         assert (terminated, truncated) == (False, k == 299)
+
+
+def test_tensors_are_actions_but_for_those_with_a_gradient(task):
+    zero = torch.zeros(SIZES[task][1])
+    for env, action in (
+        (gym.make(IDS[task], plant="analytic"), zero),
+        (make_vec(task=task), zero.expand(3, -1)),
+        (vec_env(task=task), zero.expand(3, -1)),
+    ):
+        env.reset()
+        env.step(action)
+        with pytest.raises(UserError, match=r"real numbers; of a tensor give tensor\.detach\(\)"):
+            env.step(action.clone().requires_grad_())
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("plant", ["analytic", "mujoco"])
+def test_copies_of_environments_go_on_alike(plant, copied):
+    """Through the restarts of their episodes; a copy draws its own pictures."""
+    single = gym.make(IDS["landing"], plant=plant, history=2, **PICTURE)
+    for env, ones in (
+        (single, np.ones(2)),
+        (make_vec(plant=plant), np.ones((3, 2))),
+        (vec_env(plant=plant), np.ones((3, 2))),
+    ):
+        env.reset()
+        env.step(ones)
+        env.render() if env is single else None
+        other = copied(env)
+        np.testing.assert_array_equal(env.step(ones)[0], other.step(ones)[0])
+        first, second = env.reset(), other.reset()
+        np.testing.assert_array_equal(
+            *((first[0], second[0]) if isinstance(first, tuple) else (first, second))
+        )
+    np.testing.assert_array_equal(single.render(), copied(single).render())
+    single.close()
 
 
 # --- Gymnasium, many vehicles ------------------------------------------------------------------------
@@ -259,6 +316,24 @@ def test_vector_seeds():
     np.testing.assert_array_equal(a.reset(seed=4)[0], b.reset(seed=4)[0])
     np.testing.assert_array_equal(a.reset()[0], b.reset()[0])
     assert not np.array_equal(a.reset(seed=5)[0], b.reset(seed=6)[0])
+
+
+def test_a_list_of_seeds_and_a_limit_of_steps_are_those_of_single_environments():
+    """As Gymnasium's own vector, through the restarts."""
+    options = {"num_envs": 3, "plant": "analytic", "max_episode_steps": 10}
+    theirs = gym.make_vec(IDS["landing"], vectorization_mode="sync", **options)
+    ours = gym.make_vec(IDS["landing"], autoreset_mode="NextStep", **options)
+    for seed in ([4, 5, 4], None, (6, None, 7)):
+        np.testing.assert_array_equal(theirs.reset(seed=seed)[0], ours.reset(seed=seed)[0])
+        for _ in range(12):
+            for a, b in zip(theirs.step(np.zeros((3, 2)))[:4], ours.step(np.zeros((3, 2)))[:4]):
+                np.testing.assert_array_equal(a, b)
+    one = gym.make_vec(IDS["landing"], plant="mujoco", plant_options={"disturbance": 0})
+    single = gym.make(IDS["landing"], plant="mujoco", plant_options={"disturbance": 0})
+    one.reset(seed=[3])
+    single.reset(seed=3)
+    for _ in range(5):
+        np.testing.assert_array_equal(one.step(np.zeros((1, 2)))[0][0], single.step(np.zeros(2))[0])
 
 
 def test_finished_episodes_restart_in_the_same_step():
@@ -369,6 +444,11 @@ def test_vecenv_attributes():
     env.set_attr("reward_scale", 0.5)
     assert env.reward_scale == 0.5
     env.close()
+
+
+def test_what_is_no_batch_is_refused():
+    with pytest.raises(UserError, match="BatchVecEnv takes a BatchEnv, as make_batch gives, not"):
+        BatchVecEnv(make_vec())
 
 
 def test_ppo_learns_from_it_and_evaluates_on_it(task):

@@ -1,7 +1,12 @@
 """Both plants: full-state resets, replays, contact with the platform, and the batch itself."""
 
+import copy
 import functools
+import gc
 import math
+import multiprocessing
+import pickle
+import threading
 
 import mujoco
 import numpy as np
@@ -11,6 +16,7 @@ from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant, make_plant
 from inclined_landing.models.plants.mujoco import contact_sensors
@@ -436,7 +442,9 @@ def test_kinematic_mode_lets_go_after_contact():
     ({"control_period": 0.0}, "control_period must be positive, not 0.0"),
     ({"control_period": 0.002}, "control period 0.002 s is not a whole number of time steps of 0.004 s"),
     ({"keep_out": math.nan}, "keep_out must not be negative, it is nan"),
-    ({"n": 0}, "at least one vehicle, not 0"),
+    ({"n": 0}, "a whole number of vehicles, at least one, not 0"),
+    ({"n": "64"}, "a whole number of vehicles, at least one, not '64'"),
+    ({"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
 ])  # fmt: skip
 def test_wrong_options_of_the_mujoco_plant(options, sentence):
     with pytest.raises(UserError, match=sentence):
@@ -447,7 +455,7 @@ def test_wrong_options_of_the_mujoco_plant(options, sentence):
     ({"substeps": 0}, "substeps must be at least 1, not 0"),
     ({"attitude": ""}, "attitude must be 'rate_loop' or 'kinematic'"),
     ({"keep_out": -1.0}, "keep_out must not be negative"),
-    ({"n": -3}, "at least one vehicle, not -3"),
+    ({"n": -3}, "at least one, not -3"),
 ])  # fmt: skip
 def test_wrong_options_of_the_analytic_plant(options, sentence):
     with pytest.raises(UserError, match=sentence):
@@ -514,3 +522,91 @@ def test_a_turned_platform_is_the_same_platform(kind):
         if not touched[-1].any():
             assert np.abs(local - local[0]).max() < 1e-6
     assert np.any(touched) and (np.array(touched) == np.array(touched)[:, :1]).all()
+
+
+# --- copies and forks --------------------------------------------------------------------------------
+
+COPIES = [copy.deepcopy, lambda plant: pickle.loads(pickle.dumps(plant))]
+
+
+def flown(kind, moving=False):
+    """A plant with everything that a copy could forget, after a few steps."""
+    pool = [V.changed(body_mass=0.028), V.changed(effects_thrust_delay=0.013, effects_mocap_delay=0.02)]
+    options = {} if kind == "analytic" else {"threads": 2, "moving": moving}
+    plant = make_plant(kind, 4, V, pool=pool, disturbance=3, **options)
+    plant.assign(np.arange(4), [0, 1, 2, 0])
+    plant.set_platform(np.arange(4), V.platform_inclination + plant.tilt)
+    if moving:
+        waves = Motion.still(4)
+        waves.amplitude[:], waves.frequency[:] = 0.02, 3.0
+        plant.set_motion(np.arange(4), waves)
+    plant.reset(np.arange(4), np.concatenate([on_slab(0.001), random_states(3)]))
+    plant.perturb(mass_scale=1.1, thrust_scale=0.9)
+    if kind != "analytic":
+        plant.set_contact([0, 2], friction=0.3, foot_height=0.02)
+    history(plant, random_commands(6, 4))
+    return plant
+
+
+@pytest.mark.parametrize("copied", COPIES, ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("kind", ["analytic", "hybrid", "mujoco", "moving mujoco", "moving hybrid"])
+def test_copies_go_on_alike_and_leave_each_other_alone(kind, copied):
+    plant = flown(kind.split()[-1], kind.startswith("moving"))
+    other, commands = copied(plant), random_commands(10, 4, seed=1)
+    before = plant.save()
+    went = history(other, commands)
+    other.reset(np.arange(4), random_states(4, seed=2))
+    for name, array in plant.save().arrays.items():
+        np.testing.assert_array_equal(array, before.arrays[name])
+    assert_same(history(plant, commands), went)
+    other.restore(before)
+    assert_same(history(other, commands), went)
+
+
+def in_a_fork(work) -> int | None:
+    """Return the exit code of a forked child that does `work`; None if it had not ended after 20 s."""
+    child = multiprocessing.get_context("fork").Process(target=work)
+    child.start()
+    child.join(20)
+    ended = child.exitcode
+    child.kill()
+    return ended
+
+
+@pytest.mark.parametrize("kind", ["hybrid", "mujoco"])
+def test_a_forked_process_goes_on_as_its_parent(kind):
+    plant, commands = flown(kind), random_commands(10, 4, seed=1)
+    went = history(copy.deepcopy(plant), commands)
+
+    def go_on():
+        assert_same(history(plant, commands), went)
+
+    def fork_once_more():
+        assert in_a_fork(go_on) == 0
+        go_on()
+        assert in_a_fork(lambda: plant.step(commands[0])) == 0
+
+    def forget():  # the engine's end would wait for its threads
+        vars(plant).clear()
+        gc.collect()
+
+    for work in (go_on, fork_once_more, forget):
+        assert in_a_fork(work) == 0, work
+    assert_same(history(plant, commands), went)
+
+
+def test_a_fork_waits_for_the_calls_of_other_threads():
+    plant, ended = MujocoPlant(64, threads=2), threading.Event()
+
+    def fly():
+        while not ended.is_set():
+            plant.step(np.zeros((64, 4)))
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    try:
+        for _ in range(3):
+            assert in_a_fork(lambda: plant.step(np.zeros((64, 4)))) == 0
+    finally:
+        ended.set()
+        thread.join()

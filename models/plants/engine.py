@@ -1,0 +1,82 @@
+"""`Engine`: a `mujoco.batch.Batch` that can be copied and pickled, and knows when a fork took its threads.
+
+Threads do not survive a fork. In the child the engine's next call would wait for them for ever, and so would
+its end: there a lost engine is kept in memory until the process ends, and a copy takes over from it. A fork
+waits for the calls of other threads, so that no engine is copied in the middle of one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import weakref
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+_engines: weakref.WeakSet[Engine] = weakref.WeakSet()
+_forking = threading.Lock()
+_held: list[Engine] = []  # during a fork
+
+
+class Engine(mujoco.batch.Batch):
+    """n simulations of a model on some threads.
+
+    lost: is this a forked process, in which the threads are missing. A copy has threads of its own.
+    """
+
+    def __init__(self, model: mujoco.MjModel, n: int, threads: int):
+        super().__init__(model, n, threads)
+        self.lost = False
+        self.calling = threading.Lock()
+        _engines.add(self)
+
+    def rollout(self, *arguments, **options):
+        """See `mujoco.batch.Batch.rollout`."""
+        with self.calling:
+            return super().rollout(*arguments, **options)
+
+    def set_const(self, *arguments, **options) -> None:
+        """See `mujoco.batch.Batch.set_const`."""
+        with self.calling:
+            super().set_const(*arguments, **options)
+
+    def __reduce__(self):
+        fields = {name: self.expanded(name) for name in mujoco.batch.MODEL_FIELDS}
+        fields = {name: np.array(values) for name, values in fields.items() if values is not None}
+        return _copied, (self.model, self.nsim, self.nthread, self.state, self.warning, fields)
+
+
+def _copied(model, n: int, threads: int, state: np.ndarray, warning: np.ndarray, fields: dict) -> Engine:
+    """Return an engine in the states (n, s) of another, with its warnings and its simulations' own fields."""
+    engine = Engine(model, n, threads)
+    engine.state[:], engine.warning[:] = state, warning
+    for name, values in fields.items():
+        engine.expand(name)[:] = values
+    return engine
+
+
+def _hold() -> None:
+    _forking.acquire()
+    _held[:] = _engines
+    for engine in _held:
+        engine.calling.acquire()
+
+
+def _release() -> None:
+    for engine in _held:
+        engine.calling.release()
+    _held.clear()
+    _forking.release()
+
+
+def _lose() -> None:
+    for engine in _engines:
+        engine.lost = True
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(engine))
+    _release()
+
+
+os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_lose)
