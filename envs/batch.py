@@ -38,6 +38,17 @@ def as_floats(value, what: str) -> np.ndarray:
     raise UserError(f"{what} must be an array of real numbers{remedy}")
 
 
+def reset_option(options, name: str, known: tuple[str, ...]):
+    """Return the entry `name` of the options of `reset`, or None; raise UserError for unknown ones."""
+    options = {} if options is None else options
+    if not isinstance(options, dict):
+        raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
+    for key in options:
+        if key not in known:
+            raise UserError(f"reset has no option {shown(repr(key), 40)}; it has {' and '.join(known)}")
+    return options.get(name)
+
+
 def check_seed(seed) -> None:
     """Raise UserError unless `seed` is a non-negative integer or None."""
     if seed is not None and not (is_whole(seed) and seed >= 0):

@@ -47,7 +47,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import as_floats, check_seed, is_whole
+from inclined_landing.envs.batch import as_floats, check_seed, is_whole, reset_option
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
@@ -56,17 +56,6 @@ from inclined_landing.models.errors import UserError, shown
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset
 _METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
-
-
-def _reset_option(options, name: str, known: tuple[str, ...]):
-    """Return the entry `name` of the options of `reset`, or None; raise UserError for unknown ones."""
-    options = {} if options is None else options
-    if not isinstance(options, dict):
-        raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
-    for key in options:
-        if key not in known:
-            raise UserError(f"reset has no option {shown(repr(key), 40)}; it has {' and '.join(known)}")
-    return options.get(name)
 
 
 def _seeds(seed, n: int) -> list[int | None] | None:
@@ -130,7 +119,7 @@ class TaskEnv(gym.Env):
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Return (observation, info) of a new episode, at random or from `options["state"]`."""
-        state = _reset_option(options, "state", ("state",))
+        state = reset_option(options, "state", ("state",))
         check_seed(seed)
         super().reset(seed=None if seed is None else int(seed))
         self.batch.draw_from(self.np_random)
@@ -264,7 +253,7 @@ class TaskVectorEnv(VectorEnv):
 
         seed: of all vehicles, or n of them, of which a None leaves a vehicle's random numbers as they are.
         """
-        state, mask = (_reset_option(options, name, _RESET) for name in _RESET)
+        state, mask = (reset_option(options, name, _RESET) for name in _RESET)
         each = _seeds(seed, self.num_envs)
         one = seed if each is None else None
         ids = np.arange(self.num_envs)

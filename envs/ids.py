@@ -6,27 +6,29 @@ plugins, cost nothing. A Gymnasium that comes later gets the ids at its own impo
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from types import ModuleType
+
+from inclined_landing.models import imports
 
 # A task's name, which is that of its module in `tasks/`, and its class.
 TASK_CLASSES = {"landing": "InclinedLanding", "setpoint": "Setpoint", "touchdown": "InclinedTouchdown"}
 IDS = tuple(f"{name}-v0" for name in TASK_CLASSES.values())
 
 _ENVIRONMENTS = "inclined_landing.envs.gym_env"
-_REGISTRATION = "gymnasium.envs.registration"
 
 
 def announce() -> None:
-    """Register the ids with Gymnasium, now or when it is imported; do nothing the second time."""
-    if _REGISTRATION in sys.modules:
-        _register(sys.modules[_REGISTRATION])
-    elif not any(isinstance(finder, _Waiting) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Waiting())
+    """Register the ids with Gymnasium, now or when it is imported; do nothing the second time.
+
+    The first thing done at `import inclined_landing`: from here on MuJoCo and numba get along without what an
+    installation lacks, too.
+    """
+    imports.adapt()
+    imports.around_import("gymnasium.envs.registration", _register)
 
 
-def _register(registration: ModuleType) -> None:
+def _register(execute: imports.Execute, registration: ModuleType) -> None:
+    execute(registration)
     for name in TASK_CLASSES.values():
         if f"{name}-v0" not in registration.registry:
             registration.register(
@@ -34,23 +36,3 @@ def _register(registration: ModuleType) -> None:
                 entry_point=f"{_ENVIRONMENTS}:{name}Env",
                 vector_entry_point=f"{_ENVIRONMENTS}:{name}VectorEnv",
             )
-
-
-class _Waiting:
-    """Import hook that registers the ids once Gymnasium's registration has been executed."""
-
-    def find_spec(self, name, path=None, target=None):
-        if name != _REGISTRATION or self not in sys.meta_path:
-            return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
-        if spec is None or spec.loader is None:
-            return spec
-        execute = spec.loader.exec_module
-
-        def execute_and_register(module: ModuleType) -> None:
-            execute(module)
-            _register(module)
-
-        spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
-        return spec

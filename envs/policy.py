@@ -42,6 +42,7 @@ SHIPPED = tuple(
 )
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
+_NORMALISATION = "normalisation"  # entry of the metadata: what a VecNormalize did, or null if nothing
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
 
@@ -239,7 +240,10 @@ def load_policy(
     vehicle = None if vehicle is None else as_vehicle(vehicle)
     path = locate(path)
     file = weights.read_file(path)
-    metadata, network = _checked(file.metadata, path), _actor(file.tensors, file.header, path)
+    metadata = _checked(file.metadata, path)
+    _check_header(file.header, metadata, path)
+    network = _actor(file.tensors, file.header, path)
+    network |= _normalisation(metadata, network["limit"], path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
@@ -417,28 +421,112 @@ def _shallow(value, levels: int) -> bool:
     return True
 
 
+# What Stable-Baselines3's header may name, so that the network is what its tensors say: modules of policies,
+# features extractors, activations, and the bounds of actions.
+_POLICIES = (
+    r"stable_baselines3\.(common|sac|td3|ppo|a2c|ddpg)\.policies|sb3_contrib\.(common|tqc|trpo)\.policies"
+)
+_EXTRACTORS = (
+    r"<class '(stable_baselines3\.[\w.]+\.FlattenExtractor|inclined_landing\.[\w.]+\.ScaledObservation)'>"
+)
+_ACTIVATION = "<class 'torch.nn.modules.activation."
+_BOUNDS = {"low": r"-1(\.0*)?", "high": r"1(\.0*)?"}
+# Tensors that are read, or that no action without noise depends on.
+_TENSORS = (
+    r"((pi_|vf_)?features_extractor|mlp_extractor\.(policy|value)_net|action_net|value_net|log_std"
+    r"|actor(_target)?\.(features_extractor|latent_pi|mu|log_std)|critic(_target)?)(\.|$)"
+)
+
+
+def _check_header(header: dict, metadata: dict, path: Path) -> None:
+    """Raise UserError where a policy computes what the tensors do not say, by SB3's header."""
+
+    def entry(name: str) -> dict:
+        value = header.get(name)
+        return value if isinstance(value, dict) else {}
+
+    # Algorithms with a replay buffer write a last observation in any case.
+    on_policy = "gae_lambda" in header
+    if on_policy and header.get("_last_original_obs") is not None and _NORMALISATION not in metadata:
+        raise UserError(
+            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load it with "
+            "them, PPO.load(file, env=VecNormalize.load(statistics, env)), and save it with save_policy"
+        )
+    module = entry("policy_class").get("__module__")
+    if module is not None and not re.fullmatch(_POLICIES, str(module)):
+        raise UserError(
+            f"policy {path} is of a class in {shown(module, 60)}, which may compute anything; only those of "
+            "Stable-Baselines3's MlpPolicy are evaluated"
+        )
+    extractor = entry("policy_kwargs").get("features_extractor_class")
+    if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):
+        raise UserError(
+            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; only "
+            "FlattenExtractor and this package's ScaledObservation are evaluated"
+        )
+    space = entry("observation_space").get(":type:")
+    if space is not None and not str(space).endswith(".Box'>"):
+        raise UserError(f"policy {path} observes a {shown(space, 60)}, where only a Box is read")
+    for end, one in _BOUNDS.items():
+        bounds = str(entry("action_space").get(end, "")).strip("[]").split()
+        if not all(re.fullmatch(one, bound) for bound in bounds):
+            raise UserError(
+                f"policy {path} was trained on actions that are not from -1 to 1; train on those of the task"
+            )
+
+
+def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
+    """Return the fields of `Policy` that stand for the statistics of a VecNormalize, where there was one.
+
+    limit: of the network's own scaling; infinite without one.
+    """
+    given = metadata.get(_NORMALISATION)
+    if given is None:
+        return {}
+    if limit < np.inf:
+        raise UserError(f"policy {path} scales its observations twice, by VecNormalize and by its extractor")
+    try:
+        centre, scale = (np.array(given[name], float) for name in ("centre", "scale"))
+        limit = np.inf if given["limit"] is None else float(given["limit"])
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        raise UserError(
+            f"policy {path}: {_NORMALISATION} in its {METADATA} has no centre, scale and limit"
+        ) from error
+    return {"centre": centre, "scale": scale, "limit": limit}
+
+
 # Which tensors make up the actor that answers without noise: of PPO and A2C, of SAC, of TD3 and DDPG.
 _KINDS = (
-    # marker, extractor, hidden layers, output, activation by default, squashed
+    # begin of the marker, extractor, hidden layers, output, activation by default, squashed
     ("log_std", "features_extractor.", "mlp_extractor.policy_net.", "action_net", "Tanh", False),
-    ("actor.latent_pi.0.weight", "actor.features_extractor.", "actor.latent_pi.", "actor.mu", "ReLU", True),
+    ("actor.log_std", "actor.features_extractor.", "actor.latent_pi.", "actor.mu", "ReLU", True),
     ("actor.mu.0.weight", "actor.features_extractor.", "actor.mu.", None, "ReLU", True),
 )
-_HARD_LIMIT = 2.0  # of SAC's mean with state-dependent exploration, before tanh
+_CLIP_MEAN = 2.0  # SAC's default limit of the mean with state-dependent exploration, before tanh
 
 
-def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
+def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
     """Return the fields of `Policy` that make up the network."""
     refused = UserError(
         f"policy {path} is not a PPO, SAC or TD3 policy with a plain network and continuous actions"
     )
-    kind = next((kind for kind in _KINDS if kind[0] in tensors), None)
+    kind = next((kind for kind in _KINDS if any(name.startswith(kind[0]) for name in tensors)), None)
     if kind is None:
         raise refused
     _, scaling, hidden, output, activation, squashed = kind
+    unknown = next((name for name in tensors if not re.match(_TENSORS, name)), None)
+    if unknown is not None:
+        raise UserError(
+            f"policy {path} has {shown(unknown, 60)} in its network, where only dense layers are evaluated"
+        )
+    options = header.get("policy_kwargs") or {}
+    if not isinstance(options, dict):
+        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
     bound = np.inf
     if output is not None and f"{output}.0.weight" in tensors:
-        output, bound = f"{output}.0", _HARD_LIMIT
+        output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)
+        if not (isinstance(bound, (int, float)) and bound > 0):
+            raise UserError(f"policy {path}: clip_mean in its policy_kwargs is {shown(bound, 40)}")
     numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
     extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
     plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)
@@ -455,20 +543,16 @@ def _actor(tensors: dict[str, np.ndarray], data: dict, path: Path) -> dict:
         "limit": _LIMIT if scaled else np.inf,
         "weights": matrices,
         "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
-        "activation": _activation(data, path, activation),
-        "squashed": squashed,
-        "bound": bound,
+        "activation": _activation(options.get("activation_fn"), activation, path),
+        "squashed": squashed or options.get("squash_output") is True,  # of PPO with `use_sde`
+        "bound": float(bound),
     }
 
 
-def _activation(data: dict, path: Path, usual: str) -> str:
+def _activation(named: Any, usual: str, path: Path) -> str:
     """Return the activation named in SB3's header, one of those that `Policy` evaluates."""
-    options = data.get("policy_kwargs") or {}
-    activation = options.get("activation_fn", usual) if isinstance(options, dict) else None
-    if not isinstance(activation, str):
-        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
-    activation = activation.rstrip("'>").rpartition(".")[2]
-    if activation not in _ACTIVATIONS or options.get("squash_output") in (True, "True"):
+    activation = usual if named is None else str(named).removeprefix(_ACTIVATION).removesuffix("'>")
+    if activation not in _ACTIVATIONS:
         raise UserError(
             f"policy {path} has a network this package cannot evaluate "
             f"(activation {shown(activation, 40)}; known are {' and '.join(_ACTIVATIONS)})"

@@ -312,7 +312,7 @@ def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
         isinstance(size, tuple)
         and isinstance(stride, tuple)
         and len(size) == len(stride) <= _DIMENSIONS
-        and all(type(k) is int and k >= 0 for k in (*size, *stride, offset))
+        and all(type(k) is int and 0 <= k <= LARGEST for k in (*size, *stride, offset))
     )
     if not valid:
         raise UserError(f"{label} has a shape that is none")

@@ -192,6 +192,7 @@ def restore(model: PPO, env: BatchVecEnv, numbers: dict, arrays: dict[str, np.nd
     environment would have written.
     """
     batch = env.env
+    batch.reset()  # which makes room for the waves of moving platforms
     moments = _check_arrays(model, env, arrays)
     _check_numbers(numbers)
 

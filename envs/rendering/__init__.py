@@ -9,6 +9,8 @@ own renderer. "auto" takes OpenGL where it runs on hardware, rays otherwise.
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View, look_at
@@ -65,15 +67,14 @@ def make_renderer(
     Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
     """
     check_picture_options(width, height, camera, backend)
-    if backend == "auto":
-        from inclined_landing.envs.rendering.gl import lost, probe
+    if backend != "ray":
+        from inclined_landing.envs.rendering.gl import GLRenderer, probe
 
-        on_hardware = not isinstance(camera, View) and probe().hardware and not lost()
-        backend = "gl" if on_hardware else "ray"
-    if backend == "gl":
-        from inclined_landing.envs.rendering.gl import GLRenderer
-
-        return GLRenderer(vehicle, width, height, camera, scale)
+        if backend == "gl":
+            return GLRenderer(vehicle, width, height, camera, scale)
+        if not isinstance(camera, View) and probe().hardware:
+            with contextlib.suppress(UserError):  # a device that does not start, or not after a fork
+                return GLRenderer(vehicle, width, height, camera, scale)
     from inclined_landing.envs.rendering.ray import RayRenderer
 
     return RayRenderer(vehicle, width, height, camera, scale)

@@ -24,7 +24,10 @@ from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Vehicle
 
-_REMEDY = "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), or use backend='ray'"
+_REMEDY = (
+    "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), unset MUJOCO_GL and "
+    "PYOPENGL_PLATFORM, or use backend='ray'"
+)
 _LOST = (
     "OpenGL does not survive a fork, and this process was forked from one that had used it: start it with "
     "'spawn', or use backend='ray'"
@@ -89,21 +92,29 @@ def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
 
 @functools.cache
 def probe() -> Probe:
-    """Return which OpenGL there is, without touching MuJoCo's: EGL first, then OSMesa."""
-    missing = []
-    egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
-    if egl is None:
-        missing.append("libEGL")
-    if gl is None:
-        missing.append("libGL")
-    if egl is not None and gl is not None:
-        devices = _egl_devices(egl)
-        if devices:
-            return Probe("egl", any(devices), "")
-        missing.append("an EGL device")
-    if _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
-        return Probe("osmesa", False, "")
-    return Probe("", False, " and ".join([*missing, "libOSMesa"]))
+    """Return which OpenGL there is, without touching MuJoCo's: EGL first, then OSMesa.
+
+    Where PYOPENGL_PLATFORM names one, as it does once MuJoCo has loaded that of MUJOCO_GL, there is no other.
+    """
+    wanted, missing = os.environ.get("PYOPENGL_PLATFORM", "").lower(), []
+    if wanted in ("", "egl"):
+        egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
+        if egl is None:
+            missing.append("libEGL")
+        if gl is None:
+            missing.append("libGL")
+        if egl is not None and gl is not None:
+            devices = _egl_devices(egl)
+            if devices:
+                return Probe("egl", any(devices), "")
+            missing.append("an EGL device")
+    if wanted in ("", "osmesa"):
+        if _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
+            return Probe("osmesa", False, "")
+        missing.append("libOSMesa")
+    return Probe(
+        "", False, " and ".join(missing) or "an OpenGL without a window that PYOPENGL_PLATFORM allows"
+    )
 
 
 def _context(width: int, height: int):
@@ -122,7 +133,7 @@ def _context(width: int, height: int):
         context = GLContext(width, height)
         context.make_current()
         _process = os.getpid()
-    except (ImportError, RuntimeError) as error:
+    except Exception as error:  # PyOpenGL's where a library or a device lacks something, of many types
         raise UserError(f"OpenGL rendering failed to start ({error}): {_REMEDY}.") from error
     return context
 

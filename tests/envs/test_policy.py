@@ -9,14 +9,25 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+)
 
-from inclined_landing.envs import policy
+from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, save_policy, weights
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.make import make_for
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
+NAME = "inclined_landing.envs:InclinedLanding-v0"  # imported in other processes too
 METADATA = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
 
 
@@ -293,3 +304,132 @@ def test_make_for_gives_a_policy_the_environment_it_was_trained_for():
         make_for("landing", slope=-0.2)
     with pytest.raises(UserError, match=r"policy nothing\.zip does not exist"):
         make_for("nothing.zip")
+
+
+class Doubled(BaseFeaturesExtractor):
+    """An extractor without parameters."""
+
+    def __init__(self, space):
+        super().__init__(space, space.shape[0])
+
+    def forward(self, observations):
+        return 2.0 * observations
+
+
+class OwnPolicy(ActorCriticPolicy):
+    """A policy of one's own, which could compute anything."""
+
+
+class Told(gym.ObservationWrapper):
+    """A wrapper of one's own."""
+
+    def observation(self, observation):
+        return -observation
+
+
+def vehicles(count=4):
+    return BatchVecEnv(make_batch("landing", count, plant="analytic", seed=0))
+
+
+def learner(env) -> PPO:
+    return PPO("MlpPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
+
+
+@pytest.mark.parametrize("options", [{}, {"clip_obs": 0.7, "epsilon": 0.1}, {"norm_obs": False}])
+def test_a_policy_behind_vecnormalize_takes_its_statistics_along(tmp_path, options):
+    env = VecNormalize(VecMonitor(vehicles()), **options)
+    network = learner(env).learn(64)
+    env.training = False  # or the next reset moves the statistics
+    save_policy(network, tmp_path / "mine")
+    raw = env.unnormalize_obs(env.reset()) if options.get("norm_obs", True) else env.reset()
+    raw = np.random.default_rng(0).normal(raw, 1.0).astype(np.float32)
+    expected = network.predict(env.normalize_obs(raw), deterministic=True)[0]
+    loaded = load_policy(tmp_path / "mine.zip")
+    assert np.abs(loaded.predict(raw) - expected).max() < 1e-5  # float32 of the network
+    network.save(tmp_path / "plain.zip")
+    with pytest.raises(UserError, match=r"trained behind VecNormalize .* save_policy\(model, path\)"):
+        load_policy(tmp_path / "plain.zip", "landing")
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_models_of_single_environments_are_saved(tmp_path, kind):
+    env = kind([lambda: Monitor(gym.make(NAME, inclination=-0.3)) for _ in range(2)])
+    save_policy(learner(env), tmp_path / "mine.zip")
+    env.close()
+    assert load_policy(tmp_path / "mine.zip").task.options["inclination"] == pytest.approx(-0.3)
+
+
+@pytest.mark.parametrize(
+    "make, name",
+    [
+        (lambda: VecFrameStack(vehicles(), 2), "VecFrameStack"),
+        (lambda: VecNormalize(VecNormalize(vehicles())), "VecNormalize"),
+        (lambda: Told(gym.make("InclinedLanding-v0")), "Told"),
+        (lambda: gym.wrappers.RescaleAction(gym.make("InclinedLanding-v0"), -2, 2), "RescaleAction"),
+        (lambda: Spaces(5, 2), "not trained on an environment of this package"),
+    ],
+)
+def test_wrappers_that_a_policy_file_cannot_hold_are_named(tmp_path, make, name):
+    with pytest.raises(UserError, match=name):
+        save_policy(learner(make()), tmp_path / "mine.zip")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_model_that_is_none_is_refused(tmp_path):
+    with pytest.raises(UserError, match="takes a Stable-Baselines3 model, not None"):
+        save_policy(None, tmp_path / "mine.zip")
+
+
+@pytest.mark.parametrize(
+    "kind, name", [("extractor", "extractor .*Doubled"), ("class", "class in .*test_policy")]
+)
+def test_networks_that_the_tensors_do_not_tell_are_refused_by_name(tmp_path, kind, name):
+    if kind == "class":
+        network = PPO(OwnPolicy, Spaces(5, 2), device="cpu")
+    else:
+        network = model(features_extractor_class=Doubled)
+    with pytest.raises(UserError, match=name):
+        load_policy(saved(tmp_path / "mine.zip", network))
+
+
+def test_actions_of_other_bounds_are_refused(tmp_path):
+    env = Spaces(5, 2)
+    env.action_space = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
+    with pytest.raises(UserError, match="other bounds than -1 to 1"):
+        load_policy(saved(tmp_path / "mine.zip", PPO("MlpPolicy", env, device="cpu")))
+
+
+def test_start_states_of_a_vector_environment():
+    """As `reset(options={"state": ...})` of a single environment; later resets are random again."""
+    env, other = vehicles(3), make_batch("landing", 3, plant="analytic", seed=9)
+    expected = other.reset()
+    states = other.plant.state.copy()
+    for options in ({"state": states}, [{"state": state} for state in states]):
+        env.set_options(options)
+        assert np.array_equal(env.reset(), expected)
+    env.set_options([{"state": states[0]}, {}, {}])
+    mixed = env.reset()
+    assert np.array_equal(mixed[0], expected[0]) and not np.array_equal(mixed[1], expected[1])
+    assert not np.array_equal(env.reset()[0], expected[0])
+    for wrong in ({"start": states}, {"state": states[:2]}, [{}] * 2, 3):
+        with pytest.raises(UserError):
+            env.set_options(wrong)
+
+
+def test_what_all_vehicles_share_is_not_set_for_one():
+    env = vehicles(3)
+    env.set_attr("reward_scale", 2.0)
+    assert env.get_attr("reward_scale") == [2.0] * 3
+    for act in (lambda: env.set_attr("reward_scale", 7.0, [0]), lambda: env.env_method("reset", indices=1)):
+        with pytest.raises(UserError, match="leave indices out"):
+            act()
+    with pytest.raises(AttributeError):
+        env.set_attr("gravity", 3.0)
+    assert env.get_attr("reward_scale") == [2.0] * 3
+
+
+@pytest.mark.parametrize("size, stride", [((1, 5), (2**62, 1)), ((2**62,), (0,)), ((2,), (2**80,))])
+def test_tensors_larger_than_any_file_are_refused(size, stride):
+    tensor = weights._Tensor(weights._Storage("torch FloatStorage", "0", 8), 0, size, stride)
+    with pytest.raises(UserError, match=r"a shape that is none|beyond its numbers"):
+        weights._array(tensor, np.zeros(8, np.float32), "its tensor w")

@@ -89,6 +89,8 @@ KINDS = {
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},
     "landing with a history": {"task": "landing", "history": 3},
+    "platforms that travel": {"task": "landing", "dimensions": 3, "fastest": 1.0},
+    "platforms that heave": {"task": "landing", "dimensions": 3, "fastest": 1.0, "swell": 1.0},
 }
 
 
