@@ -44,15 +44,17 @@ def firmware_values(log: FlightLog) -> dict[str, np.ndarray]:
     }
 
 
-def sd_card(values: dict[str, np.ndarray], t: np.ndarray, version: int, slow: dict[str, float]) -> bytes:
-    """A micro-SD log: `values` at fixed frequency, and an event `slow` with each tenth row."""
+def sd_card(
+    values: dict[str, np.ndarray], t: np.ndarray, version: int, slow: dict[str, float], number: int = 3
+) -> bytes:
+    """A micro-SD log: `values` at fixed frequency, and an event `slow` of that number with each tenth row."""
 
     def names(variables) -> bytes:
         return b"".join(f"{name}(f)".encode() + b"\0" for name in variables)
 
     data = struct.pack("<BHH", 0xBC, version, 2)
     data += struct.pack("<H", 0xFFFF) + b"fixedFrequency\0" + struct.pack("<H", len(values)) + names(values)
-    data += struct.pack("<H", 3) + b"slow\0" + struct.pack("<H", len(slow)) + names(slow)
+    data += struct.pack("<H", number) + b"slow\0" + struct.pack("<H", len(slow)) + names(slow)
     stamp = (
         (lambda s: struct.pack("<I", round(1e3 * s)))
         if version == 1
@@ -62,7 +64,9 @@ def sd_card(values: dict[str, np.ndarray], t: np.ndarray, version: int, slow: di
         row = [column[i] for column in values.values()]
         data += struct.pack("<H", 0xFFFF) + stamp(5 + time) + struct.pack(f"<{len(row)}f", *row)
         if i % 10 == 0:
-            data += struct.pack("<H", 3) + stamp(5 + time) + struct.pack(f"<{len(slow)}f", *slow.values())
+            data += (
+                struct.pack("<H", number) + stamp(5 + time) + struct.pack(f"<{len(slow)}f", *slow.values())
+            )
     return data + struct.pack("<I", zlib.crc32(data))
 
 

@@ -240,7 +240,8 @@ def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: boo
     if not quaternion and not any(key in channels for key in ("roll", "pitch")):
         lacking = ", ".join(key for key in attitude if key not in channels)
         raise UserError(
-            f"{path}: no attitude column {lacking}; roll, pitch, yaw or qw, qx, qy, qz are needed"
+            f"{path}: no attitude column {lacking}; roll, pitch, yaw or qw, qx, qy, qz are needed, and where "
+            'they have other names, a mapping file says which is which, as qw = "q.3"'
         )
     if "cmd_thrust_pwm" not in channels:
         raise UserError(f"{path}: no thrust command column cmd_thrust_pwm; the model cannot be flown without")

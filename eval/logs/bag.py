@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from inclined_landing.eval.logs import mapping
-from inclined_landing.eval.logs.limits import LARGEST, MOST_ROWS
+from inclined_landing.eval.logs.limits import LARGEST, LONGEST, MOST_ROWS
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
 
+LATEST = 1.0  # s that a message may be recorded after its stamp, where other topics have none
 _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 
 
@@ -27,43 +28,102 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
     """Return the columns of a bag that match `patterns` (`topic:field.path`, `*` in the topic).
 
     A message is dated by the stamp in its header; without one, by when the bag received it, which is
-    noted. Raises UserError when the bag cannot be read, or a topic's messages lack the field.
+    noted. An element that an array lacks in some messages is NaN there. What cannot be read is `unreadable`,
+    each with its reason. Raises UserError when the bag cannot be opened.
     """
-    columns, times, notes = {}, {}, []
+    columns, clocks, unreadable = {}, {}, {}
+    notes: list[str] = []
     with _open_bag(path) as reader:
         fields_by_topic: dict[str, list[str]] = {}
         for pattern in dict.fromkeys(patterns):
             topic, _, field = pattern.partition(":")
-            found = mapping.find(sorted(reader.topics), topic, str(path)) if field else None
+            try:
+                found = mapping.find(sorted(reader.topics), topic, str(path)) if field else None
+            except UserError as error:  # of two vehicles, say
+                unreadable[pattern] = str(error).removeprefix(f"{path}: ")
+                continue
             if found is not None:
                 fields_by_topic.setdefault(found, []).append(field)
         for topic, fields in fields_by_topic.items():
-            stamps, received, rows = [], [], []
-            for message, timestamp in _messages(path, reader, topic):
-                try:
-                    rows.append([_field_value(message, field) for field in fields])
-                except (AttributeError, IndexError, TypeError, ValueError) as error:
-                    raise UserError(
-                        f"{path}: topic {topic} has no number {', '.join(fields)} ({_reason(error)})"
-                    ) from error
-                stamps.append(_header_time(message))
-                received.append(1e-9 * timestamp)
-            if not rows:
+            try:
+                stamps, received, values = _read_topic(reader, topic, fields)
+            except UserError as error:
+                unreadable |= {f"{topic}:{field}": str(error) for field in fields}
                 continue
-            stamped = all(stamps)
-            if not stamped:
-                notes.append(f"messages of {topic} have no stamp: dated by when they were recorded")
-            clock = np.array(stamps if stamped else received)
-            order = np.argsort(clock, kind="stable")
-            for field, values in zip(fields, np.array(rows, float)[order].T):
-                columns[f"{topic}:{field}"] = values
-                times[f"{topic}:{field}"] = clock[order]
-    return Record(str(path), columns, times=times, notes=tuple(notes))
+            if not len(received):
+                continue
+            clocks[topic] = stamps, received
+            for field, found in zip(fields, values):
+                if isinstance(found, str):
+                    unreadable[f"{topic}:{field}"] = found
+                else:
+                    columns[f"{topic}:{field}"] = found
+    dated = _date(clocks, notes)
+    times = {}
+    for column in columns:
+        clock = dated[column.partition(":")[0]]
+        order = np.argsort(clock, kind="stable")
+        columns[column], times[column] = columns[column][order], clock[order]
+    return Record(str(path), columns, times=times, unreadable=unreadable, notes=tuple(notes))
 
 
-def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
+def _read_topic(
+    reader: AnyReader, topic: str, fields: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray | str]]:
+    """Return the stamps and times of receipt (m,) of a topic's messages [s], and each field's values (m,).
+
+    A stamp is NaN where there is none; in place of a field without numbers stands why.
+    Raises UserError, without the path, for messages that cannot be decoded.
+    """
+    stamps, received = [], []
+    values: list[list[float]] = [[] for _ in fields]
+    wrong: dict[int, str] = {}
+    for message, timestamp in _messages(reader, topic):
+        stamps.append(_header_time(message))
+        received.append(1e-9 * timestamp)
+        for k, field in enumerate(fields):
+            if k in wrong:
+                continue
+            try:
+                values[k].append(_field_value(message, field))
+            except IndexError:  # fewer elements than in other messages: tracking was lost
+                values[k].append(np.nan)
+            except (AttributeError, TypeError, ValueError) as error:
+                kind = str(getattr(message, "__msgtype__", "a type of its own"))
+                wrong[k] = f"topic {topic} has no number {field} (of {shown(kind)}: {_reason(error)})"
+    found: list[np.ndarray | str] = [np.array(column, float) for column in values]
+    for k, field in enumerate(fields):
+        if k not in wrong and len(received) and "[" in field and np.isnan(found[k]).all():
+            wrong[k] = f"topic {topic} has no element {field} in any message"
+    return np.array(stamps), np.array(received), [wrong.get(k, column) for k, column in enumerate(found)]
+
+
+def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str]) -> dict[str, np.ndarray]:
+    """Return the times of each topic's messages (m,) [s], by topic: of their stamps, or of receipt."""
+    stamped = {
+        topic: bool((stamps > 0.0).all() and np.ptp(stamps) <= LONGEST)
+        for topic, (stamps, _) in clocks.items()
+    }
+    notes += [
+        f"messages of {topic} have no stamp: dated by when they were recorded"
+        for topic in clocks
+        if not stamped[topic]
+    ]
+    for topic, (stamps, received) in clocks.items():
+        apart = float(np.median(np.abs(stamps - received)))
+        if stamped[topic] and apart > LATEST and not all(stamped.values()):
+            stamped[topic] = False
+            notes.append(
+                f"stamps of {topic} are {apart:.3g} s from when they were recorded, by which others are "
+                "dated: so are these"
+            )
+    return {topic: clocks[topic][0 if stamped[topic] else 1] for topic in clocks}
+
+
+def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
     """Yield the messages of a topic and when the bag received them [ns]."""
     connections = [c for c in reader.connections if c.topic == topic]
+    kinds = ", ".join(sorted({c.msgtype for c in connections}))
     stored = reader.messages(connections=connections)
     for count in itertools.count(1):
         try:
@@ -71,12 +131,16 @@ def _messages(path: Path, reader: AnyReader, topic: str) -> Iterator[tuple[objec
             message = reader.deserialize(raw, connection.msgtype)
         except StopIteration:
             return
-        except Exception as error:
-            raise UserError(f"{path}: topic {topic} cannot be decoded ({_reason(error)})") from error
+        except Exception as error:  # rosbags raises any kind on damaged bytes
+            sentence = f"topic {topic} ({shown(kinds)}) cannot be decoded"
+            if any(c.msgtype not in reader.typestore.types for c in connections):
+                raise UserError(
+                    f"{sentence}: the bag has no definition of this type; `ros2 bag convert` to mcap adds "
+                    "it, where the type is installed"
+                ) from error
+            raise UserError(f"{sentence} ({_reason(error)})") from error
         if count > MOST_ROWS:
-            raise UserError(
-                f"{path}: topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out"
-            )
+            raise UserError(f"topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out")
         yield message, timestamp
 
 
@@ -86,14 +150,25 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
     folder = path.parent if path.suffix in (".mcap", ".db3") else path
     files = [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
     if path.suffix != ".bag" and folder / "metadata.yaml" not in files:
-        raise UserError(f"{path}: a ROS 2 bag is a folder with metadata.yaml; none is there")
+        stored = [path] if folder != path else [file for file in files if file.suffix in (".mcap", ".db3")]
+        if not stored:
+            raise UserError(f"{path}: a ROS 2 bag is a folder with metadata.yaml; none is there")
+        if len(stored) > 1:
+            raise UserError(
+                f"{path}: several files of ROS 2 bags without metadata.yaml; name one of them, or write it: "
+                f"`ros2 bag reindex {shown(folder.name)}`"
+            )
+        folder, files = stored[0], stored
     if sum(file.stat().st_size for file in files) > LARGEST:
         raise UserError(f"{path}: has more than {LARGEST:.3g} bytes; cut the flight out")
     try:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except Exception as error:
-        raise UserError(f"{path}: not a readable bag ({_reason(error)})") from error
+        tools = {".mcap": "mcap recover", ".bag": "rosbag reindex"}
+        tool = next((tools[file.suffix] for file in (path, *files) if file.suffix in tools), None)
+        cut = f"; if it was cut short, `{tool}` saves what is whole" if tool else ""
+        raise UserError(f"{path}: not a readable bag ({_reason(error)}){cut}") from error
     try:
         yield reader
     finally:
@@ -105,11 +180,11 @@ def _reason(error: Exception) -> str:
     return shown(message or type(error).__name__, 120)
 
 
-def _header_time(message) -> float | None:
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    if stamp is None or not (stamp.sec or stamp.nanosec):
-        return None
-    return stamp.sec + 1e-9 * stamp.nanosec
+def _header_time(message) -> float:
+    try:
+        return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+    except (AttributeError, TypeError, ValueError):  # none, or of a type of its own
+        return np.nan
 
 
 def _field_value(message, field: str) -> float:

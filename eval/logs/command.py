@@ -16,7 +16,7 @@ from inclined_landing.eval.logs.flights.command import public_flights
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.read import read_log
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, first_of, shown
 
 
 class Logs(LogSource):
@@ -71,7 +71,7 @@ def command(
         if _refused(findings)
     ]
     if refused:
-        raise UserError(f"{len(refused)} of {len(reports)} logs refused: {'; '.join(refused)}")
+        raise UserError(f"{len(refused)} of {len(reports)} logs refused: {first_of(refused)}")
     if fleet and fleet[0].decision == "refuse":
         raise UserError(fleet[0].text)
 

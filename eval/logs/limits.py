@@ -5,12 +5,17 @@ An hour at 1 kHz with two dozen columns is 3.6 million rows and below 1 GB of te
 
 from __future__ import annotations
 
+import bz2
+import codecs
 import gzip
 import io
+import lzma
 import os
 import stat
+import zipfile
 import zlib
 from pathlib import Path
+from typing import IO
 
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -23,6 +28,7 @@ LONGEST = 12 * 3600.0  # s from the first row to the last
 FEWEST_PER_SECOND, MOST_PER_SECOND = 1.0, 1e5  # rows
 LARGEST_VALUE = 1e9  # in SI units: beyond, no quantity of a flight
 LATEST = 60.0  # s that a mapping may shift a column
+_PLAIN = bytes(range(32, 127)) + b"\t\n\r\f"
 
 
 def check_file(path: Path) -> bool:
@@ -46,35 +52,71 @@ def check_file(path: Path) -> bool:
         raise UserError(f"{shown(path, 250)}: cannot be read ({storage.reason(error)})") from error
 
 
-def read_table(path: Path) -> io.BytesIO:
-    """Return the bytes of a table, unpacked where the name ends in .gz.
+def read_table(path: Path) -> tuple[bytes, str, list[str]]:
+    """Return the bytes of a table with lines that end in a line feed, their encoding, and notes.
 
-    Raises UserError for what is no text, for lines or files beyond the limits, and for a damaged .gz.
+    Files that gzip, xz, bzip2 or zip packed are unpacked. Zero bytes at the end, of a file that was not
+    closed, are left out. What is not UTF-8 is taken as Latin-1, which has every number and sign in its place.
+
+    Raises UserError for what is no text, for lines or files beyond the limits, and for damaged packed files.
     """
-    table, rows = io.BytesIO(), 0
+    table, rows, zeros = io.BytesIO(), 0, 0
+    decoder, encoding = codecs.getincrementaldecoder("utf-8")(), "utf-8"
     try:
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+        with _open_unpacked(path) as file:
             while part := file.read(LONGEST_LINE):
                 if table.tell() == 0 and part.startswith((b"\xff\xfe", b"\xfe\xff")):
                     # What spreadsheets save as "Unicode text".
                     part = (part + file.read(LARGEST // 2)).decode("utf-16").encode()
-                _check_text(path, part)
-                rows += part.count(b"\n")
-                if table.tell() + len(part) > LARGEST or rows > MOST_ROWS:
+                text = part.rstrip(b"\0")
+                _check_text(path, text, after_zeros=zeros > 0)
+                zeros += len(part) - len(text)
+                if not table.tell() and not text:
+                    raise UserError(f"{path}: holds nothing but zero bytes: nothing was written to it")
+                rows += text.count(b"\n")
+                if table.tell() + zeros + len(text) > LARGEST or rows > MOST_ROWS:
                     raise UserError(
                         f"{path}: more than {LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows; cut the flight out"
                     )
-                table.write(part)
-    except (gzip.BadGzipFile, zlib.error, EOFError, UnicodeDecodeError) as error:
+                try:
+                    decoder.decode(text, final=len(part) < LONGEST_LINE)
+                except UnicodeDecodeError:
+                    if 2 * len(text.translate(None, _PLAIN)) > len(text):
+                        raise
+                    encoding = "latin-1"
+                table.write(text)
+    except (gzip.BadGzipFile, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
         raise UserError(f"{path}: not a readable text table ({error})") from error
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # RuntimeError: a zip file with a password
         raise UserError(f"{path}: cannot be read ({storage.reason(error)})") from error
-    table.seek(0)
-    return table
+    data = table.getvalue().removeprefix(codecs.BOM_UTF8)
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    notes = (
+        [f"the file ends in {zeros} zero bytes: it was not closed, and is read up to there"] if zeros else []
+    )
+    return data, encoding, notes
 
 
-def _check_text(path: Path, part: bytes) -> None:
-    if b"\0" in part:
+def _open_unpacked(path: Path) -> io.BufferedIOBase | IO[bytes]:
+    with path.open("rb") as file:
+        start = file.read(6)
+    if start.startswith(b"PK\3\4"):
+        with zipfile.ZipFile(path) as archive:
+            files = [item for item in archive.infolist() if not item.is_dir()]
+            if len(files) != 1:
+                raise UserError(f"{path}: packs {len(files)} files; unpack it and name the log")
+            return archive.open(files[0])
+    for magic, opener in ((b"\x1f\x8b", gzip.GzipFile), (b"\xfd7zXZ", lzma.LZMAFile), (b"BZh", bz2.BZ2File)):
+        if start.startswith(magic):
+            return opener(path, "rb")
+    return path.open("rb")
+
+
+def _check_text(path: Path, text: bytes, after_zeros: bool) -> None:
+    if b"\0" in text or (text and after_zeros):
         raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
-    if len(part) >= LONGEST_LINE and b"\n" not in part and b"\r" not in part:
+    if len(text) >= LONGEST_LINE and b"\n" not in text and b"\r" not in text:
         raise UserError(f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)")

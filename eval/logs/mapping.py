@@ -15,6 +15,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from msgspec import Meta, field, structs
 
+from inclined_landing.eval.logs import clock as clocks
 from inclined_landing.eval.logs import limits, units
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models import schema, storage
@@ -27,6 +28,35 @@ MOST_OVER, MOST_COMMAND = 0.1, 2.0
 # s, over which derived angles and the gyro are compared, and the least correlation of what may be used.
 GYRO_SPAN, LEAST_AGREEMENT = 0.1, 0.7
 DEEPEST = 20  # mapping files that inherit one another
+# Columns of a table in long form, and how many it has at most.
+_KINDS = (
+    "variable",
+    "name",
+    "key",
+    "signal",
+    "channel",
+    "field",
+    "topic",
+    "quantity",
+    "parameter",
+    "column",
+    "series",
+)
+_VALUES = ("value", "values", "val", "data")
+_LONG_FORM = 6
+# What a flight cannot be used without, and what is left out where it cannot be read.
+_NEEDED = ("t", "x", "y", "z", "cmd_thrust_pwm")
+_OPTIONAL = (
+    "vx",
+    "vy",
+    "vz",
+    "cmd_yaw",
+    "cmd_yaw_rate",
+    "vbat",
+    "contact",
+    *units.REQUESTS,
+    *units.ROTOR_SPEEDS,
+)
 
 
 class Source(Table, frozen=True):
@@ -104,7 +134,7 @@ class ColumnMap(Table, frozen=True):
 
     def sources(self, canonical: str) -> tuple[Source, ...]:
         """Return the sources of a canonical column, of which the first that is present is taken."""
-        entry = self.columns.get(canonical, ())
+        entry = self.columns.get(canonical, "t" if canonical == "t" else ())
         entries = entry if isinstance(entry, tuple) else (entry,)
         return tuple(Source(column=one) if isinstance(one, str) else one for one in entries)
 
@@ -158,13 +188,40 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
 
     Raises UserError, listing the columns, when none fits.
     """
-    fitting = [m for m in shipped().values() if m.detect and all(_any(names, d) for d in m.detect)]
-    if not fitting:
+    for spelled in (list(names), _plain_names(names)):
+        fitting = [m for m in shipped().values() if m.detect and all(_any(spelled, d) for d in m.detect)]
+        if fitting:
+            return max(fitting, key=lambda m: len(m.detect))
+    _check_form(names, where)
+    found = f"{where}: its columns ({shown(', '.join(names), 90)})"
+    if all(_any([*_plain_names(names), "t"], name) for name in ("x", "y", "z")):
         raise UserError(
-            f"{where}: its columns ({shown(', '.join(names), 90)}) are those of no known kind of log; "
-            "expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, cmd_roll, cmd_pitch, or a mapping file"
+            f'{found} have no time: a mapping file with inherit = "documented" and, under [columns], '
+            't = "NAME" says which it is'
         )
-    return max(fitting, key=lambda m: len(m.detect))
+    raise UserError(
+        f"{found} are those of no known kind of log; expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, "
+        "cmd_roll, cmd_pitch, or a mapping file"
+    )
+
+
+def _plain_names(names: Sequence[str]) -> list[str]:
+    """Return names as they are, and without case and units; t for what time is called."""
+    plain = [*names, *(units.split(name)[0] for name in names), *(name.lower() for name in names)]
+    return [*plain, "t"] if clocks.named(names) else plain
+
+
+def _check_form(names: Sequence[str], where: str) -> None:
+    """Raise UserError, with what to do, for a table of one value per row."""
+    kinds = [name for name in names if units.split(name)[0] in _KINDS]
+    values = [name for name in names if units.split(name)[0] in _VALUES]
+    time = clocks.named(names)
+    if kinds and values and time and len(names) <= _LONG_FORM:
+        pivot = f"pivot_table(index={time!r}, columns={kinds[0]!r}, values={values[0]!r})"
+        raise UserError(
+            f"{where}: one value per row; pandas.read_csv(FILE).{pivot}.to_csv('wide.csv') makes a column of "
+            "each variable"
+        )
 
 
 def _any(names: Sequence[str], pattern: str) -> bool:
@@ -203,19 +260,29 @@ def apply(
     """
     if column_map.refuse:
         raise UserError(f"{record.path}: {column_map.refuse}")
-    names = list(record.columns)
     where = record.path
-    notes = [*record.notes, *column_map.notes]
     clock = None
-    if not record.times:
+    is_table = bool(record.columns) and not record.times
+    if is_table:
+        wanted = {source.columns[0]: source.unit for source in column_map.sources("t")}
+        record = clocks.with_clock(_as_named(column_map, record), wanted, given.get("t"))
+    names = list(record.columns)
+    notes: list[str] = []
+    if is_table:
         clock = _channel("t", column_map, record, names, given, np.array(0.0), notes)
         if clock is None:
-            wanted = ", ".join(source.columns[0] for source in column_map.sources("t"))
-            raise UserError(f"{where}: no time column ({wanted or 't'})")
-        _check_clock(where, clock.value, f"column {clock.column}")
+            called = ", ".join(wanted) or "t"
+            raise UserError(
+                f'{where}: no time column ({called}); in a mapping file, t = "NAME" says which it is'
+            )
+        asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
+        record, t = clocks.sorted_rows(record, clock.value, asked - {clock.column})
+        clock = dataclasses.replace(clock, value=t)
+        clocks.check(where, t, f"column {clock.column}")
         if clock.value[0] == clock.value[-1]:
             rows = f"{len(clock.value)} row{'s' if len(clock.value) > 1 else ''}"
             raise UserError(f"{where}: {rows}, all at {clock.value[0]:g} s ({clock.column}): not a flight")
+    notes = [*record.notes, *column_map.notes, *notes]
     channels = {}
     for canonical in column_map.columns:
         if canonical == "t":
@@ -231,6 +298,30 @@ def apply(
     if column_map.mixer is not None:
         channels |= column_map.mixer.requests(record, names)
     return channels, notes
+
+
+def _as_named(column_map: ColumnMap, record: Record) -> Record:
+    """Return a table with columns that are wanted under names that differ by case or have a unit; noted."""
+    columns, stated, notes = dict(record.columns), dict(record.units), []
+    for canonical in column_map.columns:
+        sources = column_map.sources(canonical)
+        wanted = [column for source in sources for column in source.columns if "*" not in column]
+        if any(column in columns or column in record.unreadable for column in wanted):
+            continue
+        for column in wanted:
+            plain = column.lstrip("# %").lower()
+            like = [name for name in record.columns if plain in (name.lower(), units.split(name)[0])]
+            if len(like) == 1:
+                columns[column] = columns[like[0]]
+                unit = record.units.get(like[0])
+                if unit is None and like[0].lower() != plain:
+                    unit = units.split(like[0])[1]
+                if unit is not None:
+                    stated[column] = unit
+                notes.append(f"{column} = {shown(like[0])}")
+    if notes:
+        notes = [f"columns taken by names that differ by case or a unit: {', '.join(notes)}"]
+    return dataclasses.replace(record, columns=columns, units=stated, notes=(*record.notes, *notes))
 
 
 def _attitude(pid: AttitudePid, record: Record, names: list[str], notes: list[str]) -> dict[str, Channel]:
@@ -298,14 +389,19 @@ def _channel(
     clock: np.ndarray,
     notes: list[str],
 ) -> Channel | None:
+    problems = []
     for source in column_map.sources(canonical):
+        for column in source.columns:
+            if (name := find(list(record.unreadable), column, record.path)) is not None:
+                problems.append((record.unreadable[name], name in record.columns))
         found = [name for column in source.columns if (name := find(names, column, record.path)) is not None]
         if len(found) < len(source.columns):
             continue
-        unit = given.get(canonical) or record.units.get(found[0]) or source.unit
-        scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
         if source.full is not None:
             scale = FULL_COMMAND / source.full ** (2 if source.mean_square else 1)
+        else:
+            unit = given.get(canonical) or record.units.get(found[0]) or source.unit
+            scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
         value = record.columns[found[0]]
         if source.column is None:
             power = 2 if source.mean_square else 1
@@ -317,7 +413,10 @@ def _channel(
             continue  # a column of empty cells was not logged
         time = record.times[found[0]] if record.times else clock
         if record.times:
-            _check_clock(record.path, time, f"the time of {found[0]}")
+            if (rows := clocks.order(time, [value])) is not None:
+                time, value = time[rows], value[rows]
+                notes.append(f"values of {found[0]} came out of order: sorted by their time")
+            clocks.check(record.path, time, f"the time of {found[0]}")
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
         value = source.sign * scale * value + source.add
@@ -328,38 +427,16 @@ def _channel(
                 value = np.where(over, FULL_COMMAND, value)
                 notes.append(f"{canonical} is beyond the full command in {over.sum()} rows: taken as full")
         if canonical != "t" and not (np.abs(value) < limits.LARGEST_VALUE).any():
-            raise UserError(
-                f"{record.path}: column {'+'.join(found)} ({canonical}) holds no number of a flight"
-            )
+            problems.append((f"column {'+'.join(found)} ({canonical}) holds no number of a flight", False))
+            continue
         measured = source.measured or source.mean_square is not None
         return Channel(time - source.late, value, "+".join(found), measured)
+    if problems:
+        problem, is_text = problems[0]
+        if canonical in _NEEDED or not (is_text or canonical in _OPTIONAL):
+            raise UserError(f"{record.path}: {problem}")
+        notes.append(f"{canonical} is left out: {problem}")
     return None
-
-
-def _check_clock(where: str, t: np.ndarray, column: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(t))
-    if bad.size:
-        raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
-    back = np.flatnonzero(t[1:] < t[:-1])
-    if back.size:
-        k = back[0] + 1
-        for lone in (k - 1, k):  # without this row, the clock goes on
-            if 0 < lone < len(t) - 1 and t[lone - 1] <= t[lone + 1]:
-                raise UserError(
-                    f"{where}: {column} holds {t[lone]:g} s in row {lone + 1} of the data, between "
-                    f"{t[lone - 1]:g} and {t[lone + 1]:g} s: correct or remove that row"
-                )
-        raise UserError(
-            f"{where}: {column} goes back from {t[k - 1]:g} to {t[k]:g} s "
-            f"in row {k + 1} of the data; are two flights in one file?"
-        )
-    if t[-1] - t[0] > limits.LONGEST:
-        row = int(np.argmax(np.diff(t)))
-        raise UserError(
-            f"{where}: {column} runs over {t[-1] - t[0]:.3g} s, in one step from {t[row]:.6g} to "
-            f"{t[row + 1]:.6g} s; a flight lasts at most {limits.LONGEST:g} s: state the unit of time, "
-            "or cut the flight out"
-        )
 
 
 def _parse(where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, checks, csv_file, limits, sd_card
+from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.units import COLUMNS, REQUESTS, ROTOR_SPEEDS, factor
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, choices, shown
 
 BAGS = (".bag", ".mcap", ".db3")
 
@@ -31,8 +32,8 @@ def read_log(
 ) -> FlightLog:
     """Return one flight from its file, or from several files of the same flight with the same clock.
 
-    path: CSV (.csv, .csv.gz), micro-SD binary or ROS bag. Several files: a sequence, or one string
-        with the names joined by `+`, as for the client's one file per log block.
+    path: CSV (packed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string with
+        the names joined by `+`, as for the client's one file per log block.
     mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
     units: unit per canonical column where the file and the mapping do not say it, {"roll": "deg"}.
     check: refuse what `check_log` refuses and add what it limits to the notes.
@@ -76,7 +77,9 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
     _check_units(units, where)
     column_map = None if chosen is None else mappings.load(chosen)
     records = [_record(path, column_map) for path in paths]
-    names = list(dict.fromkeys(column for record in records for column in record.columns))
+    names = list(
+        dict.fromkeys(column for record in records for column in (*record.columns, *record.unreadable))
+    )
     if column_map is None:
         column_map = mappings.detect(names, where)
     channels: dict[str, mappings.Channel] = {}
@@ -99,23 +102,35 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
         return bag.read(path, mappings.patterns(column_map))
     if sd_card.is_sd_card_log(path):
         return sd_card.read(path)
+    formats.check(path)
     return csv_file.read(path)
 
 
 def _check_units(units: Mapping[str, str], where: str) -> None:
     for column, unit in units.items():
         if column not in COLUMNS:
-            raise UserError(f"unit given for {shown(column)}, which is not one of {', '.join(COLUMNS)}")
+            raise UserError(f"unit given for the column {shown(column)}; {choices(COLUMNS, column)}")
         factor(column, unit, where)
 
 
 def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
-    if isinstance(path, (str, Path)):
-        single = "+" not in str(path) or os.path.exists(path)
-        path = [path] if single else str(path).split("+")
-    if not path or not all(str(part).strip() for part in path):
+    names = _split(str(path)) if isinstance(path, (str, Path)) else list(map(str, path))
+    if not names or not all(name.strip() for name in names):
         raise UserError("no flight log given, or an empty name among several")
-    return [Path(part) for part in path]
+    return [Path(name) for name in names]
+
+
+def _split(names: str) -> list[str]:
+    """Return the names that pluses join: split behind what exists, as names may have pluses of their own."""
+    found = []
+    while not os.path.exists(names):
+        ends = [plus.start() for plus in re.finditer(r"\+", names)]
+        end = next((end for end in reversed(ends) if os.path.exists(names[:end])), None)
+        if end is None:
+            break
+        found.append(names[:end])
+        names = names[end + 1 :]
+    return [*found, names]
 
 
 def _stem(path: Path) -> str:

@@ -16,10 +16,13 @@ class Record:
     times: seconds (m,) per column where the format dates every value itself (micro-SD, bags);
         empty for tables, whose time is a column like any other.
     units: unit per column where the file states it.
+    unreadable: why, in a sentence, per column whose values cannot be read: not in `columns`, or NaN there
+        where it holds text alone.
     """
 
     path: str
     columns: Mapping[str, np.ndarray]
     times: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    unreadable: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()

@@ -45,7 +45,8 @@ def read(path: Path) -> Record:
     """Return the log's columns by variable name, each with the time of its events.
 
     A variable that several events carry is `event:name` for all but the one logged at fixed frequency.
-    A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted.
+    A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted; so are zero
+    bytes at the end, of a file that was laid out in advance.
 
     Raises UserError for what is not such a log.
     """
@@ -54,11 +55,21 @@ def read(path: Path) -> Record:
         return _read_old(path, data)
     notes = []
     version, events, start = _header(path, data)
-    end = len(data) - 4
+    sizes = {key: dtype.itemsize for key, (_, dtype) in events.items()}
+    rows, rest = _offsets(data, start, len(data) - 4, sizes)
     if zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
-        notes.append("the checksum is wrong: the recording was cut short or the file is damaged")
-        end = len(data)
-    rows, rest = _offsets(data, start, end, {key: dtype.itemsize for key, (_, dtype) in events.items()})
+        written = len(data.rstrip(b"\0"))
+        if len(data) - written < max(sizes.values(), default=0):
+            written = len(data)  # zeros may be the values of the last event
+        rows, rest = _offsets(data, start, len(data), sizes, written)
+        after = len(data) - rest
+        if zlib.crc32(data[:after]) == int.from_bytes(data[after : after + 4], "little"):
+            rest = 0  # whole, only longer
+        else:
+            notes.append("the checksum is wrong: the recording was cut short or the file is damaged")
+            rows, rest = _offsets(data, start, written, sizes)
+        if written < len(data):
+            notes.append(f"the file ends in {len(data) - written} zero bytes and is read up to there")
     if rest:
         notes.append(f"the last {rest} bytes are not a whole event and were left out")
     columns, times = {}, {}
@@ -171,10 +182,15 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
     return data[position:end].decode("ascii"), end + 1
 
 
-def _offsets(data: bytes, position: int, end: int, sizes: dict[int, int]) -> tuple[dict[int, list[int]], int]:
-    """Return the offsets of each event's rows, and the number of trailing bytes that are no whole event."""
+def _offsets(
+    data: bytes, position: int, end: int, sizes: dict[int, int], written: int | None = None
+) -> tuple[dict[int, list[int]], int]:
+    """Return the offsets of each event's rows, and the number of trailing bytes that are no whole event.
+
+    From `written` on there are zeros, which no event begins with.
+    """
     rows: dict[int, list[int]] = {}
-    while position + 2 <= end:
+    while position + 2 <= end and position < (end if written is None else written):
         key = data[position] | data[position + 1] << 8
         size = sizes.get(key)
         if size is None or position + size > end:

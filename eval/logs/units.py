@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from inclined_landing.models.errors import UserError, shown
 
@@ -41,8 +42,31 @@ UNITS = {
     "voltage": {"V": 1.0, "mV": 1e-3},
     "flag": {"1": 1.0, "-": 1.0, "": 1.0, "bool": 1.0},
 }
-_SPELLINGS = {"µs": "us", "μs": "us", "°": "deg", "degrees": "deg", "radians": "rad", "pwm": "PWM", "v": "V"}
-_SPELLINGS |= {"°/s": "deg/s", "mv": "mV", "seconds": "s", "sec": "s"}
+_SPELLINGS = {
+    **{"µs": "us", "μs": "us", "°": "deg", "°/s": "deg/s", "pwm": "PWM", "v": "V", "mv": "mV"},
+    **dict.fromkeys(("degree", "degrees"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),
+    **dict.fromkeys(("usec", "micros", "microseconds"), "us"),
+    **dict.fromkeys(("nsec", "nanos", "nanoseconds"), "ns"),
+}
+_FORCES = ("n", "newton", "newtons", "mn", "g", "gram", "grams", "gf", "kg", "kgf", "m/s2", "m/s^2", "m/s²")
+_IN_BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")  # x [mm], roll (deg)
+_AT_THE_END = re.compile(r"(.+?)[ _](deg|degrees|rad|[mc]?m|m?v|s|secs?|[mun]s|[mun]sec)", re.IGNORECASE)
+
+
+def split(name: str) -> tuple[str, str | None]:
+    """Return the name of a column in lower case without the unit at its end, and that unit; None without."""
+    match = _IN_BRACKETS.fullmatch(name.strip()) or _AT_THE_END.fullmatch(name.strip())
+    return (match[1].lower(), match[2]) if match else (name.strip().lower(), None)
+
+
+def known(column: str, unit: str) -> bool:
+    """Return whether `unit` measures the quantity of a column."""
+    return _spelled(column, unit) in UNITS[COLUMNS[column]]
 
 
 def factor(column: str, unit: str, where: str) -> float:
@@ -50,12 +74,21 @@ def factor(column: str, unit: str, where: str) -> float:
 
     Raises UserError (starting with `where`) when the unit does not measure the column's quantity.
     """
-    known = UNITS[COLUMNS[column]]
-    unit = unit.strip().strip("[]()")
-    unit = _SPELLINGS.get(unit, unit)
-    if unit not in known:
-        choices = ", ".join(name for name in known if name)
-        raise UserError(
-            f"{where}: unit '{shown(unit, 40)}' of column {column} is not known; one of {choices}"
+    if known(column, unit):
+        return UNITS[COLUMNS[column]][_spelled(column, unit)]
+    named = shown(unit.strip().strip("[]()"), 40)
+    choices = ", ".join(name for name in UNITS[COLUMNS[column]] if name)
+    sentence = f"{where}: unit '{named}' of column {column} is not known; one of {choices}"
+    if COLUMNS[column] == "pwm" and unit.strip(" []()").lower() in _FORCES:
+        entry = f'inherit = "documented" and, under [columns], {column} = {{ column = "NAME", full = 0.6 }}'
+        sentence += (
+            f"; a force or acceleration needs a mapping file with {entry}, what it is at the full command"
         )
-    return known[unit]
+    raise UserError(sentence)
+
+
+def _spelled(column: str, unit: str) -> str:
+    unit = unit.strip().strip("[]()")
+    if unit in UNITS[COLUMNS[column]]:
+        return unit
+    return _SPELLINGS.get(unit, _SPELLINGS.get(unit.lower(), unit.lower()))

@@ -35,8 +35,8 @@ SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
 _OF_A_FORCE = (
-    "Newton, gram or m/s2 need a mapping file with cmd_thrust_pwm = { column = 'NAME', full = NUMBER }, "
-    "the thrust in that unit at the full command"
+    "Newton, gram or m/s2 need a mapping file: inherit = 'documented' and, under [columns], "
+    "cmd_thrust_pwm = { column = 'NAME', full = 0.6 }, what it is at the full command"
 )
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),

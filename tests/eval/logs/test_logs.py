@@ -1,12 +1,20 @@
 """Readers of flight logs: what is written comes back, in this package's units and convention."""
 
+import bz2
+import contextlib
 import gzip
+import lzma
+import re
+import sqlite3
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
@@ -250,6 +258,216 @@ def test_no_damage_to_a_table_is_answered_with_a_traceback(tmp_path, data):
         assert str(error)
 
 
+def written(folder: Path, log: FlightLog) -> str:
+    write_log(folder / "good.csv", log)
+    return (folder / "good.csv").read_text()
+
+
+def semicolons(text: str) -> str:
+    return text.replace(",", ";").replace(".", ",")
+
+
+def thousands(text: str) -> str:
+    """Thrust as 37,721.880; the numbers have three places behind the point, in quotes."""
+    return re.sub(r"\b(\d\d)(\d{3}\.\d+)", r'"\1,\2"', text)
+
+
+HABITS = {
+    "decimal comma": semicolons,
+    "decimal comma and tabs": lambda text: text.replace(",", "\t").replace(".", ","),
+    "decimal comma in quotes": lambda text: re.sub(r"(-?\d+)\.([\d]+)", r'"\1,\2"', text),
+    "decimal comma under units": lambda text: semicolons(
+        text.replace("\n", "\ns,m,m,m,rad,rad,rad,PWM,rad,rad,rad/s\n", 1)
+    ),
+    "separators of thousands": thousands,
+    "first line of a spreadsheet": lambda text: "sep=;\r\n" + text.replace(",", ";").replace("\n", "\r\n"),
+    "comments above": lambda text: "# a, b\n#\n\n" + text,
+    "comments among the rows": lambda text: text.replace("\n", "\n# mark, 1\n", 3),
+    "a title": lambda text: "Flight of 3 March\nvehicle,seven\n\n" + text,
+    "header of numpy.savetxt": lambda text: "# " + text,
+    "blanks": lambda text: "# " + text.replace(",", " "),
+    "bars": lambda text: text.replace(",", "|"),
+    "a header twice": lambda text: text + text.partition("\n")[0] + "\n",
+    "Latin-1": lambda text: re.sub("\n", ",é\n", text).replace("é", "Höhe", 1).encode("latin-1"),
+    "zeros at the end": lambda text: text.encode() + bytes(5000),
+    "a note in one row": lambda text: re.sub(r"(?m)^0\.2,.*", r"\g<0>,mark", text).replace(
+        "\n", ",note\n", 1
+    ),
+    "upper case": lambda text: text.replace(text.partition("\n")[0], text.partition("\n")[0].upper()),
+    "units in the names": lambda text: text.replace("t,x,", "t [s],x (m),", 1).replace(
+        "roll,", "roll_rad,", 1
+    ),
+    "units with a gap": lambda text: text.replace("\n", "\ns,m,m,m,rad,rad,rad,,rad,rad,\n", 1),
+    "packed with another name": lambda text: gzip.compress(text.encode()),
+    "xz": lambda text: lzma.compress(text.encode()),
+    "bzip2": lambda text: bz2.compress(text.encode()),
+}
+
+
+@pytest.mark.parametrize("habit", HABITS)
+def test_tables_as_programs_and_people_write_them(tmp_path, habit):
+    log = a_log()
+    made = HABITS[habit](written(tmp_path, log))
+    (tmp_path / "a.csv").write_bytes(made if isinstance(made, bytes) else made.encode())
+    back = read(tmp_path / "a.csv")
+    assert len(back) == len(log)
+    for key in ("t", "position", "attitude", "command"):
+        # pandas' fast parser is exact to the last bit or two.
+        assert np.allclose(getattr(back, key), getattr(log, key), rtol=1e-12, atol=1e-12), key
+
+
+def test_a_zip_file_of_one_table_is_read_and_of_several_is_not(tmp_path):
+    text = written(tmp_path, a_log())
+    for count in (1, 2):
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            for k in range(count):
+                archive.writestr(f"{k}.csv", text)
+        if count == 1:
+            assert len(read(tmp_path / "a.zip")) == 40
+    with pytest.raises(UserError, match="packs 2 files; unpack it"):
+        read(tmp_path / "a.zip")
+
+
+@pytest.mark.parametrize(
+    ("mark", "missing"), [("-", True), ("---", True), ("nan(ind)", True), ("\\N", True), ("o", False)]
+)
+def test_marks_of_missing_values_are_gaps_and_other_text_is_refused(tmp_path, mark, missing):
+    text = re.sub(r"(?m)^0\.2,[^,]*", f"0.2,{mark.replace(chr(92), chr(92) * 2)}", written(tmp_path, a_log()))
+    (tmp_path / "a.csv").write_text(text)
+    if missing:
+        assert len(read(tmp_path / "a.csv")) == 39
+        return
+    with pytest.raises(UserError, match=r"line 22, column x: 'o' is not a number"):
+        read(tmp_path / "a.csv")
+
+
+def test_what_cannot_be_read_and_is_not_needed_is_left_out(tmp_path):
+    text = written(tmp_path, a_log(voltage=np.linspace(4.1, 3.6, 40)))
+    (tmp_path / "a.csv").write_text(re.sub(r"(?m)^(0\.2,.*),[^,]*$", r"\1,flat", text))
+    back = read(tmp_path / "a.csv")
+    assert back.voltage is None
+    assert "vbat is left out: line 22, column vbat: 'flat' is not a number" in back.notes
+
+
+CLOCKS = {  # name of the column, and its cells
+    "time": lambda t: t,
+    "Time [s]": lambda t: t,
+    "tick": lambda t: np.round(1e3 * t),
+    "timestamp": lambda t: np.round(1e6 * t),
+    "Timestamp": lambda t: np.round(1e9 * (t + 1.7e9)),
+    "t_ms": lambda t: np.round(1e3 * t),
+    "us": lambda t: np.round(1e6 * t),
+    "t": lambda t: np.round(1e3 * t),
+    "tick of 32 bits": lambda t: np.round(1e6 * t - 2e5) % 2**32,
+    "time of day": lambda t: [f"{h:02}:{m:02}:{s:09.6f}" for h, m, s in map(_of_day, t + 86399.8)],
+    "date": lambda t: [f"2024-02-29T10:20:{s:09.6f}Z" for s in t],
+    "header.stamp.secs,header.stamp.nsecs": lambda t: [
+        f"{int(s + 99.8)},{round(1e9 * ((s + 99.8) % 1))}" for s in t
+    ],
+}
+
+
+def _of_day(s: float) -> tuple[int, int, float]:
+    s = round(s % 86400, 6)
+    return int(s // 3600), int(s % 3600 // 60), s % 60
+
+
+@pytest.mark.parametrize("kind", CLOCKS)
+def test_time_by_other_names_and_in_other_units(tmp_path, kind):
+    log = a_log()
+    rows = written(tmp_path, log).splitlines()
+    name = {"tick of 32 bits": "tick", "time of day": "time", "date": "t"}.get(kind, kind)
+    lines = [name + rows[0][1:]]
+    lines += [f"{cell},{row.partition(',')[2]}" for cell, row in zip(CLOCKS[kind](log.t), rows[1:])]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    back = read(tmp_path / "a.csv")
+    # Nanoseconds since 1970 have 61 bits; a number has 53.
+    assert np.allclose(back.t, log.t, atol=1e-6) and np.allclose(back.position, log.position)
+    assert kind == "date" or any(word in " ".join(back.notes) for word in ("time is the column", "t = t_ms"))
+
+
+def test_time_that_no_column_is_called_by_is_asked_for(tmp_path):
+    text = written(tmp_path, a_log()).replace("t,", "frame,", 1)
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(UserError, match=r'have no time: .* inherit = "documented" .* t = "NAME"'):
+        read(tmp_path / "a.csv")
+    (tmp_path / "m.toml").write_text('inherit = "documented"\n[columns]\nt = "frame"\n')
+    assert len(read(tmp_path / "a.csv", mapping=tmp_path / "m.toml")) == 40
+
+
+def test_rows_in_order_of_arrival_are_sorted_and_two_flights_are_not(tmp_path):
+    log = a_log(400)
+    head, *rows = written(tmp_path, log).splitlines()
+
+    def order(order) -> FlightLog:
+        (tmp_path / "a.csv").write_text("\n".join([head, *(rows[k] for k in order)]) + "\n")
+        return read(tmp_path / "a.csv")
+
+    random = np.random.default_rng(0)
+    for late in (0.02, 0.3):  # s that a row comes late at most
+        back = order(np.argsort(log.t + random.uniform(0.0, late, 400)))
+        assert np.array_equal(back.t, log.t) and np.allclose(back.position, log.position)
+        assert any("sorted by it" in note for note in back.notes)
+    with pytest.raises(UserError, match="two flights in one file"):
+        order([*range(60), *range(400)])  # 0.6 s, then another recording
+    with pytest.raises(UserError, match=r"and in \d+ more: sort the rows by it"):
+        order(random.permutation(400))
+
+
+def test_log_blocks_that_share_a_table_are_each_in_order(tmp_path):
+    log = a_log()
+    pose, sent = HEADER.split(",")[1:7], HEADER.split(",")[7:]
+    rows = [
+        f"{t!r},{','.join(map(repr, map(float, [*p, *a])))},,,,"
+        for t, p, a in zip(log.t.tolist(), log.position, log.attitude)
+    ]
+    rows += [
+        f"{t!r},,,,,,,{','.join(map(repr, map(float, c)))}"
+        for t, c in zip((log.t - 0.003).tolist(), log.command)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(["t", *pose, *sent]), *rows]) + "\n")
+    back = read(tmp_path / "a.csv")
+    assert np.allclose(back.position, log.position) and np.array_equal(back.command, log.command)
+
+
+@pytest.mark.parametrize("folder", ["plain", "2024+wind", "a+b+c"])
+def test_files_of_one_flight_are_joined_by_a_plus_wherever_they_are(tmp_path, folder):
+    log = a_log()
+    (tmp_path / folder).mkdir()
+    pose, sent = tmp_path / folder / "pose.csv", tmp_path / folder / "sent+1.csv"
+    table(pose, ",".join(HEADER.split(",")[:7]), log.t, *log.position.T, *log.attitude.T)
+    table(sent, ",".join(["t", *HEADER.split(",")[7:]]), log.t, *log.command.T)
+    assert np.array_equal(read(f"{pose}+{sent}").command, log.command)
+    with pytest.raises(UserError, match=re.escape(f"{sent}x: no such flight log")):
+        read(f"{pose}+{sent}x")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.ulg", b"ULog\x01\x12\x35\x01" + bytes(99), "`ulog2csv a.ulg`"),
+        ("a.csv", b"ULog\x01\x12\x35\x01" + bytes(99), "a log of PX4"),
+        ("a.BIN", b"\xa3\x95\x80\x80" + bytes(99), "mavlogdump.py"),
+        ("a.bbl", b"H Product:Blackbox flight data recorder\n", "blackbox_decode"),
+        ("a.xlsx", b"PK\x03\x04" + bytes(99), "a spreadsheet: save it as CSV"),
+        ("a.parquet", b"PAR1" + bytes(99), r"read_parquet\('a.parquet'\).to_csv"),
+        ("a.npz", b"PK\x03\x04" + bytes(99), r"numpy.load\('a.npz'\)"),
+        ("a.pkl", b"\x80\x04\x95" + bytes(99), "a pickle, which could run anything"),
+        ("a.csv", b"<!DOCTYPE html>", "a web page"),
+        ("a.csv", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        ("log07", bytes(4096), "nothing but zero bytes"),
+        ("a.csv", b"time,variable,value\n0,x,1\n0,y,1\n", r"pivot_table\(index='time', columns='variable'"),
+        ("a.csv", b"t,x,y\n0,0,0,1,0,2\n", "6 cells in line 2, 3 names; with decimal commas"),
+        ("a.csv", b"t,x,y,z,roll,cmd_thrust_pwm [N]\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "full = 0.6"),
+        ("a.csv", b"t,x,y,z,q.0,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n", 'as qw = "q.3"'),
+    ],
+)
+def test_files_of_other_kinds_are_refused_with_what_to_do(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(UserError, match=words):
+        read(tmp_path / name)
+
+
 # --- mapping files ----------------------------------------------------------------------------------
 
 
@@ -368,6 +586,19 @@ def test_damaged_micro_sd_logs_are_read_as_far_as_they_go(tmp_path, cut, damage)
         assert str(error)
 
 
+@pytest.mark.parametrize("lost", [0, 4, 200])  # bytes before the zeros: the checksum, several events
+def test_zeros_behind_a_micro_sd_log_are_not_part_of_it(tmp_path, lost):
+    log = a_log()
+    # An event of number 0 is what zeros look like.
+    data = sd_card(firmware_values(log), log.t, 2, {"pm.state": 1.0}, number=0)
+    (tmp_path / "log").write_bytes(data[: len(data) - lost] + bytes(5000))
+    back = read(tmp_path / "log")
+    assert np.allclose(back.position, log.position[: len(back)], atol=1e-5)
+    assert len(back) > 35 and (len(back) == 40 or lost == 200)
+    notes = " ".join(back.notes)
+    assert "zero bytes and is read up to there" in notes and ("the checksum is wrong" in notes) == (lost > 0)
+
+
 # --- bags -------------------------------------------------------------------------------------------
 
 
@@ -396,6 +627,104 @@ def test_bags_that_do_not_fit_are_refused_in_words(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(UserError, match=r"a ROS 2 bag is a folder with metadata\.yaml"):
         read(tmp_path / "folder")
+
+
+def humble_bag(path: Path, log: FlightLog, *, status=None, defined=True, stamp=lambda t: t, lost=()) -> Path:
+    """A ROS 2 bag with an array of poses, empty where `lost`, and a topic */status of some type."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("float64 stamp", "a/msg/Header"))
+    store.register(get_types_from_msg("a/Header header\nfloat64 battery_voltage", "a/msg/Status"))
+    make = {name.rpartition("/")[2]: kind for name, kind in store.types.items() if not name.startswith("a/")}
+    mine = {name: kind for name, kind in store.types.items() if name.startswith("a/")}
+    roll, pitch, yaw = log.attitude.T
+    quaternion = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=1)).as_quat()
+    with rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.SQLITE3) as writer:
+        topics = {}
+
+        def put(topic: str, message, now: float) -> None:
+            kind = message.__msgtype__
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(topics[topic], round(1e9 * now), store.serialize_cdr(message, kind))
+
+        for i, now in enumerate(1000.0 + log.t):
+            dated = round(1e9 * stamp(now))
+            header = make["Header"](stamp=make["Time"](*divmod(dated, 10**9)), frame_id="")
+            point, turn = make["Point"](*log.position[i]), make["Quaternion"](*quaternion[i])
+            poses = [] if i in lost else [make["Pose"](position=point, orientation=turn)]
+            put("/cf/poses", make["PoseArray"](header=header, poses=poses), now + 0.03)
+            zero = make["Vector3"](0.0, 0.0, 0.0)
+            put(
+                "/cf/cmd",
+                make["Twist"](linear=make["Vector3"](0.0, 0.0, log.command[i, 0]), angular=zero),
+                now,
+            )
+            if status == "text":
+                put("/cf/status", make["String"](data="flying"), now)
+            elif status:
+                header = mine["a/msg/Header"](stamp=1.0 + i)
+                put("/cf/status", mine["a/msg/Status"](header=header, battery_voltage=4.0 - 0.01 * i), now)
+    if not defined:
+        with contextlib.closing(sqlite3.connect(next(path.glob("*.db3")))) as database:
+            database.execute("delete from message_definitions")
+            database.commit()
+    return path
+
+
+HUMBLE = """[columns]
+cmd_thrust_pwm = "/cf/cmd:linear.z"
+vbat = "*/status:battery_voltage"
+""" + "\n".join(
+    f'{name} = "/cf/poses:poses[0].{field}"'
+    for name, field in {
+        **{axis: f"position.{axis}" for axis in "xyz"},
+        **{f"q{axis}": f"orientation.{axis}" for axis in "xyzw"},
+    }.items()
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        # A stamp that is no Time.
+        ({"status": "own"}, "/cf/status have no stamp: dated by when they were recorded"),
+        ({"status": "own", "defined": False}, r"vbat is left out: .*\(a/msg/Status\) cannot be decoded"),
+        ({"status": "text"}, "vbat is left out: topic /cf/status has no number battery_voltage"),
+        ({"lost": (7, 8, 30)}, "is empty or not a number in 3 of 40 rows"),
+        ({"stamp": lambda t: t - 900.0}, "stamps of /cf/poses are 900 s from when they were recorded"),
+        ({"stamp": lambda t: 0.0}, "/cf/poses have no stamp"),
+        ({"stamp": lambda t: t - 1001.0}, "/cf/poses have no stamp"),  # negative
+    ],
+)
+def test_bags_are_read_without_what_a_flight_can_do_without(tmp_path, options, words):
+    log = a_log()
+    path = humble_bag(tmp_path / "bag", log, **options)
+    (tmp_path / "m.toml").write_text(HUMBLE)
+    back = read(path, mapping=tmp_path / "m.toml")
+    assert re.search(words, " ".join(back.notes))
+    kept = np.delete(np.arange(40), options.get("lost", ()))
+    assert np.allclose(back.position, log.position[kept])
+
+
+def test_a_needed_topic_that_cannot_be_decoded_is_named_with_its_type(tmp_path):
+    path = humble_bag(tmp_path / "bag", a_log(), status="own", defined=False)
+    (tmp_path / "m.toml").write_text(HUMBLE.replace('"/cf/cmd:linear.z"', '"/cf/status:battery_voltage"'))
+    with pytest.raises(
+        UserError, match=r"/cf/status \(a/msg/Status\) cannot be decoded: .*`ros2 bag convert`"
+    ):
+        read(path, mapping=tmp_path / "m.toml")
+
+
+def test_a_bags_file_is_read_without_its_metadata(tmp_path):
+    log = a_log()
+    path = write_bag(tmp_path / "bag", log, 2)
+    (path / "metadata.yaml").unlink()
+    (file,) = path.iterdir()
+    assert np.allclose(read(file).position, log.position)
+    assert np.allclose(read(path).position, log.position)
+    (path / f"more{file.suffix}").write_bytes(file.read_bytes())
+    with pytest.raises(UserError, match="`ros2 bag reindex bag`"):
+        read(path)
 
 
 # --- measured flights -------------------------------------------------------------------------------

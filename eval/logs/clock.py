@@ -1,0 +1,169 @@
+"""The clock of a table: which column it is, in which unit, where it wraps, and its rows in order."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from inclined_landing.eval.logs import limits, units
+from inclined_landing.eval.logs.record import Record
+from inclined_landing.models.errors import UserError, shown
+
+# What time is called, in lower case and without its unit; of several, the first is taken.
+NAMES = (
+    *("t", "time", "timestamp", "time_stamp", "time stamp", "stamp", "header.stamp", "tick", "ticks"),
+    *("elapsed", "elapsed_time", "elapsed time", "time_boot", "time_since_boot", "clock"),
+)
+_SECONDS_AND_REST = (("secs", "nsecs"), ("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanoseconds"))
+# s between rows, at most: of a column t, which is in seconds unless no flight has so few rows, and of others,
+# where 0.3 s tells 3.3 rows per second from 3 300 in a unit a thousand times smaller.
+_LONGEST_STEP = {"t": 1.0 / limits.FEWEST_PER_SECOND, "": 0.3}
+LATEST_ROW = 1.0  # s that rows may come late and are still sorted
+
+
+def named(names: Iterable[str]) -> str | None:
+    """Return the column that is called as time is, the likeliest of several; None without.
+
+    Seconds and nanoseconds of a stamp are `secs + nsecs`.
+    """
+    names, called = list(names), dict[int, str]()
+    for name in names:
+        plain, _ = units.split(name)
+        if plain in NAMES:
+            called.setdefault(NAMES.index(plain), name)
+        elif len(name) > 1 and units.known("t", name):  # a column called ms
+            called.setdefault(len(NAMES), name)
+        for first, rest in _SECONDS_AND_REST:
+            other = re.sub(rf"(^|(?<=\W|_)){first}$", rest, name)
+            if other != name and other in names:
+                return f"{name} + {other}"
+    return called[min(called)] if called else None
+
+
+def with_clock(record: Record, wanted: Mapping[str, str | None], given: str | None) -> Record:
+    """Return the record with a clock: where it lacks the columns that are wanted, time by another name.
+
+    A unit that neither name nor file states is told by the step between rows; a clock that wraps goes on.
+    wanted: the mapping's columns and their units. given: the unit as the user says. What was done is noted.
+    """
+    here = next((name for name in wanted if name in record.columns), None)
+    name = here or named(record.columns)
+    if name is None:
+        return record
+    notes = list(record.notes)
+    if name in record.columns:
+        values = record.columns[name]
+        alias = units.split(name)[1] or (name if units.known("t", name) else None)
+        unit = given or record.units.get(name) or (wanted[name] if here else alias)
+    else:
+        first, rest = name.split(" + ")
+        values, unit = record.columns[first] + 1e-9 * record.columns[rest], "s"
+    told = ""
+    if unit is None:
+        unit = _unit_by_step(values, _LONGEST_STEP["t" if here or name == "t" else ""])
+        told = "" if here and unit == "s" else ", by the step between rows"
+    if not here or told:
+        notes.append(f"time is the column {shown(name)}, in {unit}{told}")
+    values, wraps = _unwrapped(values, units.factor("t", unit, record.path))
+    if wraps:
+        notes.append(f"the clock {shown(name)} starts again where it is full ({wraps}): continued")
+    key = here or next(iter(wanted), "t")
+    return dataclasses.replace(
+        record,
+        columns={**record.columns, key: values},
+        units={**record.units, key: unit},
+        notes=tuple(notes),
+    )
+
+
+def _unit_by_step(t: np.ndarray, longest: float) -> str:
+    """Return the first unit in which rows follow one another within `longest` seconds; s where none is."""
+    steps = np.diff(np.sort(t[np.isfinite(t)]))
+    steps = steps[steps > 0.0]
+    step = np.median(steps) if len(steps) else 0.0
+    return next((unit for unit, size in units.UNITS["time"].items() if step * size <= longest), "s")
+
+
+def _unwrapped(t: np.ndarray, scale: float) -> tuple[np.ndarray, int]:
+    """Return a clock that goes on where it wrapped, and how often it had."""
+    back = np.flatnonzero(np.diff(t) < 0.0)
+    for wrap in (2.0**32, 86400.0 / scale):  # of 32 bits in any unit, and times of day
+        step = scale * (np.diff(t)[back] + wrap)
+        over = back[(step >= 0.0) & (step <= LATEST_ROW)]
+        if len(over):
+            turns = np.zeros(len(t))
+            turns[over + 1] = wrap
+            return t + np.cumsum(turns), len(over)
+    return t, 0
+
+
+def order(t: np.ndarray, columns: Iterable[np.ndarray]) -> np.ndarray | None:
+    """Return the rows (m,) by their time where they are in order of arrival; None where they need no sorting.
+
+    That is safe where each column's own rows are in order, as of log blocks that share a table, or come late
+    by less than LATEST_ROW. None too where a clock went back: then there are two rows for an instant.
+    """
+    if not np.isfinite(t).all() or (np.diff(t) >= 0.0).all():
+        return None
+    if not all(_in_order(t[np.isfinite(values)]) for values in columns):
+        return None
+    return np.argsort(t, kind="stable")
+
+
+def _in_order(t: np.ndarray) -> bool:
+    """Return whether times increase but for rows that came late."""
+    latest = np.maximum.accumulate(t)
+    late = np.flatnonzero(np.diff(t) < 0.0) + 1
+    if not len(late):
+        return True
+    behind = latest[late] - t[late]
+    ordered = np.sort(t)
+    step = np.median(np.diff(ordered))
+    if behind.max() >= LATEST_ROW or step <= 0.0:
+        return False
+    between = np.searchsorted(ordered, latest[late]) - np.searchsorted(ordered, t[late])
+    return bool((between <= 1.5 * behind / step + 3).all())
+
+
+def sorted_rows(record: Record, t: np.ndarray, names: Iterable[str]) -> tuple[Record, np.ndarray]:
+    """Return a table and its clock t (m,), sorted where that is safe, and noted. names: columns in use."""
+    rows = order(t, [record.columns[name] for name in names])
+    if rows is None:
+        return record, t
+    late = int((t < np.maximum.accumulate(t)).sum())
+    note = f"{late} rows came later than rows of a later time: sorted by it"
+    columns: Mapping[str, np.ndarray] = {name: values[rows] for name, values in record.columns.items()}
+    return dataclasses.replace(record, columns=columns, notes=(*record.notes, note)), t[rows]
+
+
+def check(where: str, t: np.ndarray, column: str) -> None:
+    """Raise UserError, with what to do, for times that are no flight's."""
+    bad = np.flatnonzero(~np.isfinite(t))
+    if bad.size:
+        raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
+    back = np.flatnonzero(t[1:] < t[:-1])
+    if back.size:
+        k = back[0] + 1
+        for lone in (k - 1, k):  # without this row, the clock goes on
+            if back.size == 1 and 0 < lone < len(t) - 1 and t[lone - 1] <= t[lone + 1]:
+                raise UserError(
+                    f"{where}: {column} holds {t[lone]:g} s in row {lone + 1} of the data, between "
+                    f"{t[lone - 1]:g} and {t[lone + 1]:g} s: correct or remove that row"
+                )
+        goes = f"{column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data"
+        if back.size == 1:
+            raise UserError(f"{where}: {goes}; are two flights in one file? Cut it in two before that row")
+        raise UserError(
+            f"{where}: {goes}, and in {back.size - 1} more: sort the rows by it, or cut the file where "
+            "another flight begins"
+        )
+    if t[-1] - t[0] > limits.LONGEST:
+        row = int(np.argmax(np.diff(t)))
+        raise UserError(
+            f"{where}: {column} runs over {t[-1] - t[0]:.3g} s, in one step from {t[row]:.6g} to "
+            f"{t[row + 1]:.6g} s; a flight lasts at most {limits.LONGEST:g} s: state the unit of time, "
+            "or cut the flight out"
+        )
