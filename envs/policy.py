@@ -22,6 +22,7 @@ import numba
 import numpy as np
 
 from inclined_landing.envs import weights
+from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
@@ -42,7 +43,7 @@ SHIPPED = tuple(
 )
 _ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
 _LIMIT = 10.0  # of `features.ScaledObservation`
-_NORMALISATION = "normalisation"  # entry of the metadata: what a VecNormalize did, or null if nothing
+NORMALISATION = "normalisation"  # entry of the metadata: what a VecNormalize did, or null if nothing
 # Beyond, sums of products could overflow.
 _LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
 
@@ -106,7 +107,7 @@ class Policy:
 
     def predict(self, observation: np.ndarray) -> np.ndarray:
         """Return actions (n, a) float32 in [-1, 1] for inputs (n, i), or (a,) for (i,), history included."""
-        observation = np.asarray(observation)
+        observation = as_floats(observation, "the observation")
         rows = np.ascontiguousarray(np.atleast_2d(observation), np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(self.centre):
             raise UserError(
@@ -447,10 +448,10 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
 
     # Algorithms with a replay buffer write a last observation in any case.
     on_policy = "gae_lambda" in header
-    if on_policy and header.get("_last_original_obs") is not None and _NORMALISATION not in metadata:
+    if on_policy and header.get("_last_original_obs") is not None and NORMALISATION not in metadata:
         raise UserError(
-            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load it with "
-            "them, PPO.load(file, env=VecNormalize.load(statistics, env)), and save it with save_policy"
+            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load it "
+            "with them, PPO.load(file, env=VecNormalize.load(statistics, env)), and save it with save_policy"
         )
     module = entry("policy_class").get("__module__")
     if module is not None and not re.fullmatch(_POLICIES, str(module)):
@@ -461,8 +462,8 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
     extractor = entry("policy_kwargs").get("features_extractor_class")
     if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):
         raise UserError(
-            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; only "
-            "FlattenExtractor and this package's ScaledObservation are evaluated"
+            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; "
+            "only FlattenExtractor and this package's ScaledObservation are evaluated"
         )
     space = entry("observation_space").get(":type:")
     if space is not None and not str(space).endswith(".Box'>"):
@@ -480,7 +481,7 @@ def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
 
     limit: of the network's own scaling; infinite without one.
     """
-    given = metadata.get(_NORMALISATION)
+    given = metadata.get(NORMALISATION)
     if given is None:
         return {}
     if limit < np.inf:
@@ -490,7 +491,7 @@ def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
         limit = np.inf if given["limit"] is None else float(given["limit"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise UserError(
-            f"policy {path}: {_NORMALISATION} in its {METADATA} has no centre, scale and limit"
+            f"policy {path}: {NORMALISATION} in its {METADATA} has no centre, scale and limit"
         ) from error
     return {"centre": centre, "scale": scale, "limit": limit}
 
@@ -525,7 +526,7 @@ def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
     bound = np.inf
     if output is not None and f"{output}.0.weight" in tensors:
         output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)
-        if not (isinstance(bound, (int, float)) and bound > 0):
+        if not (isinstance(bound, (int, float)) and 0 < bound <= _LARGEST_WEIGHT):
             raise UserError(f"policy {path}: clip_mean in its policy_kwargs is {shown(bound, 40)}")
     numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
     extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
@@ -555,6 +556,6 @@ def _activation(named: Any, usual: str, path: Path) -> str:
     if activation not in _ACTIVATIONS:
         raise UserError(
             f"policy {path} has a network this package cannot evaluate "
-            f"(activation {shown(activation, 40)}; known are {' and '.join(_ACTIVATIONS)})"
+            f"(activation {shown(named, 80)}; known are {' and '.join(_ACTIVATIONS)})"
         )
     return activation

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-import re
+import os
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 
-from inclined_landing.envs.batch import BatchEnv, as_floats, check_seed, reset_option
+from inclined_landing.envs.batch import BatchEnv, as_floats, check_seed, is_whole, reset_option
 from inclined_landing.envs.features import ScaledObservation
-from inclined_landing.envs.policy import write_metadata
+from inclined_landing.envs.policy import NORMALISATION, write_metadata
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks.base import OWN, Task
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, optional, shown
 
 with optional():
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import (
+        DummyVecEnv,
+        SubprocVecEnv,
         VecCheckNan,
         VecEnv,
         VecEnvWrapper,
@@ -29,79 +33,99 @@ with optional():
     )
 
 # Wrappers that change neither what a policy observes nor what it commands: of vector environments, and the
-# names of those of single ones.
-_LOOKING_ON = (VecCheckNan, VecMonitor, VecVideoRecorder)
-_LOOKING_ON_ONE = {
+# names of those of single ones (the last two where they leave the spaces of observations and actions alone).
+_HARMLESS = (VecCheckNan, VecMonitor, VecVideoRecorder)
+_HARMLESS_OF_ONE = {
     *("Monitor", "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "HumanRendering"),
-    *("RecordEpisodeStatistics", "RecordVideo", "RenderCollection", "AddRenderObservation"),
-    *("TransformReward", "ClipReward", "NormalizeReward"),
+    *("RecordEpisodeStatistics", "RecordVideo", "RenderCollection"),
+    *("TransformReward", "ClipReward", "NormalizeReward", "FlattenObservation", "RescaleAction"),
 }
 
 
 def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model with the metadata for `load_policy`.
 
-    It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`. The statistics of a
-    `VecNormalize` around these are taken along as they are. Raises UserError for other environments, and for
-    wrappers that change what the policy observes or commands.
+    It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the statistics of a
+    `VecNormalize` around them go along. Raises UserError, and writes nothing, for other environments and for
+    wrappers that may change what the policy observes or commands.
     """
     if not isinstance(model, BaseAlgorithm):
         raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
+    if not isinstance(path, (str, os.PathLike)):
+        raise UserError(f"save_policy takes the path of a file, not {shown(repr(path), 40)}")
     task, normalisation = _trained_on(model)
-    if normalisation is not None and any(isinstance(m, ScaledObservation) for m in model.policy.modules()):
-        raise UserError("VecNormalize and ScaledObservation both scale the observations: take one of them")
-    model.save(path, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
+    if normalisation.get(NORMALISATION) and any(
+        isinstance(m, ScaledObservation) for m in model.policy.modules()
+    ):
+        raise UserError(
+            "VecNormalize and ScaledObservation both scale the observations: train with "
+            "VecNormalize(..., norm_obs=False), or without ScaledObservation"
+        )
+    path = Path(path) if Path(path).suffix else Path(f"{path}.zip")
+    storage.check_file(path)
     action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
-    path = Path(path)
-    write_metadata(
-        path if path.suffix else path.with_suffix(".zip"),
-        {
-            "task": task.name,
-            "task_options": task.options | action_map,
-            "algorithm": type(model).__name__,
-            "seed": model.seed,
-            "steps": int(model.num_timesteps),
-            "normalisation": normalisation,
-        },
-    )
+    metadata = {
+        "task": task.name,
+        "task_options": task.options | action_map,
+        "algorithm": type(model).__name__,
+        "seed": model.seed,
+        "steps": int(model.num_timesteps),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with storage.atomic(path) as part:
+        model.save(part, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
+        write_metadata(part, metadata | normalisation)
 
 
-def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict | None]:
-    """Return the task of a model's environments, and how `VecNormalize` scales their observations."""
-    env, normalisation = model.get_env(), None
+def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
+    """Return the task of a model's environments, and what `VecNormalize` around them adds to the metadata."""
+    env = model.get_env()
+    if env is None:
+        raise UserError("the model has no environment: load it with the one that it was trained on, env=...")
+    normalisation: dict[str, dict | None] = {}
     while isinstance(env, VecEnvWrapper):
-        if isinstance(env, VecNormalize) and normalisation is None:
-            normalisation = _scaling(env) if env.norm_obs else None
-        elif not isinstance(env, _LOOKING_ON):
-            raise _cannot_follow(type(env).__name__)
+        if type(env) is VecNormalize and not normalisation.get(NORMALISATION):
+            normalisation = {NORMALISATION: _scaling(env) if env.norm_obs else None}
+        elif type(env) not in _HARMLESS:
+            raise _not_held(type(env).__name__)
         env = env.venv
     if isinstance(env, BatchVecEnv):
         return env.env.task, normalisation
-    if env is None:
-        raise UserError("the model has no environment: load it with the one that it was trained on, env=...")
-    # Of single environments, perhaps in other processes: "<Monitor<TimeLimit<TaskEnv<InclinedLanding-v0>>>>"
-    *wrappers, _, _ = re.findall(r"[^<>]+", env.env_method("__str__", indices=0)[0]) or [""] * 2
-    for name in wrappers:
-        if name not in _LOOKING_ON_ONE:
-            raise _cannot_follow(name)
-    task = env.get_attr("task", indices=0)[0] if env.has_attr("task") else None
+    foreign = UserError("the model was not trained on an environment of this package, so that it has no task")
+    if not (isinstance(env, (DummyVecEnv, SubprocVecEnv)) and env.has_attr("task")):
+        raise foreign
+    for text in env.env_method("__str__"):  # such as <Monitor<TimeLimit<TaskEnv<InclinedLanding-v0>>>>
+        *names, last = text.strip("<>").split("<")
+        wrappers = names if last.endswith(" instance") else names[:-1]
+        for name in set(wrappers) - _HARMLESS_OF_ONE:
+            raise _not_held(name)
+    task, *others = env.get_attr("task")
     if not isinstance(task, Task):
-        raise UserError("the model was not trained on an environment of this package: it has no task")
+        raise foreign
+    if any(
+        (one.name, one.options, one.pwm_centre) != (task.name, task.options, task.pwm_centre)
+        for one in others
+    ):
+        raise UserError(
+            "the model's environments have different options, and a policy file holds those of one"
+        )
+    spaces = observation_space(task), action_space(task)
+    if (env.observation_space, env.action_space) != spaces:
+        raise _not_held("that changes its spaces (RescaleAction?)")
     return task, normalisation
 
 
 def _scaling(env: VecNormalize) -> dict:
     """Return centre, scale and limit of the observations: clip((o - centre)/scale, -limit, limit)."""
-    if isinstance(env.obs_rms, dict):
-        raise _cannot_follow("VecNormalize of several observations")
     scale = np.sqrt(env.obs_rms.var + env.epsilon)
     return {"centre": env.obs_rms.mean, "scale": scale, "limit": float(env.clip_obs)}
 
 
-def _cannot_follow(name: str) -> UserError:
+def _not_held(name: str) -> UserError:
     return UserError(
-        f"the wrapper {shown(name, 60)} may change what the policy observes or commands, and a policy file "
-        "cannot hold it: train without it, or make it part of the task"
+        f"a policy file cannot hold the wrapper {shown(name, 60)}, which may change what the policy observes "
+        "or commands: train without it (the task's history= has past steps); if it changes rewards alone, "
+        "model.set_env(the environment without it) and save again"
     )
 
 
@@ -136,20 +160,27 @@ class BatchVecEnv(VecEnv):
     def set_options(self, options: dict | list[dict] | None = None) -> None:
         """Set the options of the next reset: of all vehicles, or a list with those of each.
 
-        {"state": start state (13,)}, or of all together (n, 13). Raises UserError for others.
+        {"state": array} starts from given states, (13,) or of all vehicles (n, 13). Raises UserError for
+        other options.
         """
-        if isinstance(options, (list, tuple)):
-            if len(options) != self.num_envs:
-                raise UserError(f"{self.num_envs} vehicles need as many options, not {len(options)}")
-            states = [reset_option(one, "state", ("state",)) for one in options]
+        if not isinstance(options, (list, tuple)):
+            self._states = self._start_states(options, self.num_envs)
+        elif len(options) == self.num_envs:
+            self._states = [state for one in options for state in self._start_states(one, 1)]
         else:
-            state = reset_option(options, "state", ("state",))
-            state = None if state is None else as_floats(state, "the start state")
-            each = state is not None and state.ndim == 2
-            if each and len(state) != self.num_envs:
-                raise UserError(f"{self.num_envs} vehicles need as many start states, not {len(state)}")
-            states = list(state) if each else [state] * self.num_envs
-        self._states = [None if s is None else as_floats(s, "the start state") for s in states]
+            raise UserError(f"{self.num_envs} vehicles need as many options, not {len(options)}")
+
+    def _start_states(self, options, n: int) -> list[np.ndarray | None]:
+        """Return the start states (13,) of n vehicles in options of a reset, or n times None."""
+        state = reset_option(options, "state", ("state",))
+        if state is None:
+            return [None] * n
+        state, size = as_floats(state, "the start state"), self.env.plant.state.shape[1]
+        if state.shape not in ((size,), (1, size), (n, size)):
+            raise UserError(
+                f"a start state has shape ({size},), or of {n} vehicles ({n}, {size}), not {state.shape}"
+            )
+        return list(np.array(np.broadcast_to(state, (n, size))))
 
     def reset(self) -> np.ndarray:
         """Begin new episodes everywhere; honours `VecEnv.seed` and `set_options`."""
@@ -157,14 +188,12 @@ class BatchVecEnv(VecEnv):
             self.env.seed(self._seeds[0])
         self._reset_seeds()
         states, self._states = self._states, [None] * self.num_envs
-        given = np.array([state is not None for state in states])
-        observation = self.env.observe() if given.all() else self.env.reset()
-        if given.any():
-            ids = np.flatnonzero(given)
-            sizes = {np.shape(states[i]) for i in ids}
-            if len(sizes) > 1:
-                raise UserError("the start states of the vehicles are not of one size")
-            observation[ids] = self.env.reset(ids, np.stack([states[i] for i in ids]))
+        given = {i: state for i, state in enumerate(states) if state is not None}
+        if len(given) < self.num_envs:
+            observation = self.env.reset()
+        if given:
+            self.env.reset(list(given), np.array(list(given.values())))
+            observation = self.env.observe()
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -204,25 +233,47 @@ class BatchVecEnv(VecEnv):
     def close(self) -> None:
         """Do nothing: the plant's threads end with the object."""
 
+    def get_images(self) -> list[None]:
+        """Return no pictures: `gymnasium.make` gives single environments that have some."""
+        return [None] * self.num_envs
+
     def get_attr(self, attr_name, indices=None):
         return [getattr(self, attr_name)] * len(self._indices(indices))
 
     def set_attr(self, attr_name, value, indices=None) -> None:
+        """Set an attribute of all vehicles.
+
+        Raises UserError for some of them, AttributeError where there is no such attribute.
+        """
         self._check_all(attr_name, indices)
-        getattr(self, attr_name)  # AttributeError for one that nothing would read
+        getattr(self, attr_name)
         setattr(self, attr_name, value)
 
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
+        """Call a method for all vehicles together; raise UserError for some of them.
+
+        `reset` and `step`, whose results are of the whole batch, are to be called themselves.
+        """
         self._check_all(method_name, indices)
+        if method_name in ("reset", "step"):
+            raise UserError(f"call {method_name} itself, not by env_method: it is for all vehicles together")
         value = getattr(self, method_name)(*method_args, **method_kwargs)
         return [value] * len(self._indices(indices))
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices=None) -> list[bool]:
+        return [False] * len(self._indices(indices))
 
     def _check_all(self, name: str, indices) -> None:
         if set(self._indices(indices)) != set(range(self.num_envs)):
             raise UserError(f"{shown(name, 40)} is of all vehicles of the batch: leave indices out")
 
-    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices=None) -> list[bool]:
-        return [False] * len(self._indices(indices))
-
-    def _indices(self, indices):
-        return list(self._get_indices(indices))
+    def _indices(self, indices) -> list[int]:
+        every = range(self.num_envs)
+        if indices is None:
+            return list(every)
+        given = list(indices) if isinstance(indices, Iterable) else [indices]
+        if not all(is_whole(i) and -self.num_envs <= i < self.num_envs for i in given):
+            raise UserError(
+                f"indices are numbers of vehicles below {self.num_envs}, not {shown(repr(indices), 40)}"
+            )
+        return [every[i] for i in given]

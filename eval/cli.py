@@ -88,11 +88,7 @@ MOVED = ("gap-blind", "gap-agreement", "gap-real", "nanobench", "plan-proof", "f
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return exit_code("landing-eval", lambda: _run(words))
-    except KeyboardInterrupt:
-        print("landing-eval: interrupted", file=sys.stderr)
-        return 130
+    return exit_code("landing-eval", lambda: _run(words))
 
 
 def find(name: str) -> Callable:

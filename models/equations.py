@@ -86,8 +86,8 @@ class Conditions(NamedTuple):
 
 
 # One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
-# references.
-STEP = np.dtype(
+# references. Of np.record, whose fields are attributes where Python runs the kernels (NUMBA_DISABLE_JIT) too.
+_STEP = np.dtype(
     [
         ("y", float, _LOADED_SIZE),  # integrated vector
         ("command", float, 4),
@@ -106,6 +106,7 @@ STEP = np.dtype(
     ],
     align=True,
 )
+STEP = np.dtype((np.record, _STEP))
 
 
 @functools.cache
@@ -120,7 +121,7 @@ def _layout() -> tuple[Callable, Callable, np.dtype]:
     terms = [f"effects_{entry}" for entry, *_ in tables["effects"] if entry not in _NO_TERMS]
     more = [(name, float, np.shape(getattr(shipped, name))) for name in _DERIVED]
     layout = np.dtype([*tables.items(), *more, ("any_effect", float)])
-    return attrgetter(*names, *_DERIVED), attrgetter(*terms), layout
+    return attrgetter(*names, *_DERIVED), attrgetter(*terms), np.dtype((np.record, layout))
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:

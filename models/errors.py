@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 # Packages by the extra that installs them; others come with `eval` and with `train`.
 _EXTRAS = {
@@ -20,9 +20,10 @@ _EXTRAS = {
     "baselines": ("pysindy", "rotorpy", "torchdiffeq", "roma"),
     "mocap": ("motioncapture",),
 }
-LONGEST = 2000  # characters of a sentence; beyond, its middle is left out
+LONGEST = 400  # characters of a sentence; beyond, its middle is left out
 LONGEST_LIST = 200  # characters of names that are known
 LONG_WORD = r"[^\s/]{151,}"  # shortened in sentences; names of files are rarely that long
+LONG_PATH = r"\S{201,}"  # shortened too
 
 
 class UserError(ValueError):
@@ -34,6 +35,7 @@ class UserError(ValueError):
 
     def __init__(self, sentence: str):
         words = re.sub(LONG_WORD, lambda word: shown(word[0]), sentence)
+        words = re.sub(LONG_PATH, lambda path: shown(path[0], 160), words)
         super().__init__(shown(words, LONGEST))
 
 
@@ -63,6 +65,16 @@ def choices(names: Iterable[str], given: str) -> str:
         return every
     near = difflib.get_close_matches(given, names, 3, 0.5) or names[:3]
     return f"known are {len(names)}, such as {', '.join(near)}"
+
+
+def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:
+    """Return a list of names or clauses for a sentence: the first ones, and how many more there are."""
+    kept = list(texts[:1])
+    for text in texts[1:]:
+        if sum(map(len, kept)) + len(text) > longest:
+            return f"{'; '.join(kept)}; and {len(texts) - len(kept)} more"
+        kept.append(text)
+    return "; ".join(kept)
 
 
 def shown(name: object, longest: int = 80) -> str:

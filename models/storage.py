@@ -46,6 +46,17 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
         raise UserError(f"{what} {name} cannot be read: {reason(error)}") from error
 
 
+def real(path: str | Path) -> Path:
+    """Return the absolute path without links; `path` itself where they lead in a circle, or with a zero byte.
+
+    `Path.resolve` raises errors of three kinds there. What is wrong is said by what reads the file.
+    """
+    try:
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError):
+        return Path(path)
+
+
 def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
     """Return the UTF-8 text of a file, with the limits and errors of `read_bytes`."""
     try:
@@ -111,6 +122,26 @@ def scratch(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def made(folder: Path) -> Iterator[None]:
+    """Make a folder, with those above it; what of them was not there before goes again on any error.
+
+    Raises UserError where that is impossible.
+    """
+    try:
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot create the folder {folder}: {reason(error)}") from error
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):  # something else is in it by now
+            for path in missing:
+                path.rmdir()
+        raise
 
 
 def is_part(path: Path) -> bool:

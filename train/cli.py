@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
 import sys
-import threading
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from inclined_landing.envs.shared import command_line
@@ -20,32 +16,24 @@ if TYPE_CHECKING:
 def main(arguments: list[str] | None = None) -> int:
     """Run `landing-train` and return its exit code.
 
-    2 for wrong input, 3 for a run that ended without the success that was to end it, 130 and 143 after Ctrl-C
-    and SIGTERM.
+    2 for wrong input, 3 for a run that ended without the success that was to end it, 130, 143 and 129 after
+    Ctrl-C, SIGTERM and the end of its terminal.
     """
-    caught: list[int] = []
+    words = list(sys.argv[1:] if arguments is None else arguments)
     begun: list[TrainConfig] = []
 
-    def work() -> int:
-        with _signals(caught):
-            return _train(arguments, begun)
-
-    try:
-        return command_line.exit_code("landing-train", work, "train")
-    except KeyboardInterrupt:
-        words = sys.argv[1:] if arguments is None else arguments
-        go_on = "interrupted; --resume with the same --out goes on from the last checkpoint"
+    def interrupted() -> str:
         if words[:1] == ["sweep"]:
-            go_on = "interrupted; the same command goes on"
-        elif begun and not begun[0].resumable:
-            go_on = f"interrupted; {begun[0].algorithm} keeps no checkpoint to go on from"
-        print(f"landing-train: {go_on}", file=sys.stderr)
-        return 128 + (caught or [signal.SIGINT])[0]
+            return "interrupted; the same command goes on"
+        if begun and not begun[0].resumable:
+            return f"interrupted; {begun[0].algorithm} keeps no checkpoint to go on from"
+        return "interrupted; --resume with the same --out goes on from the last checkpoint"
+
+    return command_line.exit_code("landing-train", lambda: _train(words, begun), "train", interrupted)
 
 
-def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
+def _train(words: list[str], begun: list[TrainConfig]) -> int:
     """Do the work of `main` and return the exit code; the configuration of the run is noted in `begun`."""
-    words = sys.argv[1:] if arguments is None else arguments
     if words and words[0] == "--version":
         print(command_line.versions("landing-train"))
         return 0
@@ -67,7 +55,7 @@ def _train(arguments: list[str] | None, begun: list[TrainConfig]) -> int:
         print(command_line.grouped_help(TrainConfig, "landing-train", groups))
         print("\nlanding-train --help-all tells all options." * ("--help-all" not in words))
         return 0
-    config = command_line.parse(TrainConfig, "landing-train", arguments)
+    config = command_line.parse(TrainConfig, "landing-train", words)
     from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)
@@ -100,27 +88,3 @@ def _report(run: Run, metrics: dict) -> None:
         return
     vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
     report(run.folder, metrics, vehicle, run.curriculum.stages())
-
-
-@contextlib.contextmanager
-def _signals(caught: list[int]) -> Iterator[None]:
-    """Let SIGTERM end the work as Ctrl-C does, by KeyboardInterrupt; the signal is noted in `caught`."""
-
-    def stop(number, frame):
-        caught.append(number)
-        raise KeyboardInterrupt
-
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup and background jobs ask for
-                before[number] = signal.signal(number, stop)
-    try:
-        yield
-    except BaseException as error:
-        if caught:  # whatever the interruption became on its way through other libraries
-            raise KeyboardInterrupt from error
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

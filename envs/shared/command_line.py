@@ -14,6 +14,8 @@ import gc
 import inspect
 import io
 import itertools
+import logging
+import math
 import operator
 import os
 import platform
@@ -22,16 +24,26 @@ import shutil
 import signal
 import sys
 import textwrap
+import threading
+import time
 import typing
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import ModuleType
+from typing import Any, TextIO
 
+from inclined_landing.models import imports
 from inclined_landing.models.errors import UserError, not_installed, shown
 
 SHELLS = ("bash", "zsh", "fish")
 # New objects until Python looks for cycles among them. Imports make 300 000 that stay: at the usual 700 a
 # fifth of the time of importing goes into looking through them over and over.
 _YOUNG = 20_000
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)  # signals that end the work
+_UNDISTURBED = (
+    1.0  # s after one of them, in which others do not interrupt the removal of what is half-written
+)
+# Output that cannot be written: disk, quota, size of a file, device, and what was closed by the shell.
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
@@ -192,44 +204,127 @@ def bound(command: Callable) -> Callable:
     return later
 
 
-def exit_code(prog: str, work: Callable[[], int | None], extra: str = "eval") -> int:
+def exit_code(
+    prog: str,
+    work: Callable[[], int | None],
+    extra: str = "eval",
+    interrupted: Callable[[], str] = lambda: "interrupted",
+) -> int:
     """Do the work of a command line and return its exit code, or say in one sentence why it cannot go on:
-    2 for wrong input, for what `extra` would install, and where the engine or the memory gives out."""
+    2 for wrong input, for what `extra` would install, and where the engine or the memory gives out.
+
+    After a signal that ends it, as Ctrl-C does, the sentence is that of `interrupted` and the code is 128 and
+    the signal's number. Words on stderr that cannot be written there are lost, and change no code.
+    """
     gc.set_threshold(_YOUNG)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
-    try:
+    imports.around_import("matplotlib", _own_figures)
+    caught: list[int] = []
+    code = 2
+    with _streams():
         try:
-            return work() or 0
-        finally:
-            if sys.stdout is not None:
+            try:
+                with _signals(caught):
+                    return work() or 0
+            finally:
                 sys.stdout.flush()  # here it can be said if that fails
-    except ModuleNotFoundError as error:
-        sentence = not_installed(error, extra)
-    except (UserError, ImportError) as error:
-        sentence = str(error)
-    except FloatingPointError as error:
-        sentence = f"{error}; no simulation can go on from there"
-    except MemoryError:
-        sentence = "there is not enough memory for this"
-    except BrokenPipeError:  # whoever read the output has seen enough
-        _drop_output()
-        return 128 + signal.SIGPIPE
-    except OSError as error:
-        sentence = (error.strerror or str(error)).lower()
-        if error.filename is not None:
-            sentence = f"{sentence}: {shown(error.filename)}"
-        elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
-            sentence = f"the output cannot be written: {sentence}"
+        except KeyboardInterrupt:
+            sentence, code = interrupted(), 128 + (caught or [signal.SIGINT])[0]
+        except ModuleNotFoundError as error:
+            sentence = not_installed(error, extra)
+        except (UserError, ImportError) as error:
+            sentence = str(error)
+        except FloatingPointError as error:
+            sentence = f"{error}; no simulation can go on from there"
+        except MemoryError:
+            sentence = "there is not enough memory for this"
+        except BrokenPipeError:  # whoever read the output has seen enough
             _drop_output()
-    print(f"{prog}: {sentence}", file=sys.stderr)
-    return 2
+            return 128 + signal.SIGPIPE
+        except OSError as error:
+            sentence = (error.strerror or str(error)).lower()
+            if error.filename is not None:
+                sentence = f"{sentence}: {shown(error.filename)}"
+            elif error.errno in _UNWRITABLE:
+                sentence = f"the output cannot be written: {sentence}"
+                _drop_output()
+        print(f"{prog}: {UserError(sentence)}", file=sys.stderr)  # one line, of bounded length
+        return code
+
+
+def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
+    """Run matplotlib's code: no matplotlibrc, no window, no words of its own on either or on its cache."""
+    os.environ.update(MATPLOTLIBRC=os.devnull, MPLBACKEND="agg")
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    try:
+        execute(matplotlib)
+    except UnicodeDecodeError as error:  # of a matplotlibrc in the current folder, which comes first
+        raise UserError("matplotlibrc, here, is not UTF-8 text: mend it, or go to another folder") from error
+
+
+@contextlib.contextmanager
+def _signals(caught: list[int]) -> Iterator[None]:
+    """Let other signals end the work as Ctrl-C does, by KeyboardInterrupt; they are noted in `caught`."""
+    undisturbed = -math.inf  # until this time [s]
+
+    def stop(number, frame):
+        nonlocal undisturbed
+        caught.append(number)
+        if time.monotonic() >= undisturbed:
+            undisturbed = time.monotonic() + _UNDISTURBED
+            raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in _ENDING:
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup and background jobs ask for
+                before[number] = signal.signal(number, stop)
+    try:
+        yield
+    except BaseException as error:
+        if caught:  # whatever the interruption became on its way through other libraries
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Lossy(io.FileIO):
+    """A stream whose words may get lost: a full disk or a terminal that is gone does not end the work."""
+
+    def write(self, data) -> int:
+        """Write what can be written, and return the length of all."""
+        with contextlib.suppress(OSError):
+            super().write(data)
+        return len(data)
+
+
+@contextlib.contextmanager
+def _streams() -> Iterator[None]:
+    """Make the standard streams of this process bear what may happen to them."""
+    while (
+        handle := os.open(os.devnull, os.O_RDONLY)
+    ) <= 2:  # closed by the shell; no file may get its number
+        pass
+    os.close(handle)
+    with contextlib.ExitStack() as changed:
+        if sys.stdout is None:  # words there are an error, as on a full disk
+            changed.enter_context(contextlib.redirect_stdout(open(1, "w", closefd=False)))
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
+        if sys.stderr is sys.__stderr__:  # as nobody else has changed it
+            changed.enter_context(contextlib.redirect_stderr(_lossy(2)))
+        yield
+
+
+def _lossy(handle: int) -> TextIO:
+    stream = io.BufferedWriter(_Lossy(handle, "w", closefd=False))
+    return io.TextIOWrapper(stream, errors="backslashreplace", line_buffering=True)
 
 
 def _drop_output() -> None:
     """Discard output that cannot be written: Python would try again, and fail, at its end."""
-    if sys.stdout is not None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(box: str, words: Sequence[str], prog: str) -> str:

@@ -68,10 +68,10 @@ def hand_over(
     Print it as JSON, or as `show` does.
     """
     if out is not None:
-        folder = new_run(out)
-        for name, text in (files or {}).items():
-            storage.write_text(folder / name, text)
-        storage.write_json(folder / f"{report['command'].split()[0]}.json", report)
+        with staged_run(out) as folder:
+            for name, text in (files or {}).items():
+                storage.write_text(folder / name, text)
+            storage.write_json(folder / f"{report['command'].split()[0]}.json", report)
     if json:
         print(storage.to_json(report))
     else:
@@ -124,19 +124,19 @@ def staged_run(path: str | Path) -> Iterator[Path]:
     there = path.is_dir()
     beside = path if there else path.parent
     part = beside / f".{path.name[:40] or 'run'}.{os.getpid()}.part"
-    try:
-        beside.mkdir(parents=True, exist_ok=True)
-        part.mkdir()
-        yield part
-        if not there:
-            os.replace(part, path)
-        else:
-            for item in sorted(part.iterdir()):
-                os.replace(item, path / item.name)
-    except OSError as error:
-        raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    with storage.made(beside):
+        try:
+            part.mkdir()
+            yield part
+            if not there:
+                os.replace(part, path)
+            else:
+                for item in sorted(part.iterdir()):
+                    os.replace(item, path / item.name)
+        except OSError as error:
+            raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def versions() -> dict[str, str | int | None]:

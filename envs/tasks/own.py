@@ -15,6 +15,7 @@ from typing import TypeGuard
 
 from inclined_landing.envs.tasks.base import Task
 from inclined_landing.envs.tasks.guard import guarded
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 
@@ -23,9 +24,9 @@ def is_path(name: object) -> TypeGuard[str]:
     return isinstance(name, str) and ":" in name
 
 
-def would_import(text: str) -> bool:
+def would_import(text: object) -> TypeGuard[str]:
     """Would a task or controller of this name be imported: is it `module:NAME` or `file.py:NAME`."""
-    source, _, name = text.rpartition(":")
+    source, _, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
     return bool(source) and name.isidentifier()
 
 
@@ -49,6 +50,8 @@ def import_named(path: str, what: str, kind: str):
             f"a {what} of your own is written module:{kind} or file.py:{kind}, not {shown(path, 60)}"
         )
     source, _, name = path.rpartition(":")
+    if source.endswith(".py"):
+        storage.read_bytes(source, f"{what} file")  # no pipe, which has no end
     try:
         module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
     except (Exception, SystemExit) as error:  # whatever the code does

@@ -51,6 +51,9 @@ STYLE: dict[Any, Any] = {
     "image.composite_image": False,  # each vehicle its own picture, not one over the whole page
 }
 
+# But the backend, which no figure here uses: matplotlib resolves it when it is read.
+_DEFAULTS = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+
 
 def literal(name: str) -> str:
     """Return a name as matplotlib shows it: text between two dollars would be a formula."""
@@ -83,8 +86,8 @@ def share_curve(axes: Axes, x: Sequence[float], proportions: Sequence[Mapping], 
 
 
 def styled():
-    """Return the context in which figures are made and saved."""
-    return matplotlib.rc_context(STYLE)
+    """Return the context in which figures are made and saved, whatever a matplotlibrc says."""
+    return matplotlib.rc_context({**_DEFAULTS, **STYLE})
 
 
 def time_colours(share) -> np.ndarray:
@@ -126,8 +129,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     if kind not in (".png", ".pdf"):
         raise UserError(f"a figure is a .png or .pdf file, not {path.name!r}")
     metadata = {"CreationDate": None} if kind == ".pdf" else {}
-    make_folder(path.parent)
-    with styled(), storage.atomic(path) as part:
+    with storage.made(path.parent), styled(), storage.atomic(path) as part:
         figure.savefig(part, dpi=STAMP_DPI if kind == ".pdf" else PNG_DPI, metadata=metadata)
     return path
 

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from importlib import resources
 
 import jinja2
 
-from inclined_landing.models.errors import shown
-
-LONGEST = 2000  # characters of a value
-# What Markdown or HTML would read as its own within a line; `_` not within a word, `]` where a link goes on.
-_SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[:])")
+from inclined_landing.eval.base.markdown import escaped
 
 
 def render(template: str, **content) -> str:
-    """Return a template of this package filled in, as plain text; in Markdown values are escaped by
-    `markdown`.
-    """
+    """Return a template of this package filled in, as plain text; in Markdown values are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         undefined=jinja2.StrictUndefined,
-        finalize=markdown if template.endswith(".md.j2") else None,
+        finalize=escaped if template.endswith(".md.j2") else None,
     )
     return environment.get_template(template).render(content)
-
-
-def markdown(value: object) -> str:
-    """Return a value escaped for Markdown: one line, and no formatting, link or HTML of its own."""
-    return _SPECIAL.sub(r"\\\g<0>", shown(value, LONGEST))
 
 
 def text(name: str) -> str:

@@ -11,7 +11,7 @@ import tyro
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Degrees, Range, Seed
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.storage import check_file
+from inclined_landing.models.storage import check_file, made
 
 DeckName = Annotated[str | None, tyro.conf.arg(metavar="{lighthouse,flow}")]
 
@@ -76,8 +76,8 @@ def command(
     finally:
         process.close()
         if out is not None:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            world.trace.write(out)
+            with made(out.parent):
+                world.trace.write(out)
     x, y, z = world.body.state[:3]
     log = "" if out is None else f"; the ground truth is in {out}"
     say(f"The simulated Crazyflie was switched off at x {x:.2f}, y {y:.2f}, z {z:.2f} m{log}.")

@@ -15,7 +15,7 @@ from inclined_landing.envs import policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
@@ -37,8 +37,6 @@ class Finding:
 def examine() -> list[Finding]:
     """Run every check and return what each found."""
     engine, more = "run `make` in the repository", "run `make test` for more"
-    if os.environ.get("MUJOCO_GL"):
-        engine = f"unset MUJOCO_GL (it is {os.environ['MUJOCO_GL']!r}) or install that library"
     rebuild = "run `make` in the repository, or reinstall the package in this environment"
     compiler = "apt install g++, or name a compiler in CXX"
     packages = _packages()
@@ -206,17 +204,22 @@ def _rendering() -> tuple[bool, str]:
 
 
 def _opengl() -> Finding:
+    """Return which OpenGL there is; that of MUJOCO_GL, where it is set, must load."""
+    import mujoco
+
     from inclined_landing.envs.rendering.gl import probe
 
-    found = probe()
-    detail = f"{found.kind}, {'hardware' if found.hardware else 'software'}"
-    return Finding(
-        "OpenGL",
-        bool(found.kind),
-        detail if found.kind else f"none, {found.missing} is missing; pictures are ray-cast",
-        "apt install libegl1 libgl1 (or libosmesa6) for --backend gl",
-        needed=False,
-    )
+    found, remedy = probe(), "apt install libegl1 libgl1 (or libosmesa6) for --backend gl"
+    asked = [name for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM") if os.environ.get(name)]
+    ok, detail = True, f"{found.kind}, {'hardware' if found.hardware else 'software'}"
+    if not found.kind:
+        ok, detail = False, f"none, {found.missing} is missing; pictures are ray-cast"
+    if getattr(getattr(mujoco, "GLContext", None), "__name__", "") == "_MissingGLContext":
+        named = ", ".join(f"{name}={shown(os.environ[name], 40)}" for name in asked)
+        ok, detail = False, f"{named} does not load; {'without it ' * bool(found.kind)}{detail}"
+    if asked:
+        remedy = f"unset {' and '.join(asked)}, or {remedy}"
+    return Finding("OpenGL", ok, detail, remedy, needed=False)
 
 
 def _video() -> tuple[bool, str]:

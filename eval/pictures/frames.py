@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import pathlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,7 @@ from inclined_landing.models.errors import UserError
 
 FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 FPS = 50.0  # one frame for every control step
+_ENDED = "ffmpeg was ended; is the disk full, or are files (ulimit -f) or memory limited?"
 _CODECS = {".mp4": "h264", ".gif": "gif"}
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
@@ -184,8 +185,7 @@ def strobe(
 
 def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
     """Write a picture (h, w, 3) uint8 to a .png file, whole or not at all; return its path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with storage.atomic(path) as part:
+    with storage.made(path.parent), storage.atomic(path) as part:
         Image.fromarray(picture).save(part)
     return path
 
@@ -202,7 +202,10 @@ def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
 
 
 def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
-    """Write the same frames to several files of the same duration, each with every n-th frame (by file)."""
+    """Write the same frames to several files of the same duration, each with every n-th frame (by file).
+
+    Raises UserError as `write_video` does, and where ffmpeg fails, as on a full disk.
+    """
     for path in every:
         if path.suffix.lower() not in _CODECS:
             raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
@@ -210,20 +213,49 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
     first = next(frames, None)
     if first is None:
         raise UserError(f"no frames for {' and '.join(path.name for path in every)}")
-    import imageio_ffmpeg
-    import mediapy
-
-    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     with contextlib.ExitStack() as opened:
         writers = []
         for path, step in every.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
+            opened.enter_context(storage.made(path.parent))
             part = opened.enter_context(storage.atomic(path))
-            codec = _CODECS[path.suffix.lower()]
-            quality = 20 if codec == "h264" else None
-            writer = mediapy.VideoWriter(part, first.shape[:2], fps=fps / step, codec=codec, qp=quality)
-            writers.append((opened.enter_context(writer), step))
+            writers.append((opened.enter_context(_encoded(path, part, first.shape[:2], fps / step)), step))
         for k, frame in enumerate(itertools.chain([first], frames)):
-            for writer, step in writers:
+            for add, step in writers:
                 if k % step == 0:
-                    writer.add_image(frame)
+                    add(frame)
+
+
+@contextlib.contextmanager
+def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
+    """Yield what adds a frame to the video that is written to `part`, and will be `path`."""
+    import imageio_ffmpeg
+    import mediapy
+
+    codec = _CODECS[path.suffix.lower()]
+    quality = 20 if codec == "h264" else None
+    with _failures(path, part):
+        mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+        writer = mediapy.VideoWriter(part, shape, fps=fps, codec=codec, qp=quality).__enter__()
+
+    def add(frame: np.ndarray) -> None:
+        with _failures(path, part):
+            writer.add_image(frame)
+
+    try:
+        yield add
+    finally:
+        with _failures(path, part):
+            writer.close()
+
+
+@contextlib.contextmanager
+def _failures(path: pathlib.Path, part: pathlib.Path) -> Iterator[None]:
+    """Raise UserError where ffmpeg is missing, was ended, or cannot write `part`."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        text = storage.reason(error) if isinstance(error, OSError) else str(error)
+        last = text.removeprefix(f"Error writing '{part}': ").strip().rpartition("\n")[2].rpartition(": ")[2]
+        ended = isinstance(error, BrokenPipeError) or not last
+        reason = _ENDED if ended else last[0].lower() + last[1:]
+        raise UserError(f"cannot write {path}: {reason}") from error

@@ -107,8 +107,8 @@ def command(
         run=shlex.join(["landing-eval", *sys.argv[1:]]),
         versions=runs.packages(),
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    storage.write_text(out, text)
+    with storage.made(out.parent):
+        storage.write_text(out, text)
     for note in notes:
         print(note, file=sys.stderr)
     for recording in recordings:

@@ -10,6 +10,8 @@ import pandas as pd
 
 from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.base.markdown import escaped
+from inclined_landing.eval.base.markdown import table as markdown_table
 from inclined_landing.eval.robustness.changes import SIZES
 from inclined_landing.eval.robustness.figures import matrix
 
@@ -190,20 +192,15 @@ def _nominal(report: dict) -> dict:
 
 def markdown(report: dict) -> str:
     """Return the report as Markdown: sentences, pictures, tables."""
-    lines = [*(f"- {sentence}" for sentence in sentences(report)), ""]
+    lines = [*(f"- {escaped(sentence)}" for sentence in sentences(report)), ""]
     lines += ["![Shares over thrust](robustness_thrust.png)", ""]
     if report["effects"]:
         lines += ["![Effects and policies](robustness_matrix.png)", ""]
     lines += [f"{report['starts']} starts, {report['plant']} plant, 95 % Wilson intervals.", ""]
     tables = [summary(report), thrust(report)] + ([effects(report)] if report["effects"] else [])
-    for table in tables:
-        heads = table["heads"]
-        lines += [_row(heads), "|---" * len(heads) + "|", *map(_row, table["rows"]), ""]
+    for found in tables:
+        lines += [*markdown_table(**found), ""]
     return "\n".join(lines)
-
-
-def _row(cells: tuple) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def conditions_csv(report: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ from inclined_landing.envs.shared.recipe import Number, Recipe, read_recipe, run
 from inclined_landing.envs.shared.statistics import number as rounded
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base import page as base_page
+from inclined_landing.eval.base.markdown import literal, table
 from inclined_landing.eval.sweeps.picture import variants_figure
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -156,17 +157,18 @@ def markdown(found: list[Found]) -> str:
     """Return the same for the documentation; pictures lie in the folder `beyond` beside it."""
     lines = [f"# {TITLE}", "", INTRODUCTION, ""]
     rows: list[tuple[str, ...]] = [
-        (f"[{one.recipe.title}](#{one.anchor})", one.answer, one.verdict) for one in found
+        (f"[{literal(one.recipe.title)}](#{one.anchor})", literal(one.answer), literal(one.verdict))
+        for one in found
     ]
-    lines += _table(("what", "answer", "bars"), rows)
+    lines += table(("what", "answer", "bars"), rows, str)
     for one in found:
         recipe = one.recipe
-        lines += ["", f"## {_text(recipe.title)}", "", f"*{_text(recipe.question)}*", ""]
-        lines += [_text(one.answer), ""] if one.answer else []
-        lines += _table(one.heads, one.rows)
+        lines += ["", f"## {literal(recipe.title)}", "", f"*{literal(recipe.question)}*", ""]
+        lines += [literal(one.answer), ""] if one.answer else []
+        lines += table(one.heads, one.rows, literal)
         for suffix, what in ((".png", "figure"), (".gif", "a flight")):
             if suffix in one.pictures:
-                lines += ["", f"![{_text(recipe.title)}: {what}]({NAME}/{recipe.name}{suffix})"]
+                lines += ["", f"![{literal(recipe.title)}: {what}]({NAME}/{recipe.name}{suffix})"]
         lines += ["", f"{one.runs} Once more:", "", "```sh", one.result.command, "```"]
     return "\n".join(lines) + "\n"
 
@@ -227,16 +229,3 @@ def _write_pictures(found: list[Found], folder: Path) -> list[Path]:
             paths.append(folder / f"{one.recipe.name}{suffix}")
             storage.write_bytes(paths[-1], data)
     return paths
-
-
-def _table(heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return lines of a Markdown table; links stay links."""
-    lines = [heads, ("---",) * len(heads), *rows]
-    return [f"| {' | '.join(map(_text, row))} |" for row in lines]
-
-
-def _text(text: str) -> str:
-    """Return text of a recipe as Markdown shows it: no HTML, no code, no columns."""
-    for mark in "\\`<>|*":
-        text = text.replace(mark, f"&#{ord(mark)};")
-    return text

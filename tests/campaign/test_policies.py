@@ -108,6 +108,7 @@ SHAPES = {
     "expanded": lambda t: t.flatten()[:1].expand(1_000_000_000),
     "a view": lambda t: torch.cat([t.flatten(), t.flatten()])[t.numel() :].reshape(t.shape),
     "strided": lambda t: torch.stack([t, t], -1)[..., 0],
+    "a huge stride": lambda t: t.as_strided((1, *t.shape), (2**62, *t.stride())),
     "double": lambda t: t.double(),
     "half": lambda t: t.half(),
     "bfloat16": lambda t: t.bfloat16(),

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, save_policy, weights
+from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, save_policy
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.make import make_for
 from inclined_landing.envs.tasks import make_task
@@ -97,11 +97,11 @@ def test_predict_is_that_of_sac_with_state_dependent_exploration(tmp_path):
     assert abs(actions).max() == pytest.approx(np.tanh(2.0))
 
 
-def assert_same_actions(network, path):
+def assert_same_actions(network, path, task=None):
     """float32 sums: 256 terms at 6e-8, before a gain below 10."""
     rows = np.random.default_rng(1).normal(scale=3.0, size=(300, 5)).astype(np.float32)
     wanted, _ = network.predict(rows, deterministic=True)
-    np.testing.assert_allclose(policy.load_policy(path).predict(rows), wanted, atol=1e-4)
+    np.testing.assert_allclose(policy.load_policy(path, task).predict(rows), wanted, atol=1e-4)
     return wanted
 
 
@@ -231,6 +231,12 @@ def damaged(path):
             target.writestr(name, content)
 
 
+def huge_stride(path):
+    network = model()
+    network.policy.log_std.data = network.policy.log_std.data.as_strided((1, 2), (2**62, 1))
+    saved(path, network)
+
+
 def discrete_actions(path):
     env = Spaces(5, 2)
     env.action_space = gym.spaces.Discrete(4)
@@ -263,6 +269,7 @@ def unknown_option(path):
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
         (damaged, "policy.pth in it is not a zip file"),
+        (huge_stride, "tensor log_std has a shape that is none"),
         (discrete_actions, "not a PPO, SAC or TD3 policy"),
         (other_activation, "SiLU"),
         (damaged_metadata, "inclined_landing.json in it is not JSON"),
@@ -279,8 +286,9 @@ def test_wrong_files_are_one_sentence(tmp_path, make, sentence):
 
 def test_wrong_observations_and_tasks(tmp_path):
     path = saved(tmp_path / "p.zip", model())
-    with pytest.raises(UserError, match="of 5 numbers"):
-        policy.load_policy(path).predict(np.zeros((3, 4)))
+    for wrong, said in ((np.zeros((3, 4)), "of 5 numbers"), ("fast", "must be an array of real numbers")):
+        with pytest.raises(UserError, match=said):
+            policy.load_policy(path).predict(wrong)
     with pytest.raises(UserError, match="unknown task 'hover'"):
         policy.load_policy(path, "hover")
     with pytest.raises(UserError, match="outside the supported range"):
@@ -316,87 +324,200 @@ class Doubled(BaseFeaturesExtractor):
         return 2.0 * observations
 
 
+class Tanh(torch.nn.Module):
+    """Another function under a known name."""
+
+    def forward(self, x):
+        return x.sin()
+
+
 class OwnPolicy(ActorCriticPolicy):
     """A policy of one's own, which could compute anything."""
 
 
-class Told(gym.ObservationWrapper):
-    """A wrapper of one's own."""
+class Mirrored(gym.ObservationWrapper):
+    """Changes what a policy observes, not its space."""
 
     def observation(self, observation):
         return -observation
+
+
+class Twice(VecNormalize):
+    """Changes what a policy observes by more than the statistics."""
+
+    def normalize_obs(self, obs):
+        return 2.0 * super().normalize_obs(obs)
 
 
 def vehicles(count=4):
     return BatchVecEnv(make_batch("landing", count, plant="analytic", seed=0))
 
 
-def learner(env) -> PPO:
-    return PPO("MlpPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
+def single(**options):
+    return gym.make(NAME, plant="analytic", **options)
 
 
-@pytest.mark.parametrize("options", [{}, {"clip_obs": 0.7, "epsilon": 0.1}, {"norm_obs": False}])
-def test_a_policy_behind_vecnormalize_takes_its_statistics_along(tmp_path, options):
+def learner(env, kind=PPO, **options):
+    usual = {PPO: {"n_steps": 16, "batch_size": 16, "n_epochs": 1}}.get(kind, {"buffer_size": 99})
+    return kind("MlpPolicy", env, seed=0, device="cpu", **usual, **options)
+
+
+@pytest.mark.parametrize("kind", [PPO, SAC])
+@pytest.mark.parametrize(
+    "options", [{}, {"clip_obs": 0.7, "epsilon": 0.1}, {"clip_obs": np.inf}, {"norm_obs": False}]
+)
+def test_a_policy_behind_vecnormalize_takes_its_statistics_along(tmp_path, kind, options):
     env = VecNormalize(VecMonitor(vehicles()), **options)
-    network = learner(env).learn(64)
-    env.training = False  # or the next reset moves the statistics
+    network = learner(env, kind).learn(64)
     save_policy(network, tmp_path / "mine")
-    raw = env.unnormalize_obs(env.reset()) if options.get("norm_obs", True) else env.reset()
-    raw = np.random.default_rng(0).normal(raw, 1.0).astype(np.float32)
+    raw = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
     expected = network.predict(env.normalize_obs(raw), deterministic=True)[0]
-    loaded = load_policy(tmp_path / "mine.zip")
-    assert np.abs(loaded.predict(raw) - expected).max() < 1e-5  # float32 of the network
+    # float32 sums of 256 terms at most
+    np.testing.assert_allclose(load_policy(tmp_path / "mine.zip").predict(raw), expected, atol=1e-5)
+    assert load_policy(tmp_path / "mine.zip").metadata["steps"] == 64
+
+
+def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
+    """Stable-Baselines3's own, and one of a model that was given another environment; the remedy works."""
+    env = VecNormalize(vehicles())
+    network = learner(env).learn(64)
     network.save(tmp_path / "plain.zip")
-    with pytest.raises(UserError, match=r"trained behind VecNormalize .* save_policy\(model, path\)"):
-        load_policy(tmp_path / "plain.zip", "landing")
+    env.save(tmp_path / "statistics.pkl")
+    save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
+    for name in ("plain.zip", "bare.zip"):
+        with pytest.raises(UserError, match=r"behind VecNormalize.*VecNormalize\.load"):
+            load_policy(tmp_path / name, "landing")
+    again = VecNormalize.load(tmp_path / "statistics.pkl", vehicles())
+    save_policy(PPO.load(tmp_path / "plain.zip", env=again), tmp_path / "mine.zip")
+    np.testing.assert_array_equal(load_policy(tmp_path / "mine.zip").centre, env.obs_rms.mean)
 
 
-@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_files_of_sac_and_td3_are_read_after_training(tmp_path):
+    """Their headers have a last observation with and without VecNormalize."""
+    for kind in (SAC, TD3):
+        network = learner(vehicles(), kind).learn(8)
+        network.save(tmp_path / "plain.zip")
+        assert_same_actions(network, tmp_path / "plain.zip", "landing")
+
+
+LEVEL = {"centre": [0] * 5, "scale": [1] * 5, "limit": 1}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [3, [], {"centre": [0] * 5}, *(LEVEL | {name: 10**400} for name in LEVEL), LEVEL | {"centre": "x"}],
+)
+def test_wrong_statistics_are_refused(tmp_path, given):
+    path = saved(tmp_path / "p.zip", model(), METADATA | {"normalisation": given})
+    with pytest.raises(UserError, match="has no centre, scale and limit"):
+        load_policy(path)
+    for wrong in ({"scale": [0] * 5}, {"centre": [0] * 4}, {"scale": [None] * 5}, {"limit": -1}):
+        saved(path, model(), METADATA | {"normalisation": LEVEL | wrong})
+        with pytest.raises(UserError):
+            load_policy(path)
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, pytest.param(SubprocVecEnv, marks=pytest.mark.slow)])
 def test_models_of_single_environments_are_saved(tmp_path, kind):
-    env = kind([lambda: Monitor(gym.make(NAME, inclination=-0.3)) for _ in range(2)])
+    env = kind([lambda: Monitor(single(inclination=-0.3)) for _ in range(2)])
     save_policy(learner(env), tmp_path / "mine.zip")
     env.close()
     assert load_policy(tmp_path / "mine.zip").task.options["inclination"] == pytest.approx(-0.3)
 
 
 @pytest.mark.parametrize(
-    "make, name",
+    "wrap",
     [
-        (lambda: VecFrameStack(vehicles(), 2), "VecFrameStack"),
-        (lambda: VecNormalize(VecNormalize(vehicles())), "VecNormalize"),
-        (lambda: Told(gym.make("InclinedLanding-v0")), "Told"),
-        (lambda: gym.wrappers.RescaleAction(gym.make("InclinedLanding-v0"), -2, 2), "RescaleAction"),
+        lambda env: gym.wrappers.TransformReward(env, lambda reward: 0.1 * reward),
+        lambda env: gym.wrappers.TimeLimit(gym.wrappers.FlattenObservation(env), 50),
+        lambda env: gym.wrappers.RescaleAction(env, -1.0, 1.0),
+    ],
+)
+def test_wrappers_that_leave_observations_and_actions_alone_are_no_hindrance(tmp_path, wrap):
+    save_policy(learner(wrap(single())), tmp_path / "mine.zip")
+    assert load_policy(tmp_path / "mine.zip").task.name == "landing"
+
+
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: VecFrameStack(vehicles(), 2), "wrapper VecFrameStack, .*history="),
+        (lambda: VecNormalize(VecNormalize(vehicles())), "wrapper VecNormalize"),
+        (lambda: Twice(vehicles()), "wrapper Twice"),
+        (lambda: Mirrored(single()), r"wrapper Mirrored, .*model\.set_env"),
+        (lambda: Mirrored(single().unwrapped), "wrapper Mirrored"),
+        (lambda: gym.wrappers.RescaleAction(single(), -2, 2), "RescaleAction"),
+        (lambda: DummyVecEnv([lambda a=a: single(inclination=a) for a in (-0.2, -0.3)]), "different options"),
         (lambda: Spaces(5, 2), "not trained on an environment of this package"),
     ],
 )
-def test_wrappers_that_a_policy_file_cannot_hold_are_named(tmp_path, make, name):
-    with pytest.raises(UserError, match=name):
+def test_environments_that_a_policy_file_cannot_hold_are_named(tmp_path, make, said):
+    with pytest.raises(UserError, match=said):
         save_policy(learner(make()), tmp_path / "mine.zip")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_model_that_is_none_is_refused(tmp_path):
-    with pytest.raises(UserError, match="takes a Stable-Baselines3 model, not None"):
-        save_policy(None, tmp_path / "mine.zip")
+def test_a_model_or_path_that_is_none_is_refused(tmp_path):
+    network = learner(vehicles())
+    network.save(tmp_path / "p.zip")
+    for one, path, said in (
+        (None, tmp_path / "mine.zip", "takes a Stable-Baselines3 model, not None"),
+        (PPO.load(tmp_path / "p.zip", device="cpu"), tmp_path / "mine.zip", "has no environment"),
+        (network, None, "takes the path of a file, not None"),
+        (network, tmp_path / "p.zip" / "mine.zip", "is not a folder"),
+        (learner(VecNormalize(vehicles()), policy_kwargs=SCALED), tmp_path / "mine.zip", "norm_obs=False"),
+    ):
+        with pytest.raises(UserError, match=said):
+            save_policy(one, path)
+    assert [path.name for path in tmp_path.iterdir()] == ["p.zip"]
+
+
+def action_bounds():
+    env = Spaces(5, 2)
+    env.action_space = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
+    return PPO("MlpPolicy", env, device="cpu")
+
+
+def several_observations():
+    env = Spaces(5, 2)
+    env.observation_space = gym.spaces.Dict({"a": env.observation_space})
+    return PPO("MultiInputPolicy", env, device="cpu")
+
+
+def more_tensors():
+    network = model()
+    network.policy.lstm_actor = torch.nn.LSTM(5, 5)
+    return network
 
 
 @pytest.mark.parametrize(
-    "kind, name", [("extractor", "extractor .*Doubled"), ("class", "class in .*test_policy")]
+    "make, said",
+    [
+        (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled"),
+        (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "of a class in .*test_policy"),
+        (lambda: model(activation_fn=Tanh), "activation .*test_policy.Tanh"),
+        (action_bounds, "actions that are not from -1 to 1"),
+        (several_observations, "observes a .*Dict"),
+        (more_tensors, "lstm_actor"),
+    ],
 )
-def test_networks_that_the_tensors_do_not_tell_are_refused_by_name(tmp_path, kind, name):
-    if kind == "class":
-        network = PPO(OwnPolicy, Spaces(5, 2), device="cpu")
-    else:
-        network = model(features_extractor_class=Doubled)
-    with pytest.raises(UserError, match=name):
-        load_policy(saved(tmp_path / "mine.zip", network))
+def test_networks_that_the_known_tensors_do_not_tell_are_refused_by_name(tmp_path, make, said):
+    with pytest.raises(UserError, match=said):
+        load_policy(saved(tmp_path / "mine.zip", make()))
 
 
-def test_actions_of_other_bounds_are_refused(tmp_path):
-    env = Spaces(5, 2)
-    env.action_space = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
-    with pytest.raises(UserError, match="other bounds than -1 to 1"):
-        load_policy(saved(tmp_path / "mine.zip", PPO("MlpPolicy", env, device="cpu")))
+@pytest.mark.parametrize(
+    "kind, options",
+    [
+        (PPO, {"use_sde": True, "policy_kwargs": {"squash_output": True}}),
+        (SAC, {"use_sde": True, "policy_kwargs": {"clip_mean": 0.05}}),
+        (SAC, {"use_sde": True, "policy_kwargs": {"net_arch": []}}),
+        (SAC, {"policy_kwargs": {"net_arch": []}}),
+    ],
+)
+def test_predict_is_sb3s_with_less_usual_options(tmp_path, kind, options):
+    network = learner(Spaces(5, 2), kind, **options)
+    assert_same_actions(network, saved(tmp_path / "p.zip", network))
 
 
 def test_start_states_of_a_vector_environment():
@@ -411,7 +532,9 @@ def test_start_states_of_a_vector_environment():
     mixed = env.reset()
     assert np.array_equal(mixed[0], expected[0]) and not np.array_equal(mixed[1], expected[1])
     assert not np.array_equal(env.reset()[0], expected[0])
-    for wrong in ({"start": states}, {"state": states[:2]}, [{}] * 2, 3):
+    env.set_options({"state": states[0]})
+    assert np.array_equal(env.reset(), [expected[0]] * 3)
+    for wrong in ({"start": states}, {"state": states[:2]}, [{}] * 2, [{}, {}, {"x": 1}], 3):
         with pytest.raises(UserError):
             env.set_options(wrong)
 
@@ -419,17 +542,21 @@ def test_start_states_of_a_vector_environment():
 def test_what_all_vehicles_share_is_not_set_for_one():
     env = vehicles(3)
     env.set_attr("reward_scale", 2.0)
-    assert env.get_attr("reward_scale") == [2.0] * 3
-    for act in (lambda: env.set_attr("reward_scale", 7.0, [0]), lambda: env.env_method("reset", indices=1)):
-        with pytest.raises(UserError, match="leave indices out"):
-            act()
+    env.env_method("set_conditions", env.env.task.conditions, indices=range(3))
+    refused = {
+        "leave indices out": (
+            lambda: env.set_attr("reward_scale", 7.0, [0]),
+            lambda: env.env_method("set_conditions", None, indices=1),
+            lambda: VecMonitor(env).set_attr("reward_scale", 7.0, 0),
+        ),
+        "numbers of vehicles below 3": (lambda: env.get_attr("reward_scale", 3),),
+        "call reset itself": (lambda: env.env_method("reset"),),
+    }
+    for said, acts in refused.items():
+        for act in acts:
+            with pytest.raises(UserError, match=said):
+                act()
     with pytest.raises(AttributeError):
         env.set_attr("gravity", 3.0)
-    assert env.get_attr("reward_scale") == [2.0] * 3
-
-
-@pytest.mark.parametrize("size, stride", [((1, 5), (2**62, 1)), ((2**62,), (0,)), ((2,), (2**80,))])
-def test_tensors_larger_than_any_file_are_refused(size, stride):
-    tensor = weights._Tensor(weights._Storage("torch FloatStorage", "0", 8), 0, size, stride)
-    with pytest.raises(UserError, match=r"a shape that is none|beyond its numbers"):
-        weights._array(tensor, np.zeros(8, np.float32), "its tensor w")
+    assert env.get_attr("reward_scale", [0, 2]) == [2.0] * 2 and not env.has_attr("gravity")
+    assert env.get_images() == [None] * 3

@@ -25,11 +25,7 @@ COMMANDS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return exit_code(PROGRAM, lambda: _run(words))
-    except KeyboardInterrupt:
-        print(f"{PROGRAM}: interrupted", file=sys.stderr)
-        return 130
+    return exit_code(PROGRAM, lambda: _run(words))
 
 
 def find(name: str) -> Callable:

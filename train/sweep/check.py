@@ -19,6 +19,7 @@ from typing import Any
 from inclined_landing.envs.shared.command_line import bound, parse
 from inclined_landing.envs.shared.recipe import Number, Recipe
 from inclined_landing.envs.tasks.own import would_import
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
@@ -121,7 +122,7 @@ def _check_python(calls: Sequence[_Call], allowed: Sequence[str]) -> None:
 def _python(text: str) -> tuple[str, str]:
     """Return where Python is, and its name in there: a file may be written in several ways."""
     source, _, name = text.rpartition(":")
-    return (str(Path(source).resolve()) if source.endswith(".py") else source), name
+    return (str(storage.real(source)) if source.endswith(".py") else source), name
 
 
 def _texts(value: Any) -> Iterator[str]:
@@ -141,8 +142,8 @@ def _texts(value: Any) -> Iterator[str]:
 def _check_place(job: Job) -> None:
     """Raise UserError where the folder of a run, or that of the records, leads out of the sweep."""
     for folder in (job.run, job.sweep / jobs.STEPS):
-        if folder.resolve() != job.sweep.resolve() / folder.name:
-            raise UserError(f"{folder} leads to {folder.resolve()}, out of the sweep")
+        if (real := storage.real(folder)) != storage.real(job.sweep) / folder.name:
+            raise UserError(f"{folder} leads to {real}, out of the sweep")
 
 
 def _check_out(call: _Call) -> None:

@@ -88,7 +88,7 @@ def command(
     (name,) = recipes
     path = shipped().get(name, Path(name))
     if not os.path.lexists(path):
-        raise UserError(f"recipe {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
+        raise UserError(f"recipe {shown(path, 100)} does not exist (shipped ones: {', '.join(shipped())})")
     recipe = read_recipe(path)
     if on not in PLACES:
         raise UserError(f"--on must be {' or '.join(PLACES)}, not {shown(repr(on), 40)}")

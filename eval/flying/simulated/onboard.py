@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from inclined_landing.eval.export import compiled
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 
@@ -21,6 +22,8 @@ class OnboardApp:
             raise UserError(
                 f"{shown(folder)} is no C export; landing-eval export POLICY --format c writes one"
             )
+        for file in (folder / "src").iterdir():
+            storage.read_bytes(file, "source", storage.LARGEST_JSON)  # a compiler would wait for a pipe
         self._folder, self._starts = folder, 0
         self._scratch = tempfile.TemporaryDirectory()
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.eval.logs.checks import check_fleet
 from inclined_landing.eval.logs.command import parse_units
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
 
@@ -44,7 +45,7 @@ def read_flights(
 def check_apart(*groups: Sequence[str]) -> None:
     """Raise UserError for a file that is given more than once."""
     every = [file for group in groups for file in group]
-    where = [str(Path(file).resolve()) for file in every]
+    where = [storage.real(file) for file in every]
     for file, path in zip(every, where):
         if where.count(path) > 1:
             raise UserError(f"{file} is given more than once; fit and judgement need different flights")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.values import failed_speed_sensors
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, first_of
 
 
 def without_failed_sensors(
@@ -22,7 +22,7 @@ def without_failed_sensors(
     good = [log for log, text in zip(flights, why) if not text]
     failed = [(log.name, text) for log, text in zip(flights, why) if text]
     if failed and not good:
-        raise UserError("; ".join(f"{name}: {text}" for name, text in failed))
+        raise UserError(first_of([f"{name}: {text}" for name, text in failed]))
     names = tuple(log.name for log in good)
     return good, tuple(
         InconsistentFlights((name,), names, (), math.nan, math.nan, text) for name, text in failed

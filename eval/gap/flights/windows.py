@@ -19,7 +19,7 @@ from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.parameters import Vehicle
 
 WINDOW = 0.6  # s
@@ -308,7 +308,7 @@ def prepare_all(
             continue
         notes += [f"{log.name}: {note}" for note in log.notes]
     if not flights:
-        raise UserError("; ".join(refused))
+        raise UserError(first_of(refused))
     if len({f.thrust_is_measured for f in flights}) > 1:
         raise UserError(
             "some flights have the thrust by measured rotor speeds, others by command: take one of them"

@@ -42,8 +42,8 @@ def command(
         findings = own + measure(
             dropped, flights, lambda name: progress.update(bar, description=name, advance=1)
         )
-    out = runs.new_run(out)
-    write(findings, out, dropped)
+    with runs.staged_run(out) as folder:
+        write(findings, folder, dropped)
     table = new_table(None, "claim", "measured", "tolerance", "unit", "")
     for finding in findings:
         for claim in finding.claims:

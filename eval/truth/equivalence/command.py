@@ -45,15 +45,15 @@ def command(out: Path, policy: str, vehicle: Path | None, seed: int, quick: bool
         versions=runs.versions(),
     )
     page = report.as_page(sections, images, record)
-    folder = runs.new_run(out)
-    for name, data in images.items():
-        storage.write_bytes(folder / name, data)
-    storage.write_json(folder / "report.json", record)
-    storage.write_text(folder / "report.html", page)
+    with runs.staged_run(out) as folder:
+        for name, data in images.items():
+            storage.write_bytes(folder / name, data)
+        storage.write_json(folder / "report.json", record)
+        storage.write_text(folder / "report.html", page)
     failed = [c for s in sections for c in s.claims if not c.passed]
     say(*(f"fails: {c.name}: {_measured(c)}, tolerance {c.tolerance}" for c in failed))
     verdict = verdict_words([c for s in sections for c in s.claims])
-    say(f"{verdict} It took {record['seconds']:.0f} s; the page is {folder / 'report.html'}.")
+    say(f"{verdict} It took {record['seconds']:.0f} s; the page is {out / 'report.html'}.")
     return 1 if failed else 0
 
 

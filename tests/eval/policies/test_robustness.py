@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
 from PIL import Image
 
 from inclined_landing.envs.policy import load_policy
@@ -118,6 +119,22 @@ def test_the_folder_has_everything(flown):
     check_page(page, f"twin{EVIL_FILE}")
     rows = (flown / "conditions.csv").read_text("utf-8").splitlines()
     assert len(rows) == 1 + 2 * (2 + 2 * 3)
+
+
+def test_names_are_text_in_the_results():
+    """Whatever policies are called: the Markdown of harmless names, with other words."""
+    reader = MarkdownIt("commonmark", {"html": True}).enable("table")
+    kinds = []
+    evil = ("<img src=x onerror=alert(1)>", "a|b\n\n`c` *d* **e**", "[x](javascript:alert(1)) ![y](z)")
+    for names in (("a", "b", "c"), evil):
+        text = words.markdown(made_report(by_thrust, names=names))
+        tokens = reader.parse(text)
+        inside = [child.type for token in tokens for child in token.children or ()]
+        kinds.append(
+            [*(token.type for token in tokens), *(kind for kind in inside if kind != "text_special")]
+        )
+    kinds = [[kind for kind in found if kind != "text"] for found in kinds]
+    assert kinds[1] == kinds[0] and "<img" not in text and "image" in kinds[0]
 
 
 def test_the_counts_are_those_of_the_flights(flown):

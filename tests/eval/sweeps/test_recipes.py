@@ -427,12 +427,13 @@ def test_variants_without_a_figure_of_their_own_get_one(folder, tmp_path):
 
 def test_what_a_recipe_says_is_text_on_the_page(folder, tmp_path):
     (tmp_path / "d").mkdir()
-    evil = "<script>alert(1)</script> | `x` ![y](z)"
+    evil = "<script>alert(1)</script> | `x` ![y](z) [l](javascript:x)"
     write(folder, GOOD | {"title": f"T {evil}", "question": evil, "answer": evil})
     assert train(["sweep", str(folder), "--page", str(tmp_path / "o"), "--site", str(tmp_path / "d")]) == 0
     page, text = (tmp_path / "o" / "beyond.html").read_text(), (tmp_path / "d" / "beyond.md").read_text()
     assert "<script>" not in page and "<script>" not in text and "`x`" not in text
     assert all(line.count("|") in (0, 4, 7) for line in text.splitlines())  # columns of the two tables
+    assert not re.search(r"\]\((?!#|beyond/)", text)  # links are those of the page
 
 
 @pytest.mark.parametrize(

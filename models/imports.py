@@ -1,0 +1,131 @@
+"""What is done as modules of other packages are imported, where an installation lacks what they ask for.
+
+MuJoCo goes on without an OpenGL that does not load, and numba keeps compiled functions in the temporary
+folder where neither the package nor a home can be written. Nothing of either is imported here.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import functools
+import importlib.util
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Callable
+from types import ModuleType
+
+from inclined_landing.models.errors import UserError
+
+Execute = Callable[[ModuleType], None]
+
+
+def around_import(name: str, around: Callable[[Execute, ModuleType], None]) -> None:
+    """Have `around(execute, module)` run a module's code at its import, or now if it is imported already.
+
+    Does nothing the second time.
+    """
+    if name in sys.modules:
+        around(lambda module: None, sys.modules[name])
+    elif not any(isinstance(finder, _Waiting) and finder.name == name for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Waiting(name, around))
+
+
+class _Waiting:
+    """Import hook for one module, gone once that has been found."""
+
+    def __init__(self, name: str, around: Callable[[Execute, ModuleType], None]):
+        self.name, self._around = name, around
+
+    def find_spec(self, name, path=None, target=None):
+        if name != self.name or self not in sys.meta_path:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            execute = functools.partial(self._around, spec.loader.exec_module)
+            spec.loader.exec_module = execute  # type: ignore[method-assign]
+        return spec
+
+
+def adapt() -> None:
+    """Have MuJoCo and numba work in every installation, whichever is imported later."""
+    around_import("mujoco.rendering.classic.gl_context", _with_or_without_opengl)
+    around_import("numba.core.caching", _cache_somewhere)
+
+
+def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
+    """Run MuJoCo's module that loads the OpenGL of MUJOCO_GL; without it only a context is an error."""
+    before = os.environ.get("PYOPENGL_PLATFORM")
+    try:
+        return execute(module)
+    except Exception as error:  # whatever the libraries raise; MuJoCo itself survives ImportError alone
+        reason = f"MUJOCO_GL={os.environ.get('MUJOCO_GL')} does not load: {error}"
+
+    class _MissingGLContext:  # as MuJoCo has it
+        def __init__(self, *_, **__):
+            raise ImportError(reason)
+
+    module.GLContext = _MissingGLContext  # type: ignore[attr-defined]
+    # What was half loaded is forgotten: another OpenGL may be asked for.
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    if before is not None:
+        os.environ["PYOPENGL_PLATFORM"] = before
+    for name in [name for name in sys.modules if name.partition(".")[0] == "OpenGL"]:
+        del sys.modules[name]
+
+
+def _cache_somewhere(execute: Execute, caching: ModuleType) -> None:
+    """Run numba's module that finds places for compiled functions, and add one to those it tries."""
+    execute(caching)
+    places = caching.CacheImpl._locator_classes
+
+    class InTemporaryFolder(caching.UserWideCacheLocator):
+        def __init__(self, function, file: str):
+            super().__init__(function, file)
+            self._cache_path = os.path.join(private_folder(), self.get_suitable_cache_subpath(file))
+
+    if not any(place.__name__ == InTemporaryFolder.__name__ for place in places):
+        # Of a user without a home numba would take the folder "~" below the current one.
+        homeless = not os.path.isabs(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~")))
+        places.insert(
+            places.index(caching.UserWideCacheLocator) if homeless else len(places), InTemporaryFolder
+        )
+
+
+@functools.cache
+def private_folder() -> str:
+    """Return a folder in the temporary one that nobody else can write: what lies there may be executed.
+
+    It is the same for all processes of a user; where somebody else holds its name, one that is removed at the
+    end of the process. Raises UserError where there is no temporary folder.
+    """
+    try:
+        temporary = tempfile.gettempdir()
+        folder = os.path.join(temporary, f"inclined-landing-{os.geteuid()}")
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(folder, 0o700)
+        if _is_own(os.lstat(folder)) and _keeps_names(os.stat(temporary)):
+            return folder
+        folder = tempfile.mkdtemp(prefix="inclined-landing-")
+    except OSError as error:
+        raise UserError(
+            "compiled functions can be kept nowhere: the package's folder, the home and the temporary folder "
+            "cannot be written; set NUMBA_CACHE_DIR to a folder that can"
+        ) from error
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def _is_own(found: os.stat_result) -> bool:
+    """Return whether this is a folder of this user, closed to all others."""
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o077
+
+
+def _keeps_names(found: os.stat_result) -> bool:
+    """Return whether nobody but their owners can rename or replace what lies in this folder."""
+    sticky, writable = found.st_mode & stat.S_ISVTX, found.st_mode & 0o022  # by others
+    return found.st_uid in (0, os.geteuid()) and bool(sticky or not writable)
