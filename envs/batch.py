@@ -85,11 +85,11 @@ class BatchEnv:
     """
 
     def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
-        if not (isinstance(task, Task) and isinstance(plant, Plant)):
+        if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
             given = shown(f"{task!r} and {plant!r}", 80)
             raise UserError(f"BatchEnv takes a Task and a Plant, of make_task and make_plant, not {given}")
         self.task, self.n = task, plant.n
-        self.plant: Any = plant  # a Plant of one of the kinds in PLANTS
+        self.plant: Any = plant  # a Plant of one of the kinds in PLANTS, or what stands for one
         self.nominal = nominal
         self.seed(seed)
         n = self.n

@@ -450,8 +450,8 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
     on_policy = "gae_lambda" in header
     if on_policy and header.get("_last_original_obs") is not None and NORMALISATION not in metadata:
         raise UserError(
-            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load it "
-            "with them, PPO.load(file, env=VecNormalize.load(statistics, env)), and save it with save_policy"
+            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load the "
+            "model with env=VecNormalize.load(statistics, env), and save it with save_policy(model, path)"
         )
     module = entry("policy_class").get("__module__")
     if module is not None and not re.fullmatch(_POLICIES, str(module)):

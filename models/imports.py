@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from types import ModuleType
+from typing import Any
 
 from inclined_landing.models.errors import UserError
 
@@ -78,7 +79,7 @@ def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
         del sys.modules[name]
 
 
-def _cache_somewhere(execute: Execute, caching: ModuleType) -> None:
+def _cache_somewhere(execute: Execute, caching: Any) -> None:
     """Run numba's module that finds places for compiled functions, and add one to those it tries."""
     execute(caching)
     places = caching.CacheImpl._locator_classes

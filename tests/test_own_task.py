@@ -96,7 +96,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
     ("path", "code", "sentence"),
     [
         ("nowhere:Hop", "", "cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
-        ("nowhere.py:Hop", "", "cannot be imported: FileNotFoundError"),
+        ("nowhere.py:Hop", "", "task file nowhere.py does not exist"),
         ("hopping.py:", "", "is written module:Class or file.py:Class, not hopping.py:"),
         ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
         ("hopping.py:np", "", "hopping.py has no class np derived"),

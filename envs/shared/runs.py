@@ -135,6 +135,8 @@ def staged_run(path: str | Path) -> Iterator[Path]:
                     os.replace(item, path / item.name)
         except OSError as error:
             raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
+        except UserError as error:
+            raise UserError(str(error).replace(str(part), str(path))) from error
         finally:
             shutil.rmtree(part, ignore_errors=True)
 

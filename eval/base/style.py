@@ -52,7 +52,7 @@ STYLE: dict[Any, Any] = {
 }
 
 # But the backend, which no figure here uses: matplotlib resolves it when it is read.
-_DEFAULTS = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+_DEFAULTS: dict[Any, Any] = {n: v for n, v in matplotlib.rcParamsDefault.items() if n != "backend"}
 
 
 def literal(name: str) -> str:

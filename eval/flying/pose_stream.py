@@ -53,7 +53,7 @@ def decode(datagram: bytes, now: float) -> Pose | None:
 def parse_address(text: str) -> tuple[str, int]:
     """Return host and port of HOST:PORT, or of a port alone on this machine. Raises UserError."""
     host, _, port = text.rpartition(":")
-    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+    if not (port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536):
         raise UserError(f"expected HOST:PORT with a port from 1 to 65535, not {shown(text, 60)}")
     return host or "127.0.0.1", int(port)
 
@@ -82,6 +82,7 @@ class PoseStream:
         except OSError as error:
             self._socket.close()
             raise UserError(f"cannot listen for poses on {shown(address, 60)}: {reason(error)}") from error
+        self._closed = False
         self._thread = threading.Thread(target=self._listen, name="poses", daemon=True)
         self._thread.start()
 
@@ -91,6 +92,7 @@ class PoseStream:
 
     def close(self) -> None:
         """Stop listening."""
+        self._closed = True
         try:
             self._socket.shutdown(socket.SHUT_RDWR)
         except OSError:  # a UDP socket is not connected, but the call wakes the thread up
@@ -104,7 +106,7 @@ class PoseStream:
                 datagram = self._socket.recv(LARGEST + 1)
             except OSError:
                 return
-            if not datagram:  # shut down
+            if self._closed:
                 return
             pose = decode(datagram, self._clock.now()) if len(datagram) <= LARGEST else None
             if pose is not None and (self._pose is None or pose.time > self._pose.time):

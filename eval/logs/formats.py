@@ -61,8 +61,7 @@ _KINDS: tuple[tuple[tuple[str, ...], tuple[bytes, ...], str], ...] = (
     (
         (".pkl", ".pickle"),
         tuple(b"\x80" + bytes([k]) + rest for k in range(2, 6) for rest in (b"\x95", b"c", b"}", b"]", b"(")),
-        "a pickle, which could run anything and is not opened: where you trust it, "
-        + _PANDAS.format("read_pickle"),
+        "a pickle, which could run anything and is not opened: write the table as CSV where you made it",
     ),
     (
         (".zst", ".7z", ".rar", ".tar", ".tgz", ".tar.gz", ".tar.xz", ".tar.bz2"),

@@ -174,7 +174,7 @@ def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
     if not os.path.lexists(path):
         whose = f"{heirs[-1]}: inherit: " if heirs else ""
         files = f"neither a file nor one of {', '.join(shipped())}"
-        raise UserError(f"{whose}no mapping {shown(path, 240)}: {files}")
+        raise UserError(f"{whose}no mapping {shown(path, 120)}: {files}")
     real = Path(os.path.realpath(path))
     if real in heirs:
         raise UserError(f"{heirs[0]}: inherit leads back to {path}")

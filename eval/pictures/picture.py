@@ -7,7 +7,6 @@ from pathlib import Path
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.base.options import Look
-from inclined_landing.eval.base.style import make_folder
 from inclined_landing.eval.pictures.flights import (
     check_ending,
     continue_flights,
@@ -37,6 +36,5 @@ def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, p
     flown_from = start_points([] if start is None else [start], policy.task)
     flight = continue_flights(fly_from(policy, flown_from, plant), until)[0]
     drawn = strobe(flight, **dataclasses.asdict(look))
-    make_folder(out.parent)
     write_picture(out, drawn)
     say_outcomes({"flight 1": flight}, f"the picture is {out}")

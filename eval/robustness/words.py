@@ -197,7 +197,9 @@ def markdown(report: dict) -> str:
     if report["effects"]:
         lines += ["![Effects and policies](robustness_matrix.png)", ""]
     lines += [f"{report['starts']} starts, {report['plant']} plant, 95 % Wilson intervals.", ""]
-    tables = [summary(report), thrust(report)] + ([effects(report)] if report["effects"] else [])
+    tables: list[dict[str, Any]] = [summary(report), thrust(report)] + (
+        [effects(report)] if report["effects"] else []
+    )
     for found in tables:
         lines += [*markdown_table(**found), ""]
     return "\n".join(lines)

@@ -33,7 +33,7 @@ def name_nothing(path):
 
 
 def talk(path):
-    raise UserError(f"file {path} is wrong" + " and wrong" * 40)
+    raise UserError(f"file {path.name} is wrong" + " and wrong" * 30)
 
 
 def take_gigabytes(path):

@@ -24,6 +24,7 @@ _PROBE = b"\xff"  # cflib's scan: any answer will do
 _TURN = 0.002  # s between two looks at the clock
 _BEHIND = 0.2  # s that the simulation may lag behind the clock before it lets that time go
 _STILL = 0.02  # m/s
+_QUIET = 1.0  # s after a peer in which no other is named: many may take turns
 # The firmware calls it so, also on the console, whether the vehicle is in the air or on the ground.
 _NAMES = {State.FREE_FALL: 'motors stopped (state "free fall")'}
 
@@ -43,10 +44,11 @@ class SimulatorServer:
         self._poses = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._radio.bind(("127.0.0.1", port))
-        except OSError as error:
+        except (OSError, OverflowError) as error:
             self.close()
             raise UserError(f"port {port} cannot be used: {reason(error)}") from error
-        self.port = self._radio.getsockname()[1]
+        self._radio.setblocking(False)
+        self.port, self._quiet = self._radio.getsockname()[1], 0.0
         world.on_packet, world.on_pose = self._send, self._show
         world.on_message = self._tell
         self._mode, self._thrust, self._places = world.firmware.state, 0.0, "on the floor"
@@ -70,12 +72,16 @@ class SimulatorServer:
         self._poses.close()
 
     def _receive(self, now: float) -> None:
-        data, peer = self._radio.recvfrom(LARGEST + 2)
+        try:
+            data, peer = self._radio.recvfrom(LARGEST + 2)
+        except OSError:  # a datagram that was damaged on its way
+            return
         if data == _PROBE:
-            self._radio.sendto(_PROBE, peer)
+            self._datagram(self._radio, _PROBE, peer)
         elif data:
-            if peer != self._peer:
+            if peer != self._peer and now >= self._quiet:
                 self._tell(f"connected from {peer[0]}:{peer[1]}")
+                self._quiet = now + _QUIET
             self._peer = peer
             self.world.advance(now)
             self.world.send((data[0], data[1:]))
