@@ -39,6 +39,7 @@ class _Run(NamedTuple):
     group: str  # values of the options it is compared by
     learning: pd.DataFrame
     evaluations: pd.DataFrame
+    cut: list[Path]  # its tables that end within a row
 
 
 _STEPS = _Abscissa("steps", 1e6, "environment steps [10⁶]")
@@ -66,8 +67,9 @@ def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by
     except (TypeError, KeyError, UserError) as error:
         raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
     x = [abscissa.column for abscissa in abscissae]
-    learning = _read_table(folder / "learning.csv", [*x, *(curve.column for curve in _LEARNING)])
-    evaluations = _read_table(folder / "evaluations.csv", [*x, score.column])
+    cut: list[Path] = []
+    learning = _read_table(folder / "learning.csv", [*x, *(curve.column for curve in _LEARNING)], cut)
+    evaluations = _read_table(folder / "evaluations.csv", [*x, score.column], cut)
     if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
     for name in by:
@@ -75,7 +77,7 @@ def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by
             raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
     values = (record["config"][name] for name in by)
     group = ", ".join("-" if value is None else shown(value, 40) for value in values)
-    return _Run(task, group, learning, evaluations)
+    return _Run(task, group, learning, evaluations, cut)
 
 
 def _score_curve(task: str) -> ScoreCurve:
@@ -83,15 +85,23 @@ def _score_curve(task: str) -> ScoreCurve:
     return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
 
 
-def _read_table(path: Path, columns: list[str]) -> pd.DataFrame:
-    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them."""
+def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame:
+    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
+
+    The row that the table ends within, as after a copy that was interrupted, is left out; `path` is then added
+    to `cut`.
+    """
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
+    rows, _, last = text.rstrip("\0").rpartition("\n")
+    if rows and (last or text.endswith("\0")) and last.count(",") < rows.partition("\n")[0].count(","):
+        text = rows + "\n"
+        cut.append(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
             table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
     except (ValueError, pd.errors.ParserWarning) as error:
-        raise UserError(f"{path} is not a table: {error}") from error
+        raise UserError(f"{path} is no table: rows of different length, or a quotation mark") from error
     if table.empty:
         return pd.DataFrame({column: [] for column in columns}, dtype=float)
     numbers = {}
@@ -158,13 +168,16 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
 def _curriculum_end(learning: pd.DataFrame) -> float:
     """Return the steps after which the curriculum's level stays as it is, 0 where it never moves."""
-    level = learning["level"].to_numpy()
-    moving = np.flatnonzero(level != level[-1])
-    return float(learning["steps"].iloc[moving[-1] + 1]) if len(moving) else 0.0
+    rows = learning[["steps", "level"]].dropna().to_numpy(float)
+    moving = np.flatnonzero(rows[:, 1] != rows[-1:, 1])
+    return float(rows[moving[-1] + 1, 0]) if len(moving) else 0.0
 
 
 def final_scores(runs: Sequence[str | Path]) -> list[str]:
-    """Return a sentence for each task of the runs: the score of the last evaluation, median and range."""
+    """Return a sentence for each task of the runs: the score of the last evaluation, median and range.
+
+    Others say which tables are cut short.
+    """
     loaded = [_read_run(folder) for folder in runs]
     found = []
     for task in dict.fromkeys(run.task for run in loaded):
@@ -177,7 +190,8 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
             continue
         spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
         found.append(f"{count}; {curve.label} at the end: {np.median(ends):.3g}{spread}.")
-    return found
+    cut = [path for run in loaded for path in run.cut]
+    return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
 
 
 def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
