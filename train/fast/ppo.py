@@ -291,7 +291,7 @@ class FastPPO(PPO):
         )
         counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
         rest = *learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics
-        if self.threads < 2 or numba.config.DISABLE_JIT:  # Python has no atomic instructions for threads to meet
+        if self.threads < 2 or numba.config.DISABLE_JIT:  # without which threads cannot meet
             kernels.update(True, True, counter, norms, *rest)
         else:
             both(

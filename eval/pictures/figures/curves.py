@@ -88,7 +88,7 @@ def _score_curve(task: str) -> ScoreCurve:
 def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame:
     """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
 
-    The row that the table ends within, as after a copy that was interrupted, is left out; `path` is then added
+    The row that the table ends within, as after a copy that was cut short, is left out; `path` is then added
     to `cut`.
     """
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
