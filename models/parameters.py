@@ -214,7 +214,7 @@ def vehicle_names() -> list[str]:
 def locate_vehicle(name: str | Path) -> Path:
     """Return the path of a vehicle file: a shipped one by name, otherwise a file."""
     if str(name) not in vehicle_names():
-        return Path(name)
+        return storage.as_path(name, "vehicle file")
     return _FOLDER.parent / _SHIPPED if str(name) == _BASE else _FOLDER / f"{name}.toml"
 
 
@@ -230,8 +230,8 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     """
     if path is None:
         return list(_shipped().values())
-    shipped, what = _shipped(), f"vehicle file {path}"
     tables = storage.read_toml(locate_vehicle(path), "vehicle file")
+    shipped, what = _shipped(), f"vehicle file {path}"
     for now, before in _OLD_TABLES.items():
         if before in tables:
             tables.setdefault(now, tables.pop(before))
@@ -346,6 +346,8 @@ def check_vehicle(vehicle: Vehicle) -> None:
 
     Platforms may lie where no task takes them (`plausible.misplaced`), as fits of their tilt try.
     """
+    if not isinstance(vehicle, Vehicle):
+        raise UserError(f"a Vehicle is expected, not {shown(repr(vehicle), 40)}")
     for field, constant in _shipped().items():
         _checked(getattr(vehicle, field), constant, constant.label)
     for sentence in plausible.contradictions(vehicle):

@@ -18,8 +18,9 @@ import numpy as np
 from inclined_landing.models import geometry, plugins
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
+from inclined_landing.models.schema import is_finite
 
 INTEGRATORS = {
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -73,16 +74,16 @@ def build_spec(
         mass where a vehicle has none. None: where the vehicle has one.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
-    v = vehicle or load_vehicle()
+    v = as_vehicle(vehicle)
     plugins.load()
-    if integrator not in INTEGRATORS:
+    if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UserError(
             f"unknown integrator {shown(repr(integrator), 40)}; known are {', '.join(INTEGRATORS)}"
         )
-    if not (math.isfinite(timestep) and timestep > 0):
-        raise UserError(f"timestep must be positive, not {timestep!r}")
-    if not (math.isfinite(keep_out) and keep_out >= 0):
-        raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
+    if not (is_finite(timestep) and timestep > 0):
+        raise UserError(f"timestep must be positive, not {shown(repr(timestep), 40)}")
+    if not (is_finite(keep_out) and keep_out >= 0):
+        raise UserError(f"keep_out must not be negative, it is {shown(repr(keep_out), 40)}")
     spec = _as_drawn(visuals).copy()
     spec.option.timestep = timestep
     spec.option.integrator = INTEGRATORS[integrator]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -19,6 +20,14 @@ from inclined_landing.models.errors import UserError, choices, shown
 
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
 T = TypeVar("T")
+
+
+def is_finite(value: object) -> bool:
+    """Return whether this is a number, neither NaN nor infinite."""
+    try:
+        return math.isfinite(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):  # something else, or a whole number of 400 digits
+        return False
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True):

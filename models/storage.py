@@ -23,13 +23,20 @@ LONGEST_NAME = 255  # bytes, of any file system in use
 _DOTS = 3e7  # squared and summed over the lines of a TOML file: a dotted key takes a second for this many
 
 
+def as_path(path: object, what: str) -> Path:
+    """Return a path; raises UserError for what is neither text nor a path. what: as in `read_bytes`."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise UserError(f"{what} must be a path, not {shown(repr(path), 40)}")
+    return Path(path)
+
+
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
     """Return the content of a file of at most `largest` bytes.
 
     what: how sentences call it, as in "vehicle file". Raises UserError for a file that is missing,
     unreadable or too large, and for pipes and devices, which have no end.
     """
-    name = shown(path, 240)
+    name = shown(as_path(path, what), 240)
     try:
         kind = os.stat(path)
         if not stat.S_ISREG(kind.st_mode):
@@ -115,7 +122,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def scratch(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with the same suffix, whose file is removed at the end."""
-    path = Path(path)
+    path = as_path(path, "output")
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
@@ -158,7 +165,7 @@ def remove_parts(folder: Path) -> None:
 
 def check_file(path: str | Path) -> None:
     """Raise UserError if no file could be written at `path`; leaves nothing behind."""
-    path = Path(path)
+    path = as_path(path, "output")
     check_folder(path.parent)
     _check_name(path)
     if path.is_dir():
@@ -170,7 +177,7 @@ def check_folder(path: str | Path) -> None:
 
     Leaves nothing behind.
     """
-    path = Path(path)
+    path = as_path(path, "output")
     _check_name(path)
     if path.name == ".." and not path.exists():
         raise UserError(f"cannot write into {path}: it leads through a folder that does not exist")

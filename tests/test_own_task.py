@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import os
 import sys
 
 import numpy as np
@@ -97,6 +98,8 @@ def test_all_the_way(path, own, tmp_path, capsys):
     [
         ("nowhere:Hop", "", "cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
         ("nowhere.py:Hop", "", "task file nowhere.py does not exist"),
+        ("pipe.py:Hop", "", "task file pipe.py is a pipe or device, not a file"),
+        ("loop.py:Hop", "", "task file loop.py cannot be read: too many levels of symbolic links"),
         ("hopping.py:", "", "is written module:Class or file.py:Class, not hopping.py:"),
         ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
         ("hopping.py:np", "", "hopping.py has no class np derived"),
@@ -119,6 +122,8 @@ def test_all_the_way(path, own, tmp_path, capsys):
 )
 def test_what_is_no_task_is_refused_in_a_sentence(path, code, sentence, own, tmp_path, capsys):
     (tmp_path / "hopping.py").write_text(CODE + "\n" + code, "utf-8")
+    os.mkfifo(tmp_path / "pipe.py")
+    (tmp_path / "loop.py").symlink_to("loop.py")
     assert train([path, "--out", "run", *SIZE]) == 2
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1

@@ -30,7 +30,7 @@ def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None
     """
     if path is None:
         path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    path = Path(path)
+    path = storage.as_path(path, "run folder")
     if resumable is not None and (path / resumable).is_file():
         return path
     check_new_run(path)
@@ -44,7 +44,7 @@ def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None
 
 def check_new_run(path: str | Path) -> None:
     """Raise UserError if `path` could not become a new run folder; leaves nothing behind."""
-    path = Path(path)
+    path = storage.as_path(path, "run folder")
     storage.check_folder(path.parent)
     try:
         if path.exists() and not path.is_dir():

@@ -10,7 +10,7 @@ import numpy as np
 
 from inclined_landing.eval.logs import motion, values
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import FlightLog
+from inclined_landing.eval.logs.log import FlightLog, as_logs
 from inclined_landing.eval.logs.mapping import FULL_COMMAND
 from inclined_landing.models.errors import UserError
 
@@ -27,6 +27,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     Columns are checked each for itself; only a flight that is not refused for that is checked for
     signs, axes, units and clocks, from how it moved.
     """
+    (log,) = as_logs([log])
     findings = list(values.check(log))
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
 COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
@@ -160,3 +162,14 @@ class FlightLog:
         """Return the same flight with more notes, without duplicates."""
         new = tuple(note for note in dict.fromkeys(notes) if note not in self.notes)
         return dataclasses.replace(self, notes=self.notes + new)
+
+
+def as_logs(flights: object) -> list[FlightLog]:
+    """Return flights as a list; raises UserError for what holds other things than `FlightLog`s."""
+    found: list[Any] = (
+        list(flights) if isinstance(flights, Iterable) and not isinstance(flights, str) else [flights]
+    )
+    for one in found:
+        if not isinstance(one, FlightLog):
+            raise UserError(f"flights are FlightLogs, as read_log returns them, not {shown(repr(one), 40)}")
+    return found

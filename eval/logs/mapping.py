@@ -164,7 +164,7 @@ def load(name: str | Path) -> ColumnMap:
     """
     if str(name) in shipped():
         return shipped()[str(name)]
-    return _load(Path(name), ())
+    return _load(storage.as_path(name, "mapping"), ())
 
 
 def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:

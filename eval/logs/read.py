@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas
 
 from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card
 from inclined_landing.eval.logs import mapping as mappings
-from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
+from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.units import COLUMNS, REQUESTS, ROTOR_SPEEDS, factor
@@ -41,7 +42,11 @@ def read_log(
     Raises UserError, naming file and column, when the flight cannot be used.
     """
     paths = _paths(path)
-    log = _read(paths, mapping, dict(units or {}), name or _stem(paths[0]))
+    try:
+        given = dict(units or {})
+    except (TypeError, ValueError) as error:
+        raise UserError(f"units must be units by column, not {shown(repr(units), 40)}") from error
+    log = _read(paths, mapping, given, name or _stem(paths[0]))
     if not check:
         return log
     return checks.enforce(log, where="+".join(map(str, paths)))
@@ -55,6 +60,7 @@ def write_log(path: str | Path, log: FlightLog) -> None:
 
 def log_table(log: FlightLog) -> pandas.DataFrame:
     """Return a flight in the documented columns, without those that were not logged."""
+    (log,) = as_logs([log])
     names = ("t", *MEASURED, *COMMANDS)
     table = dict(zip(names, np.c_[log.t, log.position, log.attitude, log.command].T))
     table = {key: value for key, value in table.items() if not np.isnan(value).all()}
@@ -113,8 +119,12 @@ def _check_units(units: Mapping[str, str], where: str) -> None:
         factor(column, unit, where)
 
 
-def _paths(path: str | Path | Sequence[str | Path]) -> list[Path]:
-    names = _split(str(path)) if isinstance(path, (str, Path)) else list(map(str, path))
+def _paths(path: Any) -> list[Path]:
+    single = isinstance(path, (str, os.PathLike)) or not isinstance(path, Iterable)
+    parts = [path] if single else list(path)
+    for part in parts:
+        storage.as_path(part, "flight log")
+    names = _split(os.fspath(path)) if single else list(map(os.fspath, parts))
     if not names or not all(name.strip() for name in names):
         raise UserError("no flight log given, or an empty name among several")
     return [Path(name) for name in names]

@@ -204,7 +204,7 @@ def read_scenario(name: str | Path) -> Scenario:
 
     Raises UserError, one sentence naming the file and the entry, for whatever is wrong.
     """
-    path = shipped().get(str(name), Path(name))
+    path = shipped().get(str(name)) or storage.as_path(name, "scenario")
     if not os.path.lexists(path):
         known = shipped()
         near = difflib.get_close_matches(str(name), known, 1) or list(known)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import numba
@@ -18,6 +17,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle, as_vehicle, check_vehicle
+from inclined_landing.models.schema import is_finite
 
 Attitude = Literal["rate_loop", "kinematic"]
 PLATFORM_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
@@ -112,20 +112,22 @@ class Plant:
         disturbance: Seed | None,
         pool: Sequence[Vehicle] = (),
     ):
-        if attitude not in ("rate_loop", "kinematic"):
-            raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {attitude!r}")
+        if not isinstance(attitude, str) or attitude not in ("rate_loop", "kinematic"):
+            raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {shown(repr(attitude), 40)}")
         if isinstance(n, bool) or not (isinstance(n, (int, np.integer)) and 0 < n < 2**31):
             raise UserError(
                 f"a plant needs a whole number of vehicles, at least one, not {shown(repr(n), 40)}"
             )
-        if not (math.isfinite(keep_out) and keep_out >= 0):
-            raise UserError(f"keep_out must not be negative, it is {keep_out!r}")
-        if control_period is not None and not (math.isfinite(control_period) and control_period > 0):
-            raise UserError(f"control_period must be positive, not {control_period!r}")
+        if not (is_finite(keep_out) and keep_out >= 0):
+            raise UserError(f"keep_out must not be negative, it is {shown(repr(keep_out), 40)}")
+        if control_period is not None and not (is_finite(control_period) and control_period > 0):
+            raise UserError(f"control_period must be positive, not {shown(repr(control_period), 40)}")
         self.n = n
         self.shapes: geometry.Shapes
         self.fleet: geometry.Fleet
         self.vehicle = as_vehicle(vehicle)
+        if isinstance(pool, str) or not isinstance(pool, Iterable):
+            raise UserError(f"pool must be a list of vehicles, not {shown(repr(pool), 40)}")
         self.pool = tuple(pool)
         self._vehicles = (self.vehicle, *self.pool)
         for member in self._vehicles:

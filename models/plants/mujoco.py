@@ -28,7 +28,7 @@ from inclined_landing.models.attitude import (
     quaternion,
 )
 from inclined_landing.models.disturbance import Disturbance, Seed
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
@@ -36,6 +36,7 @@ from inclined_landing.models.plants.engine import Engine
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
+from inclined_landing.models.schema import is_finite
 
 # The engine's warnings on which it silently resets a simulation.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
@@ -78,8 +79,8 @@ class MujocoPlant(Plant):
         moving: bool = False,
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
-        if not (math.isfinite(timestep) and timestep > 0):
-            raise UserError(f"timestep must be positive, not {timestep!r}")
+        if not (is_finite(timestep) and timestep > 0):
+            raise UserError(f"timestep must be positive, not {shown(repr(timestep), 40)}")
         self.substeps = round(self.control_period / timestep)
         if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
             raise UserError(

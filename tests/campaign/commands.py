@@ -130,6 +130,7 @@ def place(folder: Path) -> Path:
     write(folder / "study.toml", STUDY)
     (folder / "report").mkdir()
     write(folder / "report/report.json", REPORT)
+    (folder / "loop").symlink_to("loop")
     (folder / "link").symlink_to(folder / "nowhere" / "at" / "all")
     return folder
 

@@ -55,6 +55,7 @@ OUTPUTS = {
     "device": "/dev/null/out",
     "under a device": "/dev/null",
     "link to nowhere": "{place}/link/out",
+    "a loop": "{place}/loop/out",
 }
 # Of them, what a name of a file cannot be: they stand without its ending.
 NO_NAMES = (

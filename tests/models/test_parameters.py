@@ -13,6 +13,8 @@ import pytest
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
+from inclined_landing.models.plants import make_plant
+from inclined_landing.models.scene import build_spec
 from tests import ROOT
 
 FOLDERS = ("models", "envs", "eval", "train")
@@ -221,6 +223,33 @@ def test_every_shipped_value_is_within_its_range_and_ranges_are_closed():
         for value, (low, high) in zip(values, c.range):
             assert low <= value <= high and low < high
             assert math.isfinite(high - low)
+
+
+@pytest.mark.parametrize("wrong", [3, [], (), {}, object(), b"x", float("nan"), True, int])
+def test_what_is_no_vehicle_is_refused(wrong):
+    for read in (load_vehicle, constants):
+        with pytest.raises(UserError, match="vehicle file must be a path, not"):
+            read(wrong)
+    with pytest.raises(UserError, match="a Vehicle is expected, not"):
+        check_vehicle(wrong)
+    for build in (build_spec, lambda vehicle: make_plant("analytic", 1, vehicle)):
+        with pytest.raises(UserError, match="vehicle must be a Vehicle or the path of a file, not"):
+            build(wrong)
+
+
+@pytest.mark.parametrize("wrong", ["x", [1.0], {}, b"x", 10**400, float("nan"), -1.0, int])
+def test_numbers_of_a_plant_are_numbers(wrong):
+    for call, name in (
+        (lambda: make_plant("analytic", 1, control_period=wrong), "control_period"),
+        (lambda: make_plant("hybrid", 1, keep_out=wrong), "keep_out"),
+        (lambda: make_plant("mujoco", 1, timestep=wrong), "timestep"),
+        (lambda: build_spec(timestep=wrong), "timestep"),
+        (lambda: make_plant("analytic", 1, pool=[wrong]), "a Vehicle"),
+        (lambda: make_plant("analytic", 1, pool=3), "pool"),
+        (lambda: make_plant("mujoco", 1, attitude=wrong), "attitude"),
+    ):
+        with pytest.raises(UserError, match=f"^{name} "):
+            call()
 
 
 def test_missing_and_binary_files_are_refused(tmp_path):

@@ -254,9 +254,11 @@ def test_python_that_nobody_named_is_not_imported(change, place, capsys):
 def test_python_that_is_named_is_imported(place, capsys, monkeypatch):
     monkeypatch.setattr(tasks, "_OWN", {})
     Path("foreign.py").write_text(FOREIGN)
+    Path("loop.py").symlink_to("loop.py")
     write(RECIPE | {"evaluate": [["moving", "{here}/foreign.py:fly", "--out", "{run}/s"]]})
     for words, sentence in (
         (["--allow", "foreign.py:land"], "--allow ./foreign.py:fly"),
+        (["--allow", "loop.py:fly"], "--allow ./foreign.py:fly"),
         (["--allow", "foreign"], "--allow takes module:NAME or FILE.py:NAME, not foreign"),
         (
             ["--allow", "foreign.py:fly", "--allow", "os:system"],
@@ -308,6 +310,9 @@ def test_what_is_done_together_writes_beside_the_runs(out, place, capsys):
 def test_a_run_folder_that_leads_elsewhere_is_refused(place, begun, capsys):
     (begun / "a-6").symlink_to(place)
     assert sweep() == 2 and "out of the sweep" in capsys.readouterr().err
+    (begun / "a-6").unlink()
+    (begun / "a-6").symlink_to("a-6")
+    assert sweep() == 2 and "a-6" in capsys.readouterr().err
 
 
 def test_a_number_or_picture_that_nothing_writes_is_refused(place, capsys):

@@ -48,11 +48,12 @@ from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle
 
 FEW_FLIGHTS = 3
 STRONG_WIND = 0.05  # of the weight, drag of a wind in which the attitude loops are not judged
@@ -81,6 +82,7 @@ def diagnose(
     """
     clock = _Clock()
     notes: list[str] = []
+    flights, heldout, vehicle = as_logs(flights), as_logs(heldout), as_vehicle(vehicle)
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     flights, failed = without_failed_sensors(flights)

@@ -44,8 +44,9 @@ from inclined_landing.eval.gap.search.sets import (
 )
 from inclined_landing.eval.gap.search.vehicle_fit import fit_vehicle
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.effects import LIBRARY, FittedConstant
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle, load_vehicle
 
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
@@ -126,6 +127,7 @@ def identify(
     Raises UserError when no flight can be used.
     """
     notes: list[str] = []
+    flights, heldout, vehicle = as_logs(flights), as_logs(heldout), as_vehicle(vehicle)
     flights, failed = without_failed_sensors(flights)
     heldout, failed_heldout = without_failed_sensors(heldout)
     fitted = prepare_all(flights, vehicle, platform, notes)

@@ -15,6 +15,7 @@ from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
@@ -206,6 +207,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     platform: the slab of the vehicle file stands there (for the ground effect); else the floor only.
     Raises UserError, naming the flight, when there is too little to use.
     """
+    (log,) = as_logs([log])
     optional = {"roll", "pitch", "yaw", "cmd_roll", "cmd_pitch", "cmd_yaw_rate"}
     missing = [n for n in log.missing if n not in optional]
     if missing:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numba
 import numpy as np
@@ -22,7 +22,7 @@ from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX,
 from inclined_landing.models.delays import averages
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.parameters import Vehicle, as_vehicle
 from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import PLANTS, MujocoPlant
 
@@ -328,9 +328,13 @@ def measure_gap(
     number of windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
+    vehicle = as_vehicle(vehicle)
     prepared = [
-        f if isinstance(f, MeasuredFlight) else prepare(f, vehicle, platform=platform) for f in flights
+        f if isinstance(f, MeasuredFlight) else prepare(f, vehicle, platform=platform)
+        for f in (flights if isinstance(flights, Iterable) else [flights])
     ]
+    if not prepared:
+        raise UserError("no flight given")
     starts = RolloutWindows.of(prepared, horizon)
     error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)

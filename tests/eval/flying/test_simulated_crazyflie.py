@@ -5,6 +5,8 @@ import math
 import socket
 import struct
 import threading
+import time
+from types import SimpleNamespace
 
 import hypothesis
 import hypothesis.strategies as st
@@ -17,7 +19,7 @@ from cflib.crazyflie.log import LogConfig
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import pose_stream
-from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.interfaces import Pose, RealClock
 from inclined_landing.eval.flying.simulated import crtp, firmware
 from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude, plant_command
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
@@ -340,8 +342,8 @@ def test_cameras_see_with_their_noise_rate_and_latency():
 
 def test_the_newest_pose_is_the_one_taken_last():
     view = SimulatedMotionCapture(CameraQuality(), np.random.default_rng(0))
-    for time in (0.02, 0.01):
-        view.arrive(Pose(time, np.full(3, time)))
+    for taken in (0.02, 0.01):
+        view.arrive(Pose(taken, np.full(3, taken)))
     assert view.latest().time == 0.02
 
 
@@ -520,6 +522,53 @@ def test_the_process_answers_packets_and_streams_poses():
     receiver.close()
     assert all(np.abs(pose.position[:2] - (1.0, 0.0)).max() < 0.01 for pose in poses)
     assert any("connected" in line for line in lines) and X == 0
+
+
+def test_no_datagram_ends_the_process_and_few_peers_are_named():
+    """Not one from port 0, to which nothing can be sent, nor one that was damaged on its way."""
+    lines: list[str] = []
+    process = SimulatorServer(World(Setting(), 3), 0, ("127.0.0.1", 9), lines.append)
+    radio = process._radio
+
+    def receiving(data, *peer):
+        process._radio = SimpleNamespace(recvfrom=lambda size: (data[:size], peer), sendto=radio.sendto)
+
+    with pytest.raises(BlockingIOError):
+        radio.recvfrom(1)
+    process._receive(0.0)
+    for data in (b"\xff", b"", b"\xf3", bytes(65507)):
+        for peer in (("127.0.0.1", 0), ("255.255.255.255", 9)):
+            receiving(data, *peer)
+            process._receive(0.0)
+    for k in range(1000):
+        receiving(b"\xf3", "127.0.0.1", 1000 + k % 200)
+        process._receive(0.004 * k)
+    assert len(lines) == 4 and all("connected from" in line for line in lines)
+    process._radio = radio
+    process.close()
+
+
+def test_an_empty_datagram_does_not_end_the_poses():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("127.0.0.1", 0))
+        port = sender.getsockname()[1]
+    stream = pose_stream.PoseStream(f"127.0.0.1:{port}", RealClock())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for data in (b"", bytes(65507), pose_stream.encode(Pose(0.0, np.ones(3), None), 0.0)):
+            sender.sendto(data, ("127.0.0.1", port))
+    end = time.monotonic() + 5.0
+    while stream.latest() is None and time.monotonic() < end:
+        time.sleep(0.002)
+    stream.close()
+    assert stream.latest() is not None and not stream._thread.is_alive()
+
+
+@pytest.mark.parametrize("port", ["0", "65536", "-1", "1" * 5000, "1_0", "٣", "x", ""])
+def test_ports_that_there_are_not_are_refused(port):
+    with pytest.raises(UserError, match="a port from 1 to 65535"):
+        pose_stream.resolved(f"127.0.0.1:{port}")
+    with pytest.raises(UserError, match="port 70000 cannot be used"):
+        SimulatorServer(World(Setting(), 3), 70000, ("127.0.0.1", 9))
 
 
 def test_the_command_writes_what_truly_happened(tmp_path):

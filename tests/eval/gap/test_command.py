@@ -176,9 +176,11 @@ def test_what_limits_the_answer_is_said_beside_it(logs):
 
 
 def test_options_that_cannot_be_used_are_refused(logs, gap, tmp_path):
-    files = logs()
+    files, loop = logs(), tmp_path / "loop.csv"
+    loop.symlink_to(loop)
     for arguments, words in (
         ((files[0], files[0]), "more than once"),
+        ((str(loop), files[0]), "loop.csv: cannot be read"),
         ((files[0], "--heldout", files[0]), "more than once"),
         ((tmp_path / "none.csv",), r"none\.csv"),
         ((tmp_path,), str(tmp_path)),

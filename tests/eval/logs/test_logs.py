@@ -18,9 +18,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.logs import FlightLog, read_log, write_log
+from inclined_landing.eval.gap import diagnose, measure_gap
+from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.mapping import shipped
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
 from tests.log_files import a_log, firmware_values, sd_card, write_bag
 
@@ -50,6 +53,26 @@ def test_a_log_that_contradicts_itself_is_refused():
     t[7] = t[6]
     with pytest.raises(UserError, match="time does not increase at row 7"):
         a_log(t=t)
+
+
+@pytest.mark.parametrize("wrong", [3, None, object(), 1.5, b"x", [3], {}, int])
+def test_what_is_no_log_is_refused(wrong, tmp_path):
+    good = tmp_path / "good.csv"
+    write_log(good, a_log())
+    for call in (
+        lambda: read_log(wrong),
+        lambda: check_log(wrong),
+        lambda: write_log(tmp_path / "a.csv", wrong),
+        lambda: diagnose(wrong, load_vehicle()),
+        lambda: identify(wrong, load_vehicle()),
+        lambda: measure_gap(load_vehicle(), wrong),
+        lambda: measure_gap(3, []),
+        lambda: read_log(good, units=3),
+        lambda: read_log(good, mapping=3),
+    ):
+        with pytest.raises(UserError):
+            call()
+    assert list(tmp_path.iterdir()) == [good]
 
 
 def test_pieces_are_what_lies_between_holes():

@@ -27,6 +27,7 @@ from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures import (
     comparison_curves,
     curriculum_figure,
+    final_scores,
     learning_curves,
     save_figure,
     trajectory_figure,
@@ -374,6 +375,28 @@ def test_learning_curves_name_what_is_wrong(tmp_path):
     (other / "run.json").unlink()
     with pytest.raises(UserError, match=r"run\.json does not exist"):
         learning_curves([other])
+
+
+@pytest.mark.parametrize("end", ["", ",", "\0" * 90])
+def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
+    run = write_run(tmp_path / "a")
+    text = (run / "learning.csv").read_text()
+    (run / "learning.csv").write_text(text[: text.rindex("\n", 0, -1) + 3] + end)
+    figure = learning_curves([run])
+    (line,) = by_gid(figure.axes[1].lines, "run")
+    assert len(line.get_xdata()) == 39
+    assert final_scores([run])[-1] == f"{run / 'learning.csv'} ends within a row, which is left out."
+    (run / "learning.csv").write_text(text[:-1])  # an editor's last line
+    assert len(by_gid(learning_curves([run]).axes[1].lines, "run")[0].get_xdata()) == 40
+    assert len(final_scores([run])) == 1
+
+
+def test_levels_that_are_missing_are_no_end_of_the_curriculum(tmp_path):
+    run = write_run(tmp_path / "a")
+    table = pd.read_csv(run / "learning.csv")
+    table.loc[len(table) - 1, "level"] = np.nan
+    table.to_csv(run / "learning.csv", index=False)
+    assert len(by_gid(learning_curves([run]).axes[1].lines, "run")[0].get_xdata()) == 39
 
 
 # --- curriculum -----------------------------------------------------------------------------------

@@ -79,6 +79,30 @@ def test_failure_leaves_nothing_behind(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("echo 'a: x' >&2; echo 'b: Error: No space left on device' >&2; exit 1", "no space left on device"),
+        ("kill -9 $$", "ffmpeg was ended; is the disk full"),
+        ("kill -XFSZ $$", "ffmpeg was ended; is the disk full"),
+    ],
+)
+def test_ffmpeg_that_fails_is_one_sentence(code, said, tmp_path, monkeypatch):
+    (tmp_path / "ffmpeg").write_text(f"#!/bin/bash\n{code}\n")
+    (tmp_path / "ffmpeg").chmod(0o755)
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(tmp_path / "ffmpeg"))
+    for frames in (1, 30):  # what a pipe holds, and more
+        with pytest.raises(UserError, match=rf"cannot write .*new/a\.mp4: {said}"):
+            write_video(tmp_path / "new" / "a.mp4", [np.zeros((120, 160, 3), np.uint8)] * frames)
+    assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
+
+
+def test_a_missing_ffmpeg_is_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(tmp_path / "none"))
+    with pytest.raises(UserError, match=r"cannot write .*a\.mp4: program .*none' is not found"):
+        write_video(tmp_path / "a.mp4", [np.zeros((120, 160, 3), np.uint8)])
+
+
 def test_strobe_draws_copies_along_the_way():
     picture = strobe(flight(), width=320, height=180, backend="ray")
     single = strobe(flight(), width=320, height=180, backend="ray", copies=1)
