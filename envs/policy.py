@@ -556,6 +556,6 @@ def _activation(named: Any, usual: str, path: Path) -> str:
     if activation not in _ACTIVATIONS:
         raise UserError(
             f"policy {path} has a network this package cannot evaluate "
-            f"(activation {shown(named, 80)}; known are {' and '.join(_ACTIVATIONS)})"
+            f"(activation {shown(named, 80)}; it evaluates {' and '.join(_ACTIVATIONS)})"
         )
     return activation

@@ -99,7 +99,7 @@ def _cache_somewhere(execute: Execute, caching: Any) -> None:
 
 @functools.cache
 def private_folder() -> str:
-    """Return a folder in the temporary one that nobody else can write: what lies there may be executed.
+    """Return a folder in the temporary one that only this user can write: what lies there may be executed.
 
     It is the same for all processes of a user; where somebody else holds its name, one that is removed at the
     end of the process. Raises UserError where there is no temporary folder.
@@ -127,6 +127,6 @@ def _is_own(found: os.stat_result) -> bool:
 
 
 def _keeps_names(found: os.stat_result) -> bool:
-    """Return whether nobody but their owners can rename or replace what lies in this folder."""
+    """Return whether only their owners can rename or replace the files in this folder."""
     sticky, writable = found.st_mode & stat.S_ISVTX, found.st_mode & 0o022  # by others
     return found.st_uid in (0, os.geteuid()) and bool(sticky or not writable)

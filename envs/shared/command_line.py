@@ -39,9 +39,7 @@ SHELLS = ("bash", "zsh", "fish")
 # fifth of the time of importing goes into looking through them over and over.
 _YOUNG = 20_000
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)  # signals that end the work
-_UNDISTURBED = (
-    1.0  # s after one of them, in which others do not interrupt the removal of what is half-written
-)
+_UNDISTURBED = 1.0  # s after one of them, in which others do not interrupt the removal of partial files
 # Output that cannot be written: disk, quota, size of a file, device, and what was closed by the shell.
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
@@ -302,17 +300,16 @@ class _Lossy(io.FileIO):
 @contextlib.contextmanager
 def _streams() -> Iterator[None]:
     """Make the standard streams of this process bear what may happen to them."""
-    while (
-        handle := os.open(os.devnull, os.O_RDONLY)
-    ) <= 2:  # closed by the shell; no file may get its number
-        pass
+    handle = os.open(os.devnull, os.O_RDONLY)
+    while handle <= 2:  # closed by the shell; no file may get its number
+        handle = os.open(os.devnull, os.O_RDONLY)
     os.close(handle)
     with contextlib.ExitStack() as changed:
         if sys.stdout is None:  # words there are an error, as on a full disk
             changed.enter_context(contextlib.redirect_stdout(open(1, "w", closefd=False)))
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # file names that are no UTF-8
-        if sys.stderr is sys.__stderr__:  # as nobody else has changed it
+        if sys.stderr is sys.__stderr__:  # unless a test or a notebook has replaced it
             changed.enter_context(contextlib.redirect_stderr(_lossy(2)))
         yield
 

@@ -65,7 +65,7 @@ class NamedEffect:
     remedy: str
     note: str = ""  # a sentence
     cost: float = math.nan  # m, position error one second ahead that it alone makes
-    unresolved: bool = False  # a lag or a delay, named from flights recorded at too low a rate to show one
+    unresolved: bool = False  # a lag or a delay, from flights whose sampling rate is too low for it
 
     @property
     def sure(self) -> bool:

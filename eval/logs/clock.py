@@ -46,7 +46,7 @@ def named(names: Iterable[str]) -> str | None:
 def with_clock(record: Record, wanted: Mapping[str, str | None], given: str | None) -> Record:
     """Return the record with a clock: where it lacks the columns that are wanted, time by another name.
 
-    A unit that neither name nor file states is told by the step between rows; a clock that wraps goes on.
+    A unit that neither name nor file states is inferred from the time step; a clock that wraps is unwrapped.
     wanted: the mapping's columns and their units. given: the unit as the user says. What was done is noted.
     """
     here = next((name for name in wanted if name in record.columns), None)
@@ -61,12 +61,12 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], given: str | No
     else:
         first, rest = name.split(" + ")
         values, unit = record.columns[first] + 1e-9 * record.columns[rest], "s"
-    told = ""
+    inferred = ""
     if unit is None:
         unit = _unit_by_step(values, _LONGEST_STEP["t" if here or name == "t" else ""])
-        told = "" if here and unit == "s" else ", by the step between rows"
-    if not here or told:
-        notes.append(f"time is the column {shown(name)}, in {unit}{told}")
+        inferred = "" if here and unit == "s" else " (inferred from the time step)"
+    if not here or inferred:
+        notes.append(f"time is the column {shown(name)}, in {unit}{inferred}")
     values, wraps = _unwrapped(values, units.factor("t", unit, record.path))
     if wraps:
         notes.append(f"the clock {shown(name)} starts again where it is full ({wraps}): continued")

@@ -30,30 +30,15 @@ GYRO_SPAN, LEAST_AGREEMENT = 0.1, 0.7
 DEEPEST = 20  # mapping files that inherit one another
 # Columns of a table in long form, and how many it has at most.
 _KINDS = (
-    "variable",
-    "name",
-    "key",
-    "signal",
-    "channel",
-    "field",
-    "topic",
-    "quantity",
-    "parameter",
-    "column",
-    "series",
+    *("variable", "name", "key", "signal", "channel", "field", "topic", "quantity", "parameter"),
+    *("column", "series"),
 )
 _VALUES = ("value", "values", "val", "data")
 _LONG_FORM = 6
 # What a flight cannot be used without, and what is left out where it cannot be read.
 _NEEDED = ("t", "x", "y", "z", "cmd_thrust_pwm")
 _OPTIONAL = (
-    "vx",
-    "vy",
-    "vz",
-    "cmd_yaw",
-    "cmd_yaw_rate",
-    "vbat",
-    "contact",
+    *("vx", "vy", "vz", "cmd_yaw", "cmd_yaw_rate", "vbat", "contact"),
     *units.REQUESTS,
     *units.ROTOR_SPEEDS,
 )

@@ -41,7 +41,7 @@ from inclined_landing.models.errors import UserError
 
 FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 FPS = 50.0  # one frame for every control step
-_ENDED = "ffmpeg was ended; is the disk full, or are files (ulimit -f) or memory limited?"
+_ENDED = "ffmpeg was ended; is the disk full, the file too large (ulimit -f), or memory short?"
 _CODECS = {".mp4": "h264", ".gif": "gif"}
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air

@@ -230,7 +230,7 @@ class Effect:
     # Log channel (or `yaw_rate_command`) -> least change over the flights for it to be identifiable.
     requires: Mapping[str, float] = dataclasses.field(default_factory=dict)
     of_the_drive: bool = False  # acts between the thrust command and the speed of the rotors
-    is_lag: bool = False  # a lag or a delay, which flights recorded at a low rate do not tell from another
+    is_lag: bool = False  # a lag or a delay, confounded with others in flights recorded at a low rate
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()

@@ -60,7 +60,7 @@ def vec_env(n=3, task="landing", plant="analytic", seed=0, **options) -> BatchVe
 
 
 def test_gymnasiums_checker_passes_on_registered_environments(task, monkeypatch):
-    """Without a display, where "human" is no render mode."""
+    """Without a display, where "human" is not among the render modes."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")

@@ -269,7 +269,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
 def _note(problem: Problem, effect: str, at_bound: bool) -> str:
     """Return what a constant is to be read with; empty for nothing."""
     if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
-        return "not to be told from other lags at this rate of rows"
+        return "confounded with other lags at this sampling rate"
     return "at its bound" if at_bound else ""
 
 

@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterio
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, first_of
 
 NAMED = 0.75  # probability of an effect that is named; calibrated on development families
 RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
@@ -59,12 +59,9 @@ def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tupl
 
 
 def _too_slow(flights: Sequence[str]) -> str:
-    """Return a sentence on flights recorded at too low a rate to tell lags apart."""
-    names = ", ".join(flights[:3]) + (f" and {len(flights) - 3} more" if len(flights) > 3 else "")
-    return (
-        f"Whether it is this lag, another one or none cannot be told from {names}, of fewer than "
-        f"{LEAST_RATE:g} rows per second: log 50 or more."
-    )
+    """Return a sentence on flights recorded at too low a rate to distinguish lags."""
+    which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(flights)})"
+    return f"{which} do not distinguish lags: log 50 or more."
 
 
 def probable_effects(found: SetPosterior) -> EffectSet:

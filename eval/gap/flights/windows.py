@@ -97,7 +97,7 @@ class MeasuredFlight:
 
     @property
     def shows_lags(self) -> bool:
-        """Return whether it has rows enough per second to tell one lag or delay from another."""
+        """Return whether its sampling rate is high enough to distinguish lags and delays."""
         return 1.0 / self.dt > 0.99 * LEAST_RATE
 
     @property
