@@ -138,8 +138,18 @@ def test_streams_that_are_full_or_closed_change_no_code(words, code, said):
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
 
 
+@pytest.fixture
+def heard():
+    """Signals as a shell sets them, whichever the tests themselves were started to ignore."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in ENDING}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("number", ENDING, ids=lambda number: number.name)
-def test_a_signal_ends_a_command_and_leaves_nothing(number, tmp_path, capsys):
+def test_a_signal_ends_a_command_and_leaves_nothing(number, heard, tmp_path, capsys):
     """As Ctrl-C does; a closed terminal, which sends several, interrupts no clearing up."""
 
     def work():
