@@ -69,20 +69,6 @@ GROUPS = {
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly", "upload", "crazyflie"),
 }
-# Names of the last release, and what they are now; ... stands for the words that follow.
-OLD_NAMES = {
-    "contact": "landings ...",
-    "contact-truth": "validate contact ...",
-    "equivalence": "validate equivalence ...",
-    "flights": "logs --public ...",
-    "moving": "robustness ... --over moving",
-    "picture": "figure ... --whole",
-    "slopes": "robustness --plant mujoco ... --over slopes",
-    "vehicles": "robustness ... --over vehicles",
-    "view": "replay ... --window",
-}
-# Evidence of the authors that is run from a clone, beside the tests.
-MOVED = ("gap-blind", "gap-agreement", "gap-real", "nanobench", "plan-proof", "flight-table")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,14 +87,6 @@ def find(name: str) -> Callable:
     return importlib.import_module(path).command
 
 
-def renamed(words: Sequence[str]) -> list[str]:
-    """Return a command line with an old name as it is written now, others as they are."""
-    if not words or words[0] not in OLD_NAMES:
-        return list(words)
-    before, _, after = OLD_NAMES[words[0]].partition("...")
-    return [*before.split(), *words[1:], *after.split()]
-
-
 def _run(words: list[str]) -> int | None:
     name = words[0] if words else ""
     if name in ("-h", "--help"):
@@ -120,21 +98,11 @@ def _run(words: list[str]) -> int | None:
     if name.partition("=")[0] == "--print-completion":
         print(completion(shell_of(words), "landing-eval", {name: find(name) for name in COMMANDS}), end="")
         return 0
-    if name in OLD_NAMES:
-        now = f"landing-eval {name} is now: landing-eval {OLD_NAMES[name]}"
-        print(f"{now}; the old name works until the next release", file=sys.stderr)
-    name, *rest = renamed(words) or [""]
-    if name == "beyond":  # of the last release, now landing-train sweep --page
-        from inclined_landing.eval.sweeps.beyond import command
-
-        return parse(bound(command), "landing-eval beyond", rest)()
-    if name in MOVED:
-        raise UserError(f"{name} is now run from a clone of the repository: python -m tests.proof {name}")
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         wrong = f"unknown command {name!r}" if name else "no command"
         raise UserError(f"{wrong}{', perhaps ' + near[0] if near else ''}; landing-eval --help lists them")
-    return parse(bound(find(name)), f"landing-eval {name}", rest)()
+    return parse(bound(find(name)), f"landing-eval {name}", words[1:])()
 
 
 def _help() -> str:

@@ -156,7 +156,7 @@ PROGRAMS = ("--help", "--version", "--tyro-write-completion", "--print-completio
 IDLE = ("--out", "--seed", "--resume", "--report", "--no-report", "--threads", "--no_report")
 FORMS = [form for word in IDLE for form in ([word], [f"{word}=1"], [word, "1"])]
 KNOWN = (*COMMANDS, *OLD_COMMANDS)
-OTHERS = [n for n in (*cli.COMMANDS, *cli.OLD_NAMES, "sweep", "", "--help") if n not in KNOWN]
+OTHERS = [n for n in (*cli.COMMANDS, "sweep", "", "--help") if n not in KNOWN]
 LISTS = st.sampled_from(("evaluate", "together"))
 TEXTUAL = st.deferred(
     lambda: st.sampled_from([o for o, about in options("train").items() if "str" in str(about.kind)])

@@ -96,13 +96,6 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     )
 
 
-@pytest.mark.parametrize("name", cli.MOVED)
-def test_a_command_that_moved_says_where_it_is(name, capsys):
-    assert cli.main([name, "--out", "x"]) == 2
-    sentence = f"{name} is now run from a clone of the repository: python -m tests.proof {name}"
-    assert capsys.readouterr().err == f"landing-eval: {sentence}\n"
-
-
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("words", [["--version"], ["success", "--help"]])
 def test_output_that_cannot_be_written_is_one_sentence(words, unbuffered):

@@ -470,12 +470,3 @@ def test_only_the_variants_that_are_named_have_to_meet_the_bar():
     held = number(bar=97.0, bar_for=("hover",))
     assert held.of("hover").bar == 97.0 and held.of("drift").bar is None
     assert number(bar=97.0).of("drift").bar == 97.0
-
-
-def test_the_old_command_of_the_page_says_the_new_one(folder, tmp_path, capsys):
-    assert cli.main(["beyond", str(folder), "--out", str(tmp_path / "old")]) == 0
-    assert "landing-eval beyond is now: landing-train sweep SWEEP" in capsys.readouterr().err
-    assert train(["sweep", str(folder), "--page", str(tmp_path / "new")]) == 0
-    old, new = ((tmp_path / name / "beyond.html").read_bytes() for name in ("old", "new"))
-    assert old == new
-    assert cli.main(["beyond", str(folder)]) == 2 and "give --out for a page" in capsys.readouterr().err
