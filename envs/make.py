@@ -15,8 +15,9 @@ from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, as_vehicle
+from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.models.vehicle import Vehicle
 
 MOST_VEHICLES = 100_000  # of one environment
 # What numbers among the options of a plant may be.

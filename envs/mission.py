@@ -37,8 +37,8 @@ from inclined_landing.envs.tasks.setpoint import START_BOX, TOLERANCE
 from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import SURFACES
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.vehicle import Vehicle
 
 LEGS = ("climb", "approach", "landing", "touchdown")
 CLIMB, APPROACH, LANDING, TOUCHDOWN = range(len(LEGS))

@@ -31,7 +31,8 @@ from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.envs.weights import METADATA
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, as_vehicle, load_vehicle
+from inclined_landing.models.parameters import as_vehicle, load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
 # One of every shipping task, called like it; and more of them, called like their files.

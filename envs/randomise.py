@@ -50,14 +50,8 @@ import numpy as np
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, choices, shown
-from inclined_landing.models.parameters import (
-    Constant,
-    Vehicle,
-    check_vehicle,
-    constants,
-    load_vehicle,
-    vehicle_names,
-)
+from inclined_landing.models.parameters import Constant, check_vehicle, constants, load_vehicle, vehicle_names
+from inclined_landing.models.vehicle import Vehicle
 
 Range = tuple[float, float]
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, YAW, tilted
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 class Delays:

@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # A seed, or a generator that gives one.
 Seed: TypeAlias = int | np.random.Generator

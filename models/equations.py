@@ -43,7 +43,7 @@ from inclined_landing.models.attitude import (
     euler_rates,
 )
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import (
     DRAG_CHANGE,
     GAIN_SCALE,
@@ -54,6 +54,7 @@ from inclined_landing.models.perturbation import (
     THRUST_SCALE,
     TIME_CONSTANT_SCALE,
 )
+from inclined_landing.models.vehicle import Vehicle
 
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), and the slung
 # load's direction and its rate where there is one.

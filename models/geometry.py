@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from inclined_landing.models.attitude import rotation
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 PARTS = ("feet", "body", "rotors")
 PART_BODIES = ("feet", "crazyflie", "rotors")

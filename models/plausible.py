@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from inclined_landing.models import contact
 from inclined_landing.models.errors import UserError
-
-if TYPE_CHECKING:
-    from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 ENGINE_STEP = 0.004  # s, of scenes and plants unless told otherwise
 _STABLE = 2.5  # rate times step; RK4 follows decays up to 2.78

@@ -18,9 +18,10 @@ import numpy as np
 from inclined_landing.models import geometry, plugins
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, as_vehicle
+from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.schema import is_finite
+from inclined_landing.models.vehicle import Vehicle
 
 INTEGRATORS = {
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -33,15 +34,15 @@ _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
 _WALL_HALF_THICKNESS = 0.01  # m
 # Of a moving platform's joints [kg, kg m2]: a touchdown of 0.1 N s changes its speed by 1e-6 m/s, for one
 # control period. The contact solver's tolerance is relative to the scene's inertia, and so as much smaller.
-_DECK_INERTIA = 1e5
-_DECK_TOLERANCE = 1e-15
+_JOINT_INERTIA = 1e5
+_SOLVER_TOLERANCE = 1e-15
 # Of a slung load: share of its moment of inertia that its own size adds, least moment that the engine takes
 # [kg m2], mass [kg] that stands for none (of a Crazyflie's weight 3e-9); drawn as large as sand of its mass.
 _POINT, _LEAST_INERTIA, _NO_LOAD = 1e-7, 1e-13, 1e-10
 _LOAD_DENSITY = 2000.0  # kg/m3, drawn
 _STRING_RADIUS = 0.0015  # m, drawn
-_DECK_SLIDES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
-_DECK_HINGES = {
+_SLIDES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+_HINGES = {
     "yaw": (0, 0, 1),
     "roll": (1, 0, 0),
     "pitch": (0, 1, 0),
@@ -294,16 +295,16 @@ def _release_platform(spec: mujoco.MjSpec) -> None:
 
     Its qpos is then its place in the world. The base's bodies are parked below the floor.
     """
-    spec.option.tolerance = _DECK_TOLERANCE
+    spec.option.tolerance = _SOLVER_TOLERANCE
     body = spec.body("platform")
     body.mocap = False
     body.pos, body.quat = [0, 0, 0], [1, 0, 0, 0]
     body.explicitinertial = True
     body.ipos, body.mass, body.inertia = [0, 0, 0], 1e-6, [1e-6] * 3  # next to nothing beside the joints'
     kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    for kind, axes in zip(kinds, (_DECK_SLIDES, _DECK_HINGES)):
+    for kind, axes in zip(kinds, (_SLIDES, _HINGES)):
         for name, axis in axes.items():
-            body.add_joint(name=f"deck_{name}", type=kind, axis=axis, armature=_DECK_INERTIA)
+            body.add_joint(name=f"platform_{name}", type=kind, axis=axis, armature=_JOINT_INERTIA)
     for name in geometry.PLATFORM_BODIES[1:]:
         spec.body(name).pos = [0, 0, geometry.PARKED]
 

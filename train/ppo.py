@@ -19,8 +19,9 @@ from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Snapshot, make_plant
+from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.checkpoint import check_array, check_names, check_number
 from inclined_landing.train.config import ALGORITHMS, TrainConfig, flag_of
 from inclined_landing.train.curriculum import RISING, rising_gamma

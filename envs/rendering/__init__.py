@@ -16,7 +16,7 @@ import numpy as np
 from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 BACKENDS = ("auto", "gl", "ray")
 CAMERAS = ("arena", "side", "hero", "pad", "track", "chase", "closeup", "onboard")

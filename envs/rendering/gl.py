@@ -22,7 +22,7 @@ from inclined_landing.envs.rendering.camera import View, camera_view
 from inclined_landing.envs.rendering.pose import Ghost, Pose, hang_load
 from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _REMEDY = (
     "install it with `apt-get install libegl1 libgl1` (or `libosmesa6`), unset MUJOCO_GL and "

@@ -7,8 +7,9 @@ import numpy as np
 
 from inclined_landing.envs.rendering.camera import look_at, nearest_position
 from inclined_landing.envs.rendering.pose import qpos_of_state
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
+from inclined_landing.models.vehicle import Vehicle
 
 SCALE = 3.0  # the vehicle is a few pixels wide in a full view: it is drawn this much larger
 VISUAL_GROUP = 2

@@ -12,7 +12,8 @@ from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _PLACE = np.array([0.0, 0.0, 1.2])  # m; every copy is drawn here, alone under the same light
 _NOWHERE = np.array([0.0, 0.0, -100.0])

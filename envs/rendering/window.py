@@ -21,8 +21,9 @@ from inclined_landing.envs.rendering.pose import hang_load, pose_from_state
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Y
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
+from inclined_landing.models.vehicle import Vehicle
 
 REMEDY = (
     "without one, `landing-eval replay` writes a page for any browser, `landing-eval video` a film, and "

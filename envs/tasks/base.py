@@ -39,9 +39,10 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle, as_vehicle, constants
+from inclined_landing.models.parameters import as_vehicle, constants
 from inclined_landing.models.plants import Contacts
 from inclined_landing.models.plants.base import PLATFORM_SIZE
+from inclined_landing.models.vehicle import Vehicle
 
 COLUMNS = {name: column for column, name in enumerate(STATE_NAMES)}  # of the state
 ACTIONS = {"thrust": PWM, "roll": ROLL_COMMAND, "pitch": PITCH_COMMAND, "yaw rate": YAW_RATE_COMMAND}

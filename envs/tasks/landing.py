@@ -60,8 +60,8 @@ from inclined_landing.envs.tasks.platform import LandingOptions, in_platform
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 GOAL_HEIGHT = 0.10  # of the goal above the centre of the surface, m
 GOAL_SIZE = 0.10  # d of the task itself

@@ -21,7 +21,7 @@ from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE
 from inclined_landing.envs.tasks.space import SpaceLanding
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import Y, Z
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 SEEN_MOVING = ("platform vx", "platform vy", "platform vz", "platform wx", "platform wy", "platform wz")
 SEEN_MOVING_SCALE = np.array([1.0, 1.0, 0.5, 0.5, 0.5, 0.5])

@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.models.attitude import X, Y, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -41,7 +41,7 @@ from inclined_landing.envs.tasks.base import (
     hover_states,
 )
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VY, VZ, X, Y, Z
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 EFFORT_FLOOR = 0.001  # m
 GOAL = (0.0, 0.0, 1.2)  # m

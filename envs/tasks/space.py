@@ -22,7 +22,7 @@ from inclined_landing.envs.tasks.base import Start
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE, SlopeLanding
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m
 

@@ -58,7 +58,7 @@ from inclined_landing.envs.tasks.options import option
 from inclined_landing.envs.tasks.platform import LandingOptions
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 IDLE_ACTION = -0.9  # thrust actions up to this one command PWM 0
 REST_SPEED = 0.05  # m/s

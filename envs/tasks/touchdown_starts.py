@@ -14,7 +14,7 @@ from inclined_landing.envs.tasks.base import Start, hover_states
 from inclined_landing.envs.tasks.landing import START_CLEARANCE, InclinedLanding
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, YAW, X, Y, Z
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # Just over the slope: these bounds times a number from 0 (at rest on the slope) to 1.
 _HEIGHT = 0.25  # m over the height at rest

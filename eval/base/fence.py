@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 FLOOR = 0.3  # m: the floor is a fence from here up, below it is where vehicles take off and land
 REACTION_TIME = (0.25, 0.25, 0.12)  # s along x, y, z: see `stopping_distance`

@@ -17,7 +17,7 @@ import numpy as np
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import VX, YAW, X, Z
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 COLUMNS = (
     *("t", "x", "y", "z", "roll", "pitch", "yaw"),

@@ -28,7 +28,8 @@ from inclined_landing.eval.export.vectors import TOLERANCE
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, check_vehicle, load_vehicle
+from inclined_landing.models.parameters import check_vehicle, load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 FORMAT = "inclined-landing policy"
 VERSION = 1

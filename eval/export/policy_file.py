@@ -35,7 +35,7 @@ from inclined_landing.eval.export.network import Network
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models.attitude import COMMAND_NAMES
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 NAME = "policy.bin"
 MAGIC = b"ILPOLICY"

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # A touch changes the velocity by at most this, m/s (a flight's largest speed), between two poses at most this
 # far apart, s: a jump of the pose by more than 12 cm is none.

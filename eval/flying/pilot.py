@@ -52,7 +52,7 @@ from inclined_landing.models.attitude import (
     X,
     Z,
 )
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows

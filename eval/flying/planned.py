@@ -13,7 +13,7 @@ from inclined_landing.eval.base.tracking import Reference, read_reference
 from inclined_landing.eval.flying.surroundings import Surroundings
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, YAW, X, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 LEAST_CLEARANCE = 0.03  # m between the planned vehicle and platform or floor
 _CHECKED = 5  # every so many rows: 0.15 m at the largest speed

@@ -17,7 +17,7 @@ from inclined_landing.envs.tasks.landing import BOUND_MARGIN
 from inclined_landing.eval.base.fence import FLOOR, beyond_fence
 from inclined_landing.eval.flying.estimate import StateEstimate
 from inclined_landing.models.attitude import VX, VZ, X, Z
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 class Phase(enum.Enum):

@@ -10,8 +10,8 @@ from inclined_landing.envs.hover import CLEAR
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 FREE_START = 0.3  # m of a way that may begin closer to it
 IMPACT_DISTANCE = 0.1  # m within which a touch may have happened unseen

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from inclined_landing.models import effects
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
 SURE = 0.9  # probability of a sure name; from development families

@@ -28,9 +28,10 @@ import numpy as np
 
 from inclined_landing.eval.landings.parameters import configure, held_pwm
 from inclined_landing.models.geometry import GEOM_SURFACE
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, SLAB, Recorder, Touch
+from inclined_landing.models.vehicle import Vehicle
 
 OUTCOMES = ("rests", "slides off", "bounces off", "tips over", "misses", "diverges")
 RESTS, SLIDES, BOUNCES, TIPS, MISSES, DIVERGES = range(len(OUTCOMES))

@@ -13,9 +13,9 @@ import numpy as np
 from inclined_landing.models import contact, surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, WY, X, Z
 from inclined_landing.models.geometry import reach_below, shapes_of
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 # Units that a study file may use, as factors to SI.
 UNITS = {

@@ -20,9 +20,10 @@ from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogu
 from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.geometry import reach_below, shapes_of
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.schema import Real, Table
+from inclined_landing.models.vehicle import Vehicle
 
 MOST_LANDINGS = 5_000_000
 _NARROWEST, _WIDEST = 1e-6, 1e3  # a normal distribution's deviation over its range

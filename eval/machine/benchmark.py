@@ -31,8 +31,9 @@ from inclined_landing.eval.base.options import Flag, NewFolder, Seed, VehicleFil
 from inclined_landing.eval.machine import benchmark_table, exported
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
 
 VEHICLES = 256
 _BLOCK = 25  # control steps in one timed block

@@ -18,9 +18,10 @@ import numpy as np
 
 from inclined_landing.envs.tasks import landing
 from inclined_landing.models.geometry import PLATFORM_GEOMS
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants.mujoco import contact_sensors
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 
 class PlainLandingEnv(gym.Env):

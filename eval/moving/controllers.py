@@ -26,7 +26,8 @@ from inclined_landing.envs.tasks.own import import_named
 from inclined_landing.eval.moving.planner import Planner
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 PLANNER = "planner"
 BASELINES = ("touchdown-moving", "landing-moving", PLANNER)

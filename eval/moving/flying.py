@@ -23,9 +23,9 @@ from inclined_landing.models.attitude import (
     PWM,
 )
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder
+from inclined_landing.models.vehicle import Vehicle
 
 FIELDS = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
 

@@ -22,8 +22,8 @@ import numpy as np
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import VX, VZ, YAW, Z
 from inclined_landing.models.equations import settled_hover
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 # Chosen by hand on starts that no scenario has.
 ABOVE = 0.45  # m over the platform, where the last way begins

@@ -23,9 +23,9 @@ from inclined_landing.models import schema, storage
 from inclined_landing.models.attitude import PITCH, YAW, Z
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import MODES, Motion
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.schema import Table
+from inclined_landing.models.vehicle import Vehicle
 
 Angle = Annotated[float, Meta(ge=-360, le=360)]  # deg
 Length = Annotated[float, Meta(ge=-10, le=10)]  # m

@@ -18,8 +18,8 @@ from inclined_landing.eval.pictures.labels import MOTORS_CUT, Label, outcome_lab
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import REST_SPEED, STEP
+from inclined_landing.models.vehicle import Vehicle
 
 CUT_TIME = 1.0  # s that a landing is watched after its motors are cut
 LEAD = 0.1  # s before the first touch that belong to it

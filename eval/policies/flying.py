@@ -21,8 +21,8 @@ from inclined_landing.eval.base.conditions import fly_all
 from inclined_landing.eval.policies.motors_cut import Aftermath, cut_on_arrival
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
 
 RANDOM_STARTS = 200
 LANDINGS = ("goal_box", "slopes")  # tables of the tasks that end where the motors are cut

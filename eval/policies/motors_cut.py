@@ -14,10 +14,10 @@ import numpy as np
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.models.attitude import PITCH, VX, VZ, WX, WZ, YAW
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
 from inclined_landing.models.surface import turned
+from inclined_landing.models.vehicle import Vehicle
 
 DURATION = 2.0  # s
 _STILL = 0.3  # s

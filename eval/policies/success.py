@@ -35,7 +35,7 @@ from inclined_landing.eval.policies.evaluators import evaluator_of, report_of
 from inclined_landing.eval.policies.flying import FlownAt, fly, fly_scaled, groups_of
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 Scales = Annotated[
     tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")

@@ -45,9 +45,10 @@ from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PWM
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, choices, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder
+from inclined_landing.models.vehicle import Vehicle
 
 FRICTIONS = (0.5, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)

@@ -28,7 +28,8 @@ from inclined_landing.eval.replay.recording import Recording, from_flight
 from inclined_landing.eval.replay.view import InWindow, show
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 Sources = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY|LOG [POLICY|LOG ...]")

@@ -11,8 +11,8 @@ from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.attitude import ROLL, VX, YAW
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.recorder import still
+from inclined_landing.models.vehicle import Vehicle
 
 FLOWN, MEASURED, SIMULATED = "flown", "measured", "simulated"
 

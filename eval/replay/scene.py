@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import scenery
 from inclined_landing.envs.rendering.pose import Pose, as_pose
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_PLANE: "plane",

@@ -25,7 +25,7 @@ from inclined_landing.eval.policies.flying import fly, groups_of
 from inclined_landing.eval.policies.success import sizes
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # Of a vehicle that has the effect: how far from neutral, in distances of what is plausible.
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}

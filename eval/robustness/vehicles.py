@@ -30,8 +30,9 @@ from inclined_landing.eval.robustness.entries import Entry
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
 
 
 def evaluate(

@@ -28,7 +28,7 @@ from inclined_landing.models.effects import (
 from inclined_landing.models.effects import thrust as _thrust
 from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
 from inclined_landing.models.errors import UserError, choices
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, contact, platform)
 LIBRARY: dict[str, Effect] = {effect.name: effect for family in _FAMILIES for effect in family.EFFECTS}

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from inclined_landing.models.effects.effect import Effect, Parameter, added
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _PLACES = ("front right", "back right", "back left", "front left")
 _NAMES = tuple(f"weak_rotor_{k}" for k in range(1, 5))

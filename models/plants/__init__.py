@@ -31,11 +31,11 @@ What happens at touching is seen by `recorder.Recorder`, at every step of the en
 from __future__ import annotations
 
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.analytic import AnalyticPlant
 from inclined_landing.models.plants.base import Attitude, Contacts, Plant, Snapshot
 from inclined_landing.models.plants.hybrid import HybridPlant
 from inclined_landing.models.plants.mujoco import MujocoPlant
+from inclined_landing.models.vehicle import Vehicle
 
 __all__ = [
     "PLANTS",
@@ -58,6 +58,4 @@ def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
         raise UserError(f"unknown plant {shown(repr(kind), 40)}; known are {', '.join(PLANTS)}")
     if kind == "analytic" and options.pop("moving", False):
         raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
-    if "unrest" in options:  # the old name of the option
-        options["disturbance"] = options.pop("unrest")
     return PLANTS[kind](n, vehicle, **options)

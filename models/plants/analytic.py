@@ -9,9 +9,9 @@ import numpy as np
 from inclined_landing.models import equations, geometry
 from inclined_landing.models.disturbance import Seed
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
 from inclined_landing.models.scene import build_spec, compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 
 class AnalyticPlant(Plant):

@@ -16,8 +16,9 @@ from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle, as_vehicle, check_vehicle
+from inclined_landing.models.parameters import as_vehicle, check_vehicle
 from inclined_landing.models.schema import is_finite
+from inclined_landing.models.vehicle import Vehicle
 
 Attitude = Literal["rate_loop", "kinematic"]
 PLATFORM_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
@@ -285,11 +286,6 @@ class Plant:
         raise UserError(
             "the platforms of this plant stand still: make a mujoco or hybrid one with moving=True"
         )
-
-    @property
-    def deck(self) -> np.ndarray:
-        """Return the platforms' states by their old name."""
-        return self.platform
 
     def platform_at(self, times) -> np.ndarray:
         """`platform` (n, 12) as it is at times (n,) or a number [s] since the vehicles' reset."""

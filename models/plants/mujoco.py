@@ -30,13 +30,13 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
 from inclined_landing.models.plants.engine import Engine
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import build_spec, compile_scene
 from inclined_landing.models.schema import is_finite
+from inclined_landing.models.vehicle import Vehicle
 
 # The engine's warnings on which it silently resets a simulation.
 _DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)

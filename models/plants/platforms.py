@@ -25,7 +25,7 @@ from inclined_landing.models.attitude import ROLL, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import PARKED
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the order of motion.MODES
 
@@ -78,7 +78,7 @@ class Platforms:
         self.begun = np.zeros(n)  # s, time of the motions at the vehicles' reset
         self._everyone = np.arange(n)
         self._platform = platform
-        joints = [model.joint(f"deck_{name}") for name in _JOINTS]
+        joints = [model.joint(f"platform_{name}") for name in _JOINTS]
         dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._joints = _Joints(
             *(batch.bind("qpos"), batch.bind("qvel"), batch.bind("qfrc_applied")),

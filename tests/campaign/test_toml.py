@@ -23,8 +23,9 @@ from inclined_landing.eval.landings import design
 from inclined_landing.eval.landings.study import Levels, Study, known_parameters, read_study
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.moving.scenario import Scenario, read_scenario, shipped
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.models.vehicle import Vehicle
 from tests.campaign.flights import a_flight, fly, text
 from tests.campaign.judge import (
     Case,

@@ -188,14 +188,3 @@ def test_what_is_no_disturbance_is_refused():
         UserError, match=r"disturbance\.angular_time must be above 0 s where disturbance\.angular is"
     ):
         make_plant("analytic", 1, dataclasses.replace(V, disturbance_angular=(0.0, 0.1, 0.0)))
-
-
-def test_files_and_options_with_the_old_name_are_read(tmp_path):
-    """The table and the option were called `unrest` in files that people have."""
-    write_vehicle(tmp_path / "now.toml", RESTLESS)
-    text = (tmp_path / "now.toml").read_text("utf-8")
-    assert "[disturbance]" in text
-    (tmp_path / "before.toml").write_text(text.replace("[disturbance]", "[unrest]"), "utf-8")
-    assert load_vehicle(tmp_path / "before.toml") == RESTLESS
-    plants = [make_plant("analytic", 1, RESTLESS, **{name: 3}) for name in ("disturbance", "unrest")]
-    assert (plants[0].disturbance.now == plants[1].disturbance.now).all()

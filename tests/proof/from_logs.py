@@ -25,7 +25,8 @@ from inclined_landing.eval.base.options import Folder
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, write_csv
 

@@ -27,8 +27,9 @@ from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, PWM, ROLL, VX, WX, rotations, tilted
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import NEUTRAL, neutral
+from inclined_landing.models.vehicle import Vehicle
 
 HORIZON = 0.5  # s: 50 steps of 10 ms
 STEPS = (1, 10, 50)

@@ -31,7 +31,8 @@ from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 from tests.proof import simulator
 from tests.proof.gap_blind import cases as blind
 from tests.proof.gap_blind import causes, generate

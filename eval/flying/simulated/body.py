@@ -18,9 +18,9 @@ from inclined_landing.eval.flying.simulated.firmware import Setpoint
 from inclined_landing.models import equations
 from inclined_landing.models.attitude import LAG, ROLL, VX, YAW, quaternion, rotation, tilted
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP
+from inclined_landing.models.vehicle import Vehicle
 
 FLOOR = 2  # index of the floor in geometry.SURFACES
 _SETTLING = 1e-4  # m by which the feet are set into the floor

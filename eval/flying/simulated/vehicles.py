@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from inclined_landing.models.effects import apply
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # Gaps of the hidden vehicle, unknown to every policy: the thrust of the paper's flights, an attitude
 # estimate levelled on a table that was not, and what a radio and firmware queues add in delay.

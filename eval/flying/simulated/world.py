@@ -30,7 +30,8 @@ from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 BOOT = 1.0  # s from switching on until somebody connects
 _LOW_BATTERY, _LOW_AFTER = 3.2, 5.0  # V and s (platform_defaults_cf2.h), after which pm.state is "low"

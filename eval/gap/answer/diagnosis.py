@@ -53,7 +53,8 @@ from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, as_vehicle
+from inclined_landing.models.parameters import as_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 FEW_FLIGHTS = 3
 STRONG_WIND = 0.05  # of the weight, drag of a wind in which the attitude loops are not judged

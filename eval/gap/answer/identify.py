@@ -46,7 +46,8 @@ from inclined_landing.eval.gap.search.vehicle_fit import fit_vehicle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.effects import LIBRARY, FittedConstant
-from inclined_landing.models.parameters import Vehicle, as_vehicle, load_vehicle
+from inclined_landing.models.parameters import as_vehicle, load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}

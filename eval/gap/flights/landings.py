@@ -12,7 +12,7 @@ from scipy.signal import savgol_coeffs
 from inclined_landing.eval.gap.flights.windows import measurement_noise
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rates
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 BEFORE = 0.1  # s before the touch at which the simulation starts
 FIT_BEFORE = 0.14  # s of flight before that from which the start state is fitted

@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 from scipy.linalg import cholesky, null_space, solve_triangular
 
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,7 @@ from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
 from inclined_landing.models.equations import AMBIENT_SIZE
 from inclined_landing.models.errors import UserError, first_of
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 WINDOW = 0.6  # s
 RATE = 100.0  # rows per second, at most, that the windows are made of

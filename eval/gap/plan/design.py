@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 SECONDS = 20.0
 PIECES_PER_KIND = 8  # random safe pieces of every kind

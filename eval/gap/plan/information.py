@@ -25,7 +25,7 @@ from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 # Shares of the linear model's information over which gains are averaged: a real flight has less.
 INFORMATION_SHARES = (1.0, 0.1, 0.01)

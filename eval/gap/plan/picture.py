@@ -26,7 +26,7 @@ from inclined_landing.eval.base.style import (
     time_colours,
 )
 from inclined_landing.eval.gap.plan.design import Plan
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 WIDTH, HEIGHT = 9.6, 7.9  # inches
 _LETTERS = 24  # in a line of the names of a set

@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 RATE = 100.0  # rows per second
 LEAD_IN = 1.0  # s of hover before the first piece

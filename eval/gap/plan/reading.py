@@ -16,8 +16,9 @@ from inclined_landing.eval.gap.search.reference import Reference, read_reference
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.schema import Real, Table
+from inclined_landing.models.vehicle import Vehicle
 
 ROOM = (
     *("arena_x", "arena_y", "arena_z", "platform_width", "platform_depth"),
@@ -91,8 +92,8 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
         vehicle = Path(options["vehicle"])
     if "sets" not in data:
         raise UserError(f"report {path} has no sets of effects; it is none of landing-eval gap")
-    older = {"platform": options.get("platform", False), "disturbance": data.get("unrest", {})}
-    report = schema.parse(older | data, _Report, f"report {path}: ")
+    platform = {"platform": options.get("platform", False)}
+    report = schema.parse(platform | data, _Report, f"report {path}: ")
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
     same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     return PlanInput(

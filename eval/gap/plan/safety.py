@@ -23,9 +23,9 @@ from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, YAW, X, Z, rotations
 from inclined_landing.models.geometry import reach_below
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.surface import normal_of
+from inclined_landing.models.vehicle import Vehicle
 
 SPEED = 3.0  # m/s, at most
 FENCE = 0.15  # m kept beside the pilot's stopping distance in a plan; simulated flights have the pilot's own

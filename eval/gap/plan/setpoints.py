@@ -9,7 +9,7 @@ import numpy as np
 from inclined_landing.eval.base.tracking import Reference, thrust_and_angles
 from inclined_landing.eval.gap.plan.pieces import RATE, Path
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,8 @@ from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
 from inclined_landing.eval.gap.search.reference import Reference, posterior_path
 from inclined_landing.models import storage
-from inclined_landing.models.parameters import Vehicle, load_vehicle, write_vehicle
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights", "the paper")
 

@@ -12,7 +12,8 @@ import numpy as np
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.parameters import Vehicle, write_vehicle
+from inclined_landing.models.parameters import write_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
 Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"

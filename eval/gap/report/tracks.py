@@ -11,7 +11,7 @@ from inclined_landing.eval.gap.flights.windows import NEAR, prepare
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 EVERY = 1.0  # s between two predictions
 

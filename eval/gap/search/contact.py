@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, EffectSet, f
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 LEAST_LANDINGS = 6
 MOST_EFFECTS = 2  # of a set

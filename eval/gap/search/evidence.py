@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict, same_translation, translated
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from inclined_landing.eval.gap.search.reference import Reference

@@ -21,8 +21,8 @@ from inclined_landing.eval.gap.search.swing import pulled
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
+from inclined_landing.models.vehicle import Vehicle
 
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")  # of the pose
 REQUEST_CHANNELS = ("roll request", "pitch request", "yaw request")

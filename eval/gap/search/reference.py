@@ -25,7 +25,8 @@ from inclined_landing.eval.gap.search.residual import TARGETS, Basis, ReferenceR
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Constant, Vehicle, constants, load_vehicle, locate_vehicle
+from inclined_landing.models.parameters import Constant, constants, load_vehicle, locate_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
 VERSION = 2

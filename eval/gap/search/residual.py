@@ -21,7 +21,7 @@ from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
 from inclined_landing.eval.gap.search.evidence import Problem, Values
 from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import CHANNELS, UNITS_OF, channels_of
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 UNITS = {
     channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()

@@ -22,9 +22,10 @@ from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX,
 from inclined_landing.models.delays import averages
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
-from inclined_landing.models.parameters import Vehicle, as_vehicle
+from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import PLANTS, MujocoPlant
+from inclined_landing.models.vehicle import Vehicle
 
 HORIZON = 1.0  # s
 LARGEST_STEP = 0.004  # s at most

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from inclined_landing.models.load import LOAD_SIZE, advance
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
 ANGLE = (

@@ -21,10 +21,10 @@ from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.contact import spring_of
 from inclined_landing.models.geometry import reach_below, shapes_of
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.scene import compile_scene
+from inclined_landing.models.vehicle import Vehicle
 
 STEP = 0.00125  # s, largest step of the engine: three times the damping is unstable at twice as much
 

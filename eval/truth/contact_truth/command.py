@@ -15,7 +15,8 @@ from inclined_landing.eval.base.claims import Section, verdict_words
 from inclined_landing.eval.truth.contact_truth import touchdowns
 from inclined_landing.eval.truth.contact_truth.laws import FINDINGS, setting
 from inclined_landing.eval.truth.contact_truth.report import write
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 def command(

@@ -26,10 +26,10 @@ from inclined_landing.eval.truth.contact_truth.vehicles import (
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.geometry import PARTS, reach_below
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
+from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # with the tolerances
 GRIP = 1.6  # friction that holds the vehicle on every supported slope (tan 50 deg = 1.19)

@@ -11,7 +11,7 @@ from inclined_landing.eval.base.page import claims_page
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures import contact as figures
 from inclined_landing.models import storage
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 def write(findings: list[Section], out: Path, vehicle: Vehicle) -> None:

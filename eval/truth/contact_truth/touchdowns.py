@@ -22,9 +22,10 @@ from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import reach_below
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
+from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)
 PERIOD = 0.01  # s, of the measurements

@@ -8,9 +8,9 @@ import numpy as np
 
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, STATE_SIZE, VX, VZ, WX, WZ, Z
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses
+from inclined_landing.models.vehicle import Vehicle
 
 PHASES = 8  # drops of one kind, their touch spread evenly over one step
 SLAB, BASE, FLOOR = 0, 1, 2

@@ -12,7 +12,7 @@ from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS, angle_gap, engine, equations, position_gap
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 BANDWIDTHS = (25.0, 50.0, 100.0, 200.0, 400.0)  # 1/s
 _LARGEST_BH = 0.2  # B times the engine's step; the default vehicle has 50 x 4 ms

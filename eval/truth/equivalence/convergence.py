@@ -9,8 +9,8 @@ import numpy as np
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import Attitude
+from inclined_landing.models.vehicle import Vehicle
 
 STEPS_MS = (10.0, 5.0, 2.5, 1.25)
 ORDERS = {"RK4": 4, "implicitfast": 1, "Euler": 1}

@@ -25,8 +25,8 @@ from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS, Gaps
 from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.eval.truth.equivalence.sequences import FAMILIES
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import Attitude
+from inclined_landing.models.vehicle import Vehicle
 
 _COLOURS = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
 _MODES = {"kinematic": "Kinematic – paper's equations", "rate_loop": "Rate loop – extended equations"}

@@ -6,8 +6,9 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Words
 from inclined_landing.models.attitude import LAG, ROLL, YAW, Z
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant
+from inclined_landing.models.vehicle import Vehicle
 
 WORDS = Words(__package__)  # of the report, with the tolerances
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s

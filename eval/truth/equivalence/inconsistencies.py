@@ -17,7 +17,7 @@ from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z, rotation
 from inclined_landing.models.equations import derivative, pack, rotor_speed_sum
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 _SUBSTEPS = 5
 

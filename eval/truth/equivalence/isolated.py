@@ -30,8 +30,8 @@ from inclined_landing.models.attitude import (
     Z,
     quaternion,
 )
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import Attitude
+from inclined_landing.models.vehicle import Vehicle
 
 STEPS = 100  # control steps, 2 s
 SPEED = 3.0  # m/s at the start of the drag tests

@@ -21,8 +21,9 @@ from inclined_landing.eval.truth.equivalence.flying import (
 from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
 from inclined_landing.models.equations import derivative
-from inclined_landing.models.parameters import Vehicle, constants
+from inclined_landing.models.parameters import constants
 from inclined_landing.models.plants import Attitude
+from inclined_landing.models.vehicle import Vehicle
 
 PAPER_SUBSTEPS = 1  # RK4 at the control period, as the paper integrates
 FLIGHT_LIMITS = {

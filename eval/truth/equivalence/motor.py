@@ -16,7 +16,7 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.truth.equivalence.flying import WORDS, engine
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 SAMPLES = 500  # one second
 HOLD = 5  # samples between new commands

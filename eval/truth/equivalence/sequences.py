@@ -10,8 +10,8 @@ from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.models.attitude import PITCH_COMMAND, PWM, ROLL_COMMAND, YAW_RATE_COMMAND
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
 
 STEPS = 300  # control steps of 0.02 s
 FAMILIES = ("full steps", "smooth", "landing-like", "recorded")

@@ -18,7 +18,7 @@ from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.eval.truth.equivalence.isolated import NO_DRAG
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, X, Z
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 LIMIT = WORDS.tables["twin"]["position"]["high"]  # m and rad
 

@@ -9,9 +9,10 @@ import pytest
 
 from inclined_landing.models import plugins
 from inclined_landing.models.attitude import LAG, ROLL, VX, WX, X
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 from inclined_landing.models.scene import build_spec
+from inclined_landing.models.vehicle import Vehicle
 from tests import ROOT
 
 PLUGIN = ROOT / "models" / "plugin"

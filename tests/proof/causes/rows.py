@@ -19,7 +19,8 @@ from inclined_landing.eval.gap.result import Diagnosis, NamedEffect
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 from ..gap_blind import baselines
 from . import rough

@@ -30,8 +30,8 @@ from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.equations import lags, pack, rotor_speed_sum, total_thrust
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
 from inclined_landing.models.perturbation import NEUTRAL
+from inclined_landing.models.vehicle import Vehicle
 
 # Effects that rescale a constant of the paper's equations.
 TUNED = tuple(

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 from tests.proof import simulator
 from tests.proof.simulator import Reality, World
 

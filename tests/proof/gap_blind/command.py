@@ -23,7 +23,7 @@ from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder, Range, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 from . import score, summary
 from .cases import CURVE, ROTORPY, SETS, STRATA, Case, Flown, of_set

@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models.delays import averages
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 from tests.proof.gap_real.thrust import SMOOTHING, derivative, lagged
 
 STARTED = 2.5  # s, after the take-off

@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squa
 from inclined_landing.eval.gap.search.posterior import slab_deviations
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 def halves(logs: Sequence[FlightLog]) -> tuple[list[FlightLog], list[FlightLog]]:

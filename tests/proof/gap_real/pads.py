@@ -16,7 +16,7 @@ from scipy import stats
 
 from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 NORMAL = "normal_flight"
 NAME = re.compile(r"pad_(E\d)_(.+)_log(\d+)")

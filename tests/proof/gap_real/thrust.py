@@ -15,7 +15,7 @@ from scipy.signal import savgol_filter
 
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.csv_file import read_columns
-from inclined_landing.models.parameters import Vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 SMOOTHING = 0.1  # s to either side
 FREE = 0.3  # m above the floor, where it is not felt

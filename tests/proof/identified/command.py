@@ -21,7 +21,8 @@ from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.flights.convert import public_sets
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import Vehicle, load_vehicle, write_vehicle
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 from ..causes.rows import paths_of, read
 
