@@ -44,7 +44,14 @@ COMMANDS = {
     "video": ("pictures", "Video of flights, one after the other."),
     "replay": ("", "Flights of policies and logs in 3D: as one page for the browser, or in a window."),
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
-    "validate": ("truth", "Is the vehicle the paper's model, and is contact right? A page of claims."),
+    "equivalence": (
+        "truth",
+        "Is the vehicle the paper's model? MuJoCo against the paper's equations: a page of claims.",
+    ),
+    "contact": (
+        "truth",
+        "Can contact be believed? Rest, slip, drops, energy and more against mechanics: a page of claims.",
+    ),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag: a vehicle file."),
@@ -65,7 +72,7 @@ GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
     "Pictures": ("figure", "video", "replay", "curves"),
-    "Physics": ("validate", "landings", "effects"),
+    "Physics": ("equivalence", "contact", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly", "upload", "crazyflie"),
 }

@@ -32,7 +32,7 @@ COMMANDS = {
     "success_tilted": (EVAL, "success landing --inclination -15 --json", ()),
     "touchdown": (EVAL, "touchdown touchdown --json", ()),
     "equivalence": (EVAL, "equivalence --out {out}", ("report.json",)),
-    "contact_truth": (EVAL, "contact-truth --out {out}", ("contact.json",)),
+    "contact_truth": (EVAL, "contact --out {out}", ("contact.json",)),
     "paper_landing": (EVAL, "contact paper_landing --out {out}", ("results.parquet", "summary.json")),
     "steep_landing": (EVAL, "contact steep_landing --out {out}", ("results.parquet", "summary.json")),
     "train_landing": (TRAIN, "landing --steps 32768 --no-report --out {out}", ("final.zip", "best.zip")),

@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-import tomllib
 from collections.abc import Sequence
-from importlib import resources
 
 from inclined_landing.envs.shared.statistics import number
 from inclined_landing.envs.shared.tables import new_table, say, show_table
@@ -91,42 +89,15 @@ class Section:
         """Return whether all claims hold."""
         return all(claim.passed for claim in self.claims)
 
-
-def verdict_words(claims: Sequence[Claim]) -> str:
-    """Return in one sentence how many claims hold, and which do not."""
-    failed = [claim.name for claim in claims if not claim.passed]
-    held = f"{len(claims) - len(failed)} of {len(claims)} claims hold"
-    return f"{held}; not met: {'; '.join(failed)}." if failed else f"{held}."
-
-
-class Words:
-    """What the sections and claims of a package say: `claims.toml` beside its code.
-
-    A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
-    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and one or both
-    of its bounds `low` and `high`. Names in braces are filled in.
-    """
-
-    def __init__(self, package: str):
-        self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
-
-    def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
-        """Return a claim with its measured value."""
-        entry = self.tables[section][key]
-        name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
-        return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
-
-    def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
-        """Return a section; measured: values by claim, or the claims themselves; rest: its other fields."""
-        filling, entry = filling or {}, self.tables[key]
-        if isinstance(measured, dict):
-            claims = [self.claim(key, name, value, **filling) for name, value in measured.items()]
-        else:
-            claims = measured
-        remarks = [text.format(**filling) for text in entry.get("remarks", [])]
-        figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
-        said = {"remarks": remarks, "figures": figures} | rest
-        return Section(key, entry["title"], entry["text"].format(**filling), claims, **said)
+    def record(self) -> dict:
+        """Return the entry of a JSON report, without the text."""
+        return {
+            "title": self.title,
+            "claims": [claim.record() for claim in self.claims],
+            "tables": [dataclasses.asdict(table) for table in self.tables],
+            "remarks": self.remarks,
+            "data": self.data,
+        }
 
 
 def show_sections(sections: Sequence[Section]) -> None:

@@ -9,10 +9,8 @@ from importlib import resources
 import jinja2
 from matplotlib.figure import Figure
 
-from inclined_landing.eval.base.claims import Claim, Section, number
+from inclined_landing.eval.base.claims import number
 from inclined_landing.eval.base.style import PNG_DPI, styled
-
-VERDICTS = {True: ("holds", "hold"), False: ("fails", "fail")}  # of one claim and of several
 
 
 def render(package: str, template: str, **content) -> str:
@@ -35,32 +33,6 @@ def render(package: str, template: str, **content) -> str:
     environment.filters["number"] = number
     environment.globals["parts"] = environment.get_template("parts.html.j2").module
     return environment.get_template(template).render(content)
-
-
-def claims_page(
-    title: str,
-    lead: str,
-    sections: list[Section],
-    images: dict[str, bytes],
-    *,
-    verdicts: dict[bool, tuple[str, str]] = VERDICTS,
-    headlines: list[Claim] | None = None,
-    run: str,
-    versions: dict,
-) -> str:
-    """A page of claims. images: PNG files by the names in a section's `figures`; run: how it was made."""
-    return render(
-        __package__,
-        "claims.html.j2",
-        title=title,
-        lead=lead,
-        sections=sections,
-        images={name: embedded(data) for name, data in images.items()},
-        verdicts=verdicts,
-        headlines=headlines or [],
-        run=run,
-        versions=versions,
-    )
 
 
 def embedded(image: bytes) -> str:

@@ -24,8 +24,9 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.landings import command as landings
 from inclined_landing.eval.landings import engines
 from inclined_landing.eval.landings.study import read_study
-from inclined_landing.eval.truth.contact_truth import touchdowns
+from inclined_landing.eval.truth.contact import touchdowns
 from inclined_landing.models import storage
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import run
 from inclined_landing.train.config import TrainConfig
 from tests.campaign.judge import Case, command, contents, examples, judged, respelt, spoilt, write
@@ -159,7 +160,7 @@ def a_flight() -> bytes:
 
 
 def found(folder: Path) -> object:
-    return touchdowns.find_touchdowns(touchdowns.read_flights(folder))
+    return touchdowns.find_touchdowns(touchdowns.read_flights(folder), load_vehicle())
 
 
 RUN = {

@@ -9,7 +9,7 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings.study import Study, known_parameters, read_study
-from inclined_landing.eval.truth.contact_truth import laws
+from inclined_landing.eval.truth.contact import laws
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
 V = load_vehicle()

@@ -19,9 +19,8 @@ from scipy.signal import detrend
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.truth.equivalence.flying import largest_gaps, start_states
+from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models import effects, equations, geometry, perturbation
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES

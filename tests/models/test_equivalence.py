@@ -7,9 +7,8 @@ unperturbed plants fly alike is tested with the report, in tests/eval/truth/test
 import numpy as np
 import pytest
 
-from inclined_landing.eval.truth.equivalence.flying import engine, equations, fly, largest_gaps
+from inclined_landing.eval.truth.equivalence.flying import engine, equations, fly, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models import perturbation
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant

@@ -8,9 +8,8 @@ import pytest
 from inclined_landing.envs import starts
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.eval.truth.equivalence.flying import fly, largest_gaps
+from inclined_landing.eval.truth.equivalence.flying import fly, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.motion import Motion

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.rendering import make_renderer
-from inclined_landing.eval.truth.equivalence.flying import largest_gaps
+from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.eval.truth.equivalence.sequences import full_steps
 from inclined_landing.models import equations, load
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Z
 from inclined_landing.models.effects import LIBRARY

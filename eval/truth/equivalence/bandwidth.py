@@ -9,8 +9,14 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import WORDS, angle_gap, engine, equations, position_gap
-from inclined_landing.eval.truth.equivalence.sequences import Sequences
+from inclined_landing.eval.truth.equivalence.flying import (
+    WORDS,
+    Sequences,
+    angle_gap,
+    engine,
+    equations,
+    position_gap,
+)
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.vehicle import Vehicle
 
@@ -37,7 +43,7 @@ def with_bandwidth(v: Vehicle, bandwidth: float) -> Vehicle:
 
 def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda: None) -> list[Gap]:
     """Return the gaps over `sequences`, one per bandwidth; the engine's step follows the bandwidth."""
-    commands, starts = sequences.commands, flying.start_states(len(sequences.yaw), sequences.yaw, v)
+    commands, starts = flying.side_by_side(v, [sequences])
     n = len(starts)
     paper = flying.fly(equations(n, "kinematic", vehicle=v), commands, starts)
     gaps = []
@@ -47,15 +53,9 @@ def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda
         flown = flying.fly(engine(n, "rate_loop", vehicle, timestep=0.004 / 2**halvings), commands, starts)
         substeps = flying.FINE * max(1, 2**halvings // 2)
         extended = flying.fly(equations(n, "rate_loop", substeps, vehicle), commands, starts)
-        gaps.append(
-            Gap(
-                bandwidth,
-                float(np.sqrt(np.mean(position_gap(flown, paper) ** 2))),
-                position_gap(flown, paper).max(axis=0),
-                float(angle_gap(flown, paper).max()),
-                float(position_gap(flown, extended).max()),
-            )
-        )
+        apart, angle = position_gap(flown, paper), float(angle_gap(flown, paper).max())
+        rms, beside_extended = float(np.sqrt(np.mean(apart**2))), float(position_gap(flown, extended).max())
+        gaps.append(Gap(bandwidth, rms, apart.max(axis=0), angle, beside_extended))
         tick()
     return gaps
 
@@ -66,7 +66,8 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
     The delays, 1/B for the angles and 1/B_yaw for the turn, are rounded to control periods.
     """
     vehicle = with_bandwidth(v, bandwidth)
-    late = sequences.commands.copy()
+    commands, starts = flying.side_by_side(v, [sequences])
+    late = commands.copy()
     for column, rate in (
         (ROLL_COMMAND, vehicle.attitude_bandwidth),
         (PITCH_COMMAND, vehicle.attitude_bandwidth),
@@ -74,12 +75,11 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
     ):
         delay = round(1 / (rate * v.command_control_period))
         if delay:
-            late[delay:, :, column] = sequences.commands[:-delay, :, column]
+            late[delay:, :, column] = commands[:-delay, :, column]
             late[:delay, :, column] = 0.0
-    starts = flying.start_states(len(sequences.yaw), sequences.yaw, v)
     n = len(starts)
-    flown = flying.fly(equations(n, "rate_loop", vehicle=vehicle), sequences.commands, starts)
-    paper = [flying.fly(equations(n, "kinematic", vehicle=v), u, starts) for u in (sequences.commands, late)]
+    flown = flying.fly(equations(n, "rate_loop", vehicle=vehicle), commands, starts)
+    paper = [flying.fly(equations(n, "kinematic", vehicle=v), u, starts) for u in (commands, late)]
     now, later = (float(np.median(position_gap(flown, states).max(axis=0))) for states in paper)
     return now, later
 

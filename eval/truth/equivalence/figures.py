@@ -21,9 +21,10 @@ from inclined_landing.eval.base.style import (
     styled,
 )
 from inclined_landing.eval.truth.equivalence import bandwidth, closed_loop, convergence, flying
+from inclined_landing.eval.truth.equivalence.flying import FAMILIES
+from inclined_landing.eval.truth.equivalence.inconsistencies import Drag
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS, Gaps
 from inclined_landing.eval.truth.equivalence.motor import quoted
-from inclined_landing.eval.truth.equivalence.sequences import FAMILIES
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM
 from inclined_landing.models.plants import Attitude
 from inclined_landing.models.vehicle import Vehicle
@@ -44,7 +45,7 @@ def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
     axis.set(title=title, xlabel=x, ylabel=y, **limits)
 
 
-def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]]) -> Figure:
+def levels_figure(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]]) -> Figure:
     """Return the figure of the position difference over 6 s, and of single steps."""
     with styled():
         figure, axes = _figure(3, 4.0)
@@ -83,7 +84,7 @@ def convergence_figure(found: list[convergence.Convergence]) -> Figure:
         for axis, attitude in zip(axes, flying.ATTITUDES):
             for c in (c for c in found if c.attitude == attitude):
                 look = dict(zip(("color", "marker", "ls"), looks[c.integrator]), ms=5, lw=1.4)
-                axis.loglog(steps, c.errors, label=f"{c.integrator}: order {c.measured[-1]:.2f}", **look)
+                axis.loglog(steps, c.errors, label=f"{c.integrator}: order {c.order:.2f}", **look)
             axis.set_xticks(steps, [f"{h:g}" for h in steps])
             axis.minorticks_off()
             _name(axis, attitude.replace("_", " ").capitalize(), "step [ms]", ylim=(3e-11, 0.3))
@@ -178,7 +179,7 @@ def closed_loop_figure(flown: dict) -> Figure:
     return figure
 
 
-def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
+def inconsistencies_figure(v: Vehicle, drag: Drag) -> Figure:
     """Return the figure of both thrust maps with hover points, and the effect of the public code's drag."""
     with styled():
         figure, (left, right) = _figure(2, 3.6)
@@ -201,7 +202,7 @@ def inconsistencies_figure(v: Vehicle, drawn: dict) -> Figure:
         left.annotate("real flights", (flight / 1e3, weight), (4, -12), **beside)
         _name(left, "Where it hovers", "PWM [10³]", "total thrust [N]", xlim=(0, 60), ylim=(0, None))
         legend_below(left)
-        apart = drawn["drag"].apart
+        apart = drag.apart
         t = v.command_control_period * np.arange(1, len(apart) + 1)
         right.fill_between(t, 0, apart, color=RULE)
         right.plot(t, apart, color=BLUE)

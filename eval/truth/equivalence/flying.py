@@ -1,16 +1,32 @@
-"""The same commands flown in both plants, far from every surface, and how far the flights differ."""
+"""Command sequences of 6 s flown in both plants, far from every surface, and how far the flights differ."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
-from inclined_landing.eval.base.claims import Words
-from inclined_landing.models.attitude import LAG, ROLL, YAW, Z
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.policy import Policy
+from inclined_landing.eval.truth.report import Words
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH_COMMAND,
+    PWM,
+    ROLL,
+    ROLL_COMMAND,
+    YAW,
+    YAW_RATE_COMMAND,
+    Z,
+)
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant
+from inclined_landing.models.plants import AnalyticPlant, Attitude, MujocoPlant, make_plant
 from inclined_landing.models.vehicle import Vehicle
 
-WORDS = Words(__package__)  # of the report, with the tolerances
+WORDS = Words(__package__)  # of the page, with the tolerances
+STEPS = 300  # control steps of 0.02 s
+FAMILIES = ("full steps", "smooth", "landing-like", "recorded")
 HEIGHT = 500.0  # m; full thrust up or none at all moves 6 s x up to 60 m/s
 FINE = 20  # RK4 steps in a control period, 1 ms each: the equations solved to 1e-8 m
 ATTITUDES: tuple[Attitude, ...] = ("kinematic", "rate_loop")
@@ -34,6 +50,12 @@ def start_states(n: int, yaw=0.0, vehicle: Vehicle | None = None) -> np.ndarray:
     state[:, Z], state[:, YAW] = HEIGHT, yaw
     state[:, LAG] = (vehicle or load_vehicle()).hover_lag
     return state
+
+
+def side_by_side(v: Vehicle, sequences: list[Sequences]) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands (steps, n, 4) and start states (n, 13) of all the sequences together."""
+    yaw = np.concatenate([s.yaw for s in sequences])
+    return np.concatenate([s.commands for s in sequences], axis=1), start_states(len(yaw), yaw, v)
 
 
 def fly(plant, commands: np.ndarray, starts: np.ndarray | None = None, **changes) -> np.ndarray:
@@ -67,3 +89,106 @@ def angle_gap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def largest_gaps(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     """Return (m, deg) largest differences between states (..., 13)."""
     return float(position_gap(a, b).max()), float(angle_gap(a, b).max())
+
+
+@dataclasses.dataclass(frozen=True)
+class Sequences:
+    """n command sequences with the heading they start from."""
+
+    family: str
+    planar: bool
+    commands: np.ndarray  # (STEPS, n, 4)
+    yaw: np.ndarray  # (n,) rad
+
+    @property
+    def label(self) -> str:
+        """Return the family and dimension."""
+        return f"{self.family}, {'2-D' if self.planar else '3-D'}"
+
+
+def all_sequences(vehicle: Vehicle, n: int, seed: int, policy: Policy | None = None) -> list[Sequences]:
+    """Return n sequences of every family in both dimensions; `recorded` only with a landing policy."""
+    result = []
+    for k, family in enumerate(FAMILIES):
+        for planar in (True, False):
+            rng = np.random.default_rng([seed, k, planar])
+            if family == "recorded":
+                if policy is None:
+                    continue
+                commands = _recorded(vehicle, n, rng, policy, planar)
+            else:
+                make = {"full steps": full_steps, "smooth": smooth, "landing-like": landing_like}[family]
+                commands = make(vehicle, n, rng)
+            yaw = rng.uniform(-np.pi, np.pi, n)
+            if planar:
+                commands[..., [ROLL_COMMAND, YAW_RATE_COMMAND]] = 0.0
+                yaw[:] = 0.0
+            result.append(Sequences(family, planar, commands, yaw))
+    return result
+
+
+def bounds(v: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper command bounds (4,)."""
+    high = np.array([v.command_pwm_range[1], v.command_angle_limit, v.command_angle_limit,
+                     v.command_yaw_rate_limit])  # fmt: skip
+    return np.array([v.command_pwm_range[0], *-high[1:]]), high
+
+
+def full_steps(v: Vehicle, n: int, rng: np.random.Generator, hold: int = 10) -> np.ndarray:
+    """Return (STEPS, n, 4): new commands anywhere within the bounds every `hold` control steps."""
+    return np.repeat(rng.uniform(*bounds(v), (STEPS // hold, n, 4)), hold, axis=0)
+
+
+def smooth(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (STEPS, n, 4): three sines of 0.1 to 1.5 Hz on every command, together within the bounds."""
+    low, high = bounds(v)
+    t = v.command_control_period * np.arange(STEPS)[:, None, None, None]
+    turns = rng.uniform(0.1, 1.5, (n, 4, 3)) * t + rng.uniform(0, 1, (n, 4, 3))
+    wave = np.sin(2 * np.pi * turns).mean(axis=-1)
+    return 0.5 * (low + high) + 0.5 * (high - low) * wave
+
+
+def landing_like(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (STEPS, n, 4): speed up, brake, flare to the slope, sink, idle; twice, turning slowly."""
+    low, high = bounds(v)
+    commands = np.zeros((STEPS, n, 4))
+    commands[..., PWM] = v.hover_pwm
+    flare = v.platform_inclination / v.attitude_gain
+    for i in range(n):
+        begin = 0
+        while begin < STEPS:
+            lengths = rng.integers([20, 20, 8, 10, 10], [50, 50, 16, 25, 20])
+            run, brake, turn, sink, idle = begin + np.cumsum(lengths)
+            angle, heading = rng.uniform(0.5, 1.0) * v.command_angle_limit, rng.uniform(-np.pi, np.pi)
+            both = np.array([-np.sin(heading), np.cos(heading)])  # share of roll and of pitch
+            axes = [ROLL_COMMAND, PITCH_COMMAND]
+            lift = rng.uniform(1.0, 1.25)
+            commands[begin:run, i, axes] = angle * both
+            commands[run:brake, i, axes] = -angle * both
+            commands[begin:brake, i, PWM] *= lift
+            commands[brake:idle, i, axes] = flare * both
+            commands[turn:sink, i, PWM] *= rng.uniform(0.7, 0.95)
+            commands[sink:idle, i, PWM] = low[PWM]
+            commands[begin:idle, i, YAW_RATE_COMMAND] = rng.uniform(-0.5, 0.5) * high[3]
+            begin = idle
+    return np.clip(commands, low, high)
+
+
+def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarray:
+    """Return the commands (STEPS, n, 4) of the policy from n of the frozen starts, continued beyond the goal.
+
+    In 3-D the pitch commands of another flight go to the roll, with a smooth turn.
+    """
+    starts = landing_starts.grid()
+    starts = starts[rng.permutation(len(starts))[:n]]
+    starts = np.resize(starts, (n, 2))
+    env = BatchEnv(policy.task, make_plant("analytic", n, v), seed=0)
+    observation = env.reset(state=landing_starts.at_rest(policy.task, starts))
+    commands = np.empty((STEPS, n, 4))
+    for row in commands:
+        observation = env.step(policy.predict(observation)).observation
+        row[:] = env.commands
+    if not planar:
+        commands[..., ROLL_COMMAND] = commands[:, rng.permutation(n), PITCH_COMMAND]
+        commands[..., YAW_RATE_COMMAND] = smooth(v, n, rng)[..., YAW_RATE_COMMAND]
+    return commands

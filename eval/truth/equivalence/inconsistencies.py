@@ -12,9 +12,8 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import HEIGHT, WORDS
+from inclined_landing.eval.truth.equivalence.flying import HEIGHT, WORDS, Sequences
 from inclined_landing.eval.truth.equivalence.motor import quoted
-from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z, rotation
 from inclined_landing.models.equations import derivative, pack, rotor_speed_sum
 from inclined_landing.models.vehicle import Vehicle
@@ -124,7 +123,7 @@ def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
     return float(defect), float(stretch)
 
 
-def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
+def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
     """Return the section over planar flights `sequences`, and what its figure draws."""
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
@@ -177,4 +176,4 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, dict]:
     data = {"drag_rms": found.paper, "drag_error_rms": found.error, "hover_pwm": v.hover_pwm}
     data |= {"static_hover_pwm": v.static_hover_pwm, "thrust_stretch": stretch}
     tables = [Table("Inconsistencies", ("what", "paper or code", "here", "consequence"), rows)]
-    return WORDS.section("inconsistencies", measured, tables=tables, data=data), {"drag": found}
+    return WORDS.section("inconsistencies", measured, tables=tables, data=data), found

@@ -13,12 +13,12 @@ from inclined_landing.eval.truth.equivalence.flying import (
     ATTITUDES,
     HEIGHT,
     WORDS,
+    Sequences,
     angle_gap,
     engine,
     equations,
     position_gap,
 )
-from inclined_landing.eval.truth.equivalence.sequences import Sequences
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import constants
@@ -30,21 +30,22 @@ FLIGHT_LIMITS = {
     attitude: tuple(WORDS.tables["levels"][f"flight_{attitude}_{q}"]["high"] for q in ("position", "angle"))
     for attitude in ATTITUDES
 }  # m, deg
-_PLAIN = {"kinematic": "kinematic", "rate_loop": "rate loop"}
 
 
 @dataclasses.dataclass(frozen=True)
 class Gaps:
-    """Differences of flights, by sequence: largest over time, at the end, and over time."""
+    """Differences of flights, by sequence and over time."""
 
     labels: list[str]  # of the groups
     group: np.ndarray  # (n,) index into labels
     position: np.ndarray  # (steps, n) m
     angle: np.ndarray  # (steps, n) deg
 
-    def largest(self) -> tuple[float, float]:
-        """Return the largest differences (m, deg)."""
-        return float(self.position.max()), float(self.angle.max())
+    @classmethod
+    def of(cls, sequences: list[Sequences], a: np.ndarray, b: np.ndarray) -> Gaps:
+        """Return the differences of flights a and b (steps, n, 13) of all the sequences side by side."""
+        group = np.repeat(np.arange(len(sequences)), [len(s.yaw) for s in sequences])
+        return cls([s.label for s in sequences], group, position_gap(a, b), angle_gap(a, b))
 
     def by_group(self) -> list[tuple[str, float, float]]:
         """Return (label, m, deg) largest of each group."""
@@ -53,8 +54,7 @@ class Gaps:
 
 
 def accelerations(vehicle: Vehicle, attitude: Attitude, count: int, seed: int) -> dict[str, float]:
-    """Return the largest differences of accelerations at `count` random states, mj_forward against the
-    equations.
+    """Return the largest differences of accelerations at `count` random states, mj_forward against equations.
 
     Largest differences: linear [m/s2], angular [rad/s2, body axes], lag [PWM, relative to the largest rate].
     Kinematic: the body rates are those of the first-order loops, and the body accelerations must be
@@ -115,105 +115,83 @@ def body_accelerations(roll, pitch, rates, second) -> np.ndarray:
     )
 
 
-def reference(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], substeps: int = flying.FINE):
-    """Return the states (steps, n, 13) of the equations over all the sequences side by side."""
-    commands, starts, _ = stack(vehicle, sequences)
-    return flying.fly(equations(commands.shape[1], attitude, substeps, vehicle), commands, starts)
-
-
-def stack(vehicle: Vehicle, sequences: list[Sequences]):
-    """Return (commands (steps, n, 4), start states (n, 13), group (n,)) of all the sequences together."""
-    commands = np.concatenate([s.commands for s in sequences], axis=1)
-    yaw = np.concatenate([s.yaw for s in sequences])
-    group = np.repeat(np.arange(len(sequences)), [s.commands.shape[1] for s in sequences])
-    return commands, flying.start_states(len(yaw), yaw, vehicle), group
-
-
-def one_step(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
-    """Return one control step of the engine from every state of the flights `flown` (steps, n, 13)."""
-    commands, starts, group = stack(vehicle, sequences)
-    plant = engine(len(group), attitude, vehicle)
+def one_step(plant, commands: np.ndarray, starts: np.ndarray, flown: np.ndarray) -> np.ndarray:
+    """Return the states (steps, n, 13) one control step after every state of the flights `flown`."""
     everyone = np.arange(plant.n)
-    plant.set_platform(everyone, vehicle.platform_inclination, False)
+    plant.set_platform(everyone, plant.vehicle.platform_inclination, False)
     landed = np.empty_like(flown)
     for k, command in enumerate(commands):
         plant.reset(everyone, starts if k == 0 else flown[k - 1])
         plant.step(command)
         landed[k] = plant.state
-    return _gaps(sequences, group, landed, flown)
+    return landed
 
 
-def rollouts(vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], flown: np.ndarray) -> Gaps:
-    """Return the flights of 6 s in the engine against `flown` (steps, n, 13), commands only."""
-    commands, starts, group = stack(vehicle, sequences)
-    landed = flying.fly(engine(len(group), attitude, vehicle), commands, starts)
-    return _gaps(sequences, group, landed, flown)
-
-
-def _gaps(sequences, group, a, b) -> Gaps:
-    return Gaps([s.label for s in sequences], group, position_gap(a, b), angle_gap(a, b))
-
-
-def acceleration_claims(attitude: Attitude, found: dict[str, float], count: int) -> list[Claim]:
-    """Return the claims of level 1, accelerations."""
-    where = f"{_PLAIN[attitude]}, {count} random states"
-    return [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
-
-
-def gap_claims(attitude: Attitude, step: Gaps, flight: Gaps) -> list[Claim]:
-    """Return the claims of levels 2 and 3, one step and flights, by family."""
-    claims = []
-    for level, label, *gaps in [("step", "", *step.largest()), *(("flight", *g) for g in flight.by_group())]:
+def claims(attitude: Attitude, found: dict[str, float], count: int, step: Gaps, flight: Gaps) -> list[Claim]:
+    """Return the claims of the three levels; found: accelerations; flights are claimed by family."""
+    mode = attitude.replace("_", " ")
+    where = f"{mode}, {count} random states"
+    result = [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
+    largest = float(step.position.max()), float(step.angle.max())
+    for level, label, *gaps in [("step", "", *largest), *(("flight", *g) for g in flight.by_group())]:
         for quantity, gap in zip(("position", "angle"), gaps):
             key = f"{level}_{attitude}_{quantity}"
-            claims.append(WORDS.claim("levels", key, gap, mode=_PLAIN[attitude], label=label))
-    return claims
+            result.append(WORDS.claim("levels", key, gap, mode=mode, label=label))
+    return result
+
+
+def measure(
+    vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], count: int, seed: int, tick=lambda: None
+) -> tuple[list[Claim], np.ndarray, tuple[Gaps, Gaps]]:
+    """Return the claims, the flights (steps, n, 13) of the equations, and the gaps of steps and flights."""
+    commands, starts = flying.side_by_side(vehicle, sequences)
+    n = len(starts)
+    found = accelerations(vehicle, attitude, count, seed)
+    tick()
+    flown = flying.fly(equations(n, attitude, vehicle=vehicle), commands, starts)
+    stepped = one_step(engine(n, attitude, vehicle), commands, starts, flown)
+    tick()
+    landed = flying.fly(engine(n, attitude, vehicle), commands, starts)
+    tick()
+    step, flight = Gaps.of(sequences, stepped, flown), Gaps.of(sequences, landed, flown)
+    return claims(attitude, found, count, step, flight), flown, (step, flight)
 
 
 def section(
     vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int, tick
 ) -> tuple[Section, dict]:
     """Return the section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
-    claims, table, drawn = [], [], {}
-    for attitude in ATTITUDES:
-        claims += acceleration_claims(attitude, accelerations(vehicle, attitude, count, seed), count)
-        tick()
-        flown = reference(vehicle, attitude, sequences)
-        step = one_step(vehicle, attitude, sequences, flown)
-        tick()
-        flight = rollouts(vehicle, attitude, sequences, flown)
-        tick()
-        claims += gap_claims(attitude, step, flight)
-        drawn[attitude] = step, flight
-        table += [
-            (_PLAIN[attitude], label, p, s, a)
-            for (label, p, a), (_, s, _) in zip(flight.by_group(), step.by_group())
-        ]
-        if attitude == "kinematic":
-            coarse = reference(vehicle, attitude, sequences, PAPER_SUBSTEPS)
-            largest, _ = rollouts(vehicle, attitude, sequences, coarse).largest()
-            claims.append(WORDS.claim("levels", "paper_step", largest))
-            commands, starts, _ = stack(vehicle, sequences)
-            mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
-            uncertain = float(np.asarray(mass.uncertainty))
-            heavier = flying.fly(
-                equations(commands.shape[1], attitude, flying.FINE, vehicle), commands, starts,
-                mass_scale=1 + uncertain / vehicle.body_mass,
-            )  # fmt: skip
-            scale = float(np.median(position_gap(heavier, flown)[-1]))
-            tick()
-    worst = max(c.measured for c in claims if c.unit == "m" and "rate loop" in c.name)
+    commands, starts = flying.side_by_side(vehicle, sequences)
+    n = len(starts)
+    kinematic, slow, drawn = measure(vehicle, "kinematic", sequences, count, seed, tick)
+    coarse = flying.fly(equations(n, "kinematic", PAPER_SUBSTEPS, vehicle), commands, starts)
+    landed = flying.fly(engine(n, "kinematic", vehicle), commands, starts)
+    kinematic.append(WORDS.claim("levels", "paper_step", float(position_gap(landed, coarse).max())))
+    mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
+    uncertain = float(np.asarray(mass.uncertainty))
+    scale = 1 + uncertain / vehicle.body_mass
+    heavier = flying.fly(equations(n, "kinematic", vehicle=vehicle), commands, starts, mass_scale=scale)
+    metres = float(np.median(position_gap(heavier, slow)[-1]))
+    tick()
+    rate_loop, flown, looped = measure(vehicle, "rate_loop", sequences, count, seed, tick)
+    gaps = {"kinematic": drawn, "rate_loop": looped}
+    rows = [
+        (attitude.replace("_", " "), label, p, s, a)
+        for attitude, (step, flight) in gaps.items()
+        for (label, p, a), (_, s, _) in zip(flight.by_group(), step.by_group())
+    ]
+    worst = max(c.measured for c in rate_loop if c.unit == "m")
     speed = float(np.linalg.norm(flown[..., VX : VZ + 1], axis=-1).max())
-    heads = ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]")
     filling = {
-        "count": sum(len(s.yaw) for s in sequences),
+        "count": n,
         "families": ", ".join(dict.fromkeys(s.family for s in sequences)),
         "height": HEIGHT,
         "speed": speed,
         "grams": number(1e3 * uncertain),
-        "metres": scale,
-        "times": number(scale / worst),
+        "metres": metres,
+        "times": number(metres / worst),
     }
-    tables = [Table("Largest differences by family", heads, table)]
-    data = {"mass_uncertainty_moves_m": scale, "largest_speed": speed}
-    return WORDS.section("levels", claims, filling, tables=tables, data=data), drawn
+    heads = ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]")
+    tables = [Table("Largest differences by family", heads, rows)]
+    data = {"mass_uncertainty_moves_m": metres, "largest_speed": speed}
+    return WORDS.section("levels", kinematic + rate_loop, filling, tables=tables, data=data), gaps

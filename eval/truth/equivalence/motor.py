@@ -86,8 +86,8 @@ def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
     rounded = continuous(v, pwm, "RK4")
     rows = []
     for name in ("thrust_lag_rate", "thrust_state_gain", "thrust_direct_gain"):
-        own, file = getattr(unrounded, name), getattr(v, name)
-        rows.append((name, f"{own:.7g}", f"{file:.7g}", file / own - 1))
+        exactly, rounded_to = getattr(unrounded, name), getattr(v, name)
+        rows.append((name, f"{exactly:.7g}", f"{rounded_to:.7g}", rounded_to / exactly - 1))
     measured = {
         "exact": errors["Euler"],
         "rk4": errors["RK4"],

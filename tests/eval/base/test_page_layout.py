@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 import inclined_landing.eval
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, Table
-from inclined_landing.eval.base.page import claims_page, png
+from inclined_landing.eval.base.page import embedded, png
 from inclined_landing.eval.gap.report.page import page as gap_page
 from inclined_landing.train.cli import main as train
-from tests.eval.base.test_pages import identification_page
+from tests.eval.base.test_pages import claims_page, identification_page
 from tests.eval.gap.test_report import example
 from tests.eval.landings.test_run import STUDY
 from tests.proof.causes import page as causes
@@ -133,9 +133,9 @@ def test_a_page_of_claims_fits_a_phone(tmp_path):
     section = Section("one", "A section", words, [Claim(words, 1.0, 2.0, "m", words * 3)])
     section.tables = [Table("rows", heads, [tuple(range(14))]), Table("small", ("a", "b"), [(1, 2)])]
     section.figures = {"one.png": words}
-    versions = {"a_name_that_is_never_broken_" * 2: "1.0"}
-    given = {"images": {"one.png": png(figure)}, "run": "landing-eval " + "x" * 80, "versions": versions}
-    (tmp_path / "page.html").write_text(claims_page("A title", words, [section], **given), "utf-8")
+    run, version = "landing-eval " + "x" * 80, "a_version_that_is_never_broken_" * 2
+    page = claims_page([section], "A title", words, run, version, **{"one.png": embedded(png(figure))})
+    (tmp_path / "page.html").write_text(page, "utf-8")
     seen = phone(tmp_path)
     assert seen["page"] == [PHONE, PHONE] and seen["small"] == []
     scrolls = [inside > outside for outside, inside in seen["parts"]]

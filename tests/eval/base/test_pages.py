@@ -10,8 +10,9 @@ import pytest
 from jinja2 import nodes
 
 from inclined_landing import eval as rooms
-from inclined_landing.eval.base import page as base_page
+from inclined_landing.eval import truth
 from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.page import render
 from inclined_landing.eval.gap.answer.identify import Identification, Identified
 from inclined_landing.eval.gap.report import identified
 from inclined_landing.eval.gap.search.reference import Reference
@@ -64,17 +65,16 @@ def test_what_stands_in_a_script_cannot_leave_it():
     assert not set("<>&") & set(script) and json.loads(script) == {"name": EVIL, EVIL: [EVIL]}
 
 
+def claims_page(sections: list[Section], title: str, lead: str, run: str, version: str, **images: str) -> str:
+    """Return a page of claims."""
+    content = {"title": title, "lead": lead, "run": run, "versions": {"python": version}}
+    return render(truth.__name__, "claims.html.j2", sections=sections, images=images, **content)
+
+
 def test_the_page_of_claims():
     claim = Claim(f"{EVIL} claim", 1.0, 0.5, f"{EVIL} unit", f"{EVIL} why")
     section = Section(key="a", title=f"{EVIL} section", text=[f"{EVIL} text"], claims=[claim])
-    html = base_page.claims_page(
-        f"{EVIL} title",
-        f"{EVIL} lead",
-        [section],
-        {},
-        run=f"{EVIL} run",
-        versions={"python": f"{EVIL} version"},
-    )
+    html = claims_page([section], f"{EVIL} title", f"{EVIL} lead", f"{EVIL} run", f"{EVIL} version")
     words = ("claim", "unit", "why", "section", "text", "lead", "run", "version")
     check_page(html, *(f"{EVIL} {word}" for word in words))
 

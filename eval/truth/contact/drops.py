@@ -1,4 +1,4 @@
-"""The unpowered vehicle on a surface, recorded at every engine step: shared by all measurements."""
+"""Unpowered vehicles at rest and dropped, recorded at every engine step: what all measurements share."""
 
 from __future__ import annotations
 
@@ -17,29 +17,26 @@ SLAB, BASE, FLOOR = 0, 1, 2
 FEET, BODY, ROTORS = 0, 1, 2
 
 
-def unpowered(vehicle: Vehicle, n: int, step: float = STEP, **options) -> MujocoPlant:
-    """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques."""
-    return MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True, **options)
+def unpowered(vehicle: Vehicle, n: int, inclination=None, step: float = STEP) -> MujocoPlant:
+    """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques.
+
+    inclination: of platforms and vehicles (n,) [rad], whose feet then rest in the platforms' middle.
+    """
+    plant = MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True)
+    if inclination is not None:
+        inclination = np.broadcast_to(np.asarray(inclination, float), (n,))
+        plant.set_platform(np.arange(n), inclination)
+        state = np.zeros((n, STATE_SIZE))
+        state[:, :3] = surface.normal_of(inclination) * plant.foot_height
+        state[:, Z] += vehicle.platform_surface_height
+        state[:, 7] = inclination
+        plant.reset(np.arange(n), state)
+    return plant
 
 
 def advance(plant: MujocoPlant, duration: float) -> np.ndarray:
     """Return the states (steps + 1, n, 13) after `duration` [s] with motors off."""
     return fly(plant, np.zeros((round(duration / plant.control_period), plant.n, 4)))
-
-
-def place(plant: MujocoPlant, inclination, height: float = 0.0) -> None:
-    """Put every vehicle at rest with its feet `height` [m] above the middle of its slope.
-
-    inclination (n,) [rad]: of the platform and of the vehicle.
-    """
-    ids = np.arange(plant.n)
-    inclination = np.broadcast_to(np.asarray(inclination, float), (plant.n,))
-    plant.set_platform(ids, inclination)
-    state = np.zeros((plant.n, STATE_SIZE))
-    state[:, :3] = surface.normal_of(inclination) * (plant.foot_height + height)
-    state[:, Z] += plant.vehicle.platform_surface_height
-    state[:, 7] = inclination
-    plant.reset(ids, state)
 
 
 def energy(state: np.ndarray, vehicle: Vehicle) -> np.ndarray:
@@ -77,8 +74,7 @@ def drop(
     """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES
-    plant = unpowered(vehicle, n, step)
-    place(plant, 0.0)
+    plant = unpowered(vehicle, n, 0.0, step)
     if solrefs is not None:
         plant.set_contact(np.arange(n), solref=np.repeat(solrefs, PHASES, axis=0))
     state = plant.state.copy()
@@ -86,14 +82,14 @@ def drop(
     state[:, Z] += speed * step * (1 + (np.arange(n) % PHASES + 0.5) / PHASES)
     state[:, VZ], state[:, LAG] = -speed, 0.0
     recorder = Recorder(plant, state)
-    v, nothing = plant.vehicle, np.zeros((n, 4))
-    weight = v.body_mass * v.environment_gravity
+    nothing, mass = np.zeros((n, 4)), vehicle.body_mass
+    weight = mass * vehicle.environment_gravity
     lifted, up, pushed = np.zeros(n, bool), np.zeros(n), np.zeros(n)
     depth, peak, sampled, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     impulse = np.full(n, 0.0 if stages else np.nan)
     for _ in range(round(duration / step)):
         now = plant.state[:, VZ].copy()
-        given = impulses(plant, nothing)[:, 2] if stages else np.nan
+        pushing = impulses(plant, nothing)[:, 2] if stages else np.nan
         recorder.step(nothing)
         touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
         leaves = recorder.touched & ~touch & ~lifted
@@ -101,8 +97,8 @@ def drop(
         lifted |= leaves
         pushed += step * ((force > 0) & ~lifted)
         sampled += step * np.where(lifted, 0, force)
-        impulse += np.where(lifted, 0, given)
-        gained = v.body_mass * (plant.state[:, VZ] - now) + weight * step
+        impulse += np.where(lifted, 0, pushing)
+        gained = mass * (plant.state[:, VZ] - now) + weight * step
         momentum += np.where(lifted, 0, gained)
         depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
         peak = np.maximum(peak, force)

@@ -9,8 +9,8 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.base.claims import Claim, Section, Words
-from inclined_landing.eval.truth.contact_truth.vehicles import (
+from inclined_landing.eval.base.claims import Section
+from inclined_landing.eval.truth.contact.drops import (
     BODY,
     FEET,
     FLOOR,
@@ -20,9 +20,9 @@ from inclined_landing.eval.truth.contact_truth.vehicles import (
     advance,
     drop,
     energy,
-    place,
     unpowered,
 )
+from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.geometry import PARTS, reach_below
@@ -44,22 +44,18 @@ def rest(vehicle: Vehicle) -> Section:
     degrees = np.arange(0.0, 51.0, 5.0)
     alpha = np.radians(degrees)
     n = len(alpha)
-    plant = unpowered(vehicle, n)
-    place(plant, -alpha)
+    plant = unpowered(vehicle, n, -alpha)
     plant.set_contact(np.arange(n), friction=GRIP)
     creep = _creep(plant)
     total = np.array([present_forces(plant, k)[1].sum(axis=0) for k in range(n)])
     forces = np.stack(split(total, plant.inclination), axis=1)
     # At rest on a slope:  N = m g cos(alpha),  T = m g sin(alpha)
-    weight = plant.vehicle.body_mass * plant.vehicle.environment_gravity
+    weight = vehicle.body_mass * vehicle.environment_gravity
     expected = weight * np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
     error = np.abs(forces - expected).max() / weight
 
-    slope = unpowered(vehicle, 1)
-    place(slope, slope.vehicle.platform_inclination)
-    default = float(_creep(slope)[0])
-    springy = unpowered(vehicle, len(RESTITUTIONS))
-    place(springy, springy.vehicle.platform_inclination)
+    default = float(_creep(unpowered(vehicle, 1, vehicle.platform_inclination))[0])
+    springy = unpowered(vehicle, len(RESTITUTIONS), vehicle.platform_inclination)
     springy.set_contact(np.arange(springy.n), restitution=np.array(RESTITUTIONS), contact_time=STUDY_TIME)
     of_restitution = _creep(springy)
     return WORDS.section(
@@ -96,8 +92,7 @@ def slip(vehicle: Vehicle) -> Section:
     frictions = np.array([0.2, 0.3, 0.5, 0.8, 1.0])
     around = np.radians(np.round(np.arange(-0.6, 1.01, 0.1), 1))
     alpha = (np.arctan(frictions)[:, None] + around).ravel()
-    plant = unpowered(vehicle, len(alpha))
-    place(plant, -alpha)
+    plant = unpowered(vehicle, len(alpha), -alpha)
     plant.set_contact(np.arange(plant.n), friction=np.repeat(frictions, len(around)))
     advance(plant, 0.2)
     moved = advance(plant, 0.5)
@@ -346,51 +341,7 @@ def torque(vehicle: Vehicle) -> Section:
     return WORDS.section("torque", {"lift": off, "limit": largest}, data={"share": shares, "rows": rows})
 
 
-def setting(
-    vehicle: Vehicle, friction: float | None, restitution: float | None, contact_time: float | None
-) -> Section:
-    """Measure drops and creep with the user's contact setting; None is the default.
-
-    Raises UserError for a setting out of range, before anything is measured.
-    """
-    chosen = {"friction": friction, "restitution": restitution, "contact_time": contact_time}
-    plant = unpowered(vehicle, 1)
-    plant.set_contact([0], **chosen)  # refuses what is wrong
-    place(plant, plant.vehicle.platform_inclination)
-    mu = vehicle.contact_friction if friction is None else friction
-    checks = []
-    if mu > np.tan(abs(vehicle.platform_inclination)):
-        text = f"friction {mu:g} holds the default slope"
-        checks.append(Claim("creep on the default slope", 1e3 * float(_creep(plant)[0]), 0.2, "mm/s", text))
-    springs = None
-    if restitution is not None:
-        springs = contact.solref([restitution], [contact_time], vehicle.environment_gravity)
-    drops = {speed: drop(vehicle, speed, springs) for speed in (0.5, 1.0, 1.5)}
-    middle = drops[contact.REFERENCE_SPEED]
-    checks.append(
-        Claim("depth at 1 m/s", 1e3 * float(middle.depth.max()), 5.0, "mm", "deepest of the phases")
-    )
-    if restitution is not None:
-        measured = float(middle.restitution.mean())
-        low, high = restitution - 0.05, restitution + 0.05
-        checks.append(Claim("restitution at 1 m/s", measured, high, "1", "mean over phases", low))
-    return Section(
-        "setting",
-        "The chosen setting",
-        ", ".join(
-            f"{name.replace('_', ' ')} {value:g}" for name, value in chosen.items() if value is not None
-        ),
-        checks,
-        data={
-            "speeds": list(drops),
-            "restitution": [d.restitution.mean() for d in drops.values()],
-            "depth": [d.depth.max() for d in drops.values()],
-            "peak": [d.peak.mean() for d in drops.values()],
-        },
-    )
-
-
-FINDINGS = {
+LAWS = {
     f.__name__: f
     for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts, torque)
 }

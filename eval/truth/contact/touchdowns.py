@@ -16,13 +16,13 @@ import pandas as pd
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.eval.base.claims import Section, Table, Words
+from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.logs.csv_file import read_columns
+from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import reach_below
-from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.vehicle import Vehicle
@@ -81,9 +81,9 @@ def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
     return flights
 
 
-def find_touchdowns(flights: dict[str, pd.DataFrame], vehicle: Vehicle | None = None) -> list[Touchdown]:
+def find_touchdowns(flights: dict[str, pd.DataFrame], vehicle: Vehicle) -> list[Touchdown]:
     """Return the first touchdown of each flight, where it has one with running motors and a rebound."""
-    found = (_first_touchdown(name, table, vehicle or load_vehicle()) for name, table in flights.items())
+    found = (_first_touchdown(name, table, vehicle) for name, table in flights.items())
     return [touchdown for touchdown in found if touchdown is not None]
 
 
@@ -170,11 +170,10 @@ def _state(table: pd.DataFrame, k: int) -> np.ndarray:
 class Simulation:
     """The touchdown in the MuJoCo plant: heights for rows of (restitution, contact time, floor, speed)."""
 
-    def __init__(self, touchdown: Touchdown, n: int, vehicle: Vehicle | None = None):
-        self.vehicle = vehicle or load_vehicle()
+    def __init__(self, touchdown: Touchdown, n: int, vehicle: Vehicle):
         self.touchdown = touchdown
-        self.plant = MujocoPlant(n, self.vehicle, control_period=PERIOD, timestep=_STEP)
-        self.plant.set_platform(np.arange(n), self.vehicle.platform_inclination, False)
+        self.plant = MujocoPlant(n, vehicle, control_period=PERIOD, timestep=_STEP)
+        self.plant.set_platform(np.arange(n), vehicle.platform_inclination, False)
         # The measured point is low when the tilted vehicle's lowest foot touches: refer height to that.
         roll, pitch = touchdown.state[ROLL], touchdown.state[PITCH]
         up = -np.cos(roll) * np.sin(pitch), np.sin(roll), np.cos(roll) * np.cos(pitch)
@@ -183,10 +182,8 @@ class Simulation:
     def heights(self, rows: np.ndarray) -> np.ndarray:
         """Return the heights (n, k) [m] at the measured times, in the measurement's terms; rows (n, 4)."""
         n, sent = self.plant.n, self.touchdown.commands
-        ids = np.arange(n)
-        self.plant.set_contact(
-            ids, solref=contact.spring(rows[:, 0], rows[:, 1], self.vehicle.environment_gravity)
-        )
+        ids, gravity = np.arange(n), self.plant.vehicle.environment_gravity
+        self.plant.set_contact(ids, solref=contact.spring(rows[:, 0], rows[:, 1], gravity))
         state = np.tile(self.touchdown.state, (n, 1))
         state[:, Z] += self.reach - rows[:, 2]
         state[:, VZ] += rows[:, 3]
@@ -208,7 +205,7 @@ class Fit:
     at_bound: bool
 
 
-def fit(touchdown: Touchdown, vehicle: Vehicle | None = None) -> Fit:
+def fit(touchdown: Touchdown, vehicle: Vehicle) -> Fit:
     """Fit restitution, contact time, floor height and falling speed to the measured heights."""
     simulation = Simulation(touchdown, 5, vehicle)
     steps = np.array([0.2, 0.2, 0.2, 0.2])
@@ -245,9 +242,7 @@ def fit(touchdown: Touchdown, vehicle: Vehicle | None = None) -> Fit:
     )
 
 
-def rebound(
-    touchdown: Touchdown, restitution: float, contact_time: float, vehicle: Vehicle | None = None
-) -> float:
+def rebound(touchdown: Touchdown, restitution: float, contact_time: float, vehicle: Vehicle) -> float:
     """Return the rising speed [m/s] of the simulation, read off its heights as from the measurement."""
     simulation = Simulation(touchdown, 1, vehicle)
     heights = simulation.heights(np.array([[restitution, contact_time, 0.0, 0.0]]))[0]
@@ -256,8 +251,47 @@ def rebound(
     return float(curve[1])
 
 
+def section(folder: str | Path, vehicle: Vehicle) -> Section:
+    """Return the section on the touchdowns in `folder`, each fitted, and predicted from the others."""
+    found = find_touchdowns(read_flights(folder), vehicle)
+    if len(found) < 2:
+        raise UserError(
+            f"the flights in {folder} hold {len(found)} usable touchdowns; at least two are needed"
+        )
+    fits = [fit(touchdown, vehicle) for touchdown in found]
+    e, time = np.array([f.restitution for f in fits]), np.array([f.contact_time for f in fits])
+    rows = []
+    for k, f in enumerate(fits):
+        usual = float(np.median(np.delete(e, k))), float(np.median(np.delete(time, k)))
+        rows.append(_row(f, rebound(f.touchdown, *usual, vehicle)))
+    missed = np.array([row["predicted_up"] - row["up"] for row in rows])
+    measured = {
+        "height": 1e3 * max(row["rms"] for row in rows),
+        "restitution": float(np.median(e)),
+        "contact_time": 1e3 * float(np.median(time)),
+        "rebound": float(np.sqrt(np.mean(missed**2))),
+    }
+    cells = [(row["flight"], *(float(factor * row[key]) for key, factor in _SHOWN.values())) for row in rows]
+    table = Table("Touchdowns", ("flight", *_SHOWN), cells)
+    return WORDS.section("touchdowns", measured, {"count": len(rows)}, tables=[table], data={"fits": rows})
+
+
+# Heading of a column of the page's table -> key of a row, factor.
+_SHOWN = {
+    "down [m/s]": ("down", 1.0),
+    "up [m/s]": ("up", 1.0),
+    "tilt [deg]": ("tilt_deg", 1.0),
+    "thrust / weight": ("thrust", 1.0),
+    "restitution, data": ("restitution_measured", 1.0),
+    "restitution, fit": ("restitution", 1.0),
+    "contact time, fit [ms]": ("contact_time", 1e3),
+    "rms [mm]": ("rms", 1e3),
+    "up, predicted [m/s]": ("predicted_up", 1.0),
+}
+
+
 def _row(f: Fit, predicted_up: float) -> dict:
-    """Return the row of the page for one touchdown and its fit."""
+    """Return the measured and fitted numbers of one touchdown, as contact.json has them."""
     measured = ("flight", "down", "up", "slide", "thrust", "shock", "time")
     fitted = ("restitution", "contact_time", "rms", "at_bound")
     return {name: getattr(f.touchdown, name) for name in measured} | {
@@ -270,50 +304,3 @@ def _row(f: Fit, predicted_up: float) -> dict:
         "measured": f.touchdown.height,
         "simulated": f.heights,
     }
-
-
-def finding(folder: str | Path, vehicle: Vehicle | None = None, tick=lambda name: None) -> Section:
-    """Return the section on the touchdowns in `folder`, each fitted, and predicted from the others."""
-    found = find_touchdowns(read_flights(folder), vehicle)
-    if len(found) < 2:
-        raise UserError(
-            f"the flights in {folder} hold {len(found)} usable touchdowns; at least two are needed"
-        )
-    fits = []
-    for touchdown in found:
-        tick(touchdown.flight)
-        fits.append(fit(touchdown, vehicle))
-    e, time = np.array([f.restitution for f in fits]), np.array([f.contact_time for f in fits])
-    rows = []
-    for k, f in enumerate(fits):
-        usual = float(np.median(np.delete(e, k))), float(np.median(np.delete(time, k)))
-        rows.append(_row(f, rebound(f.touchdown, *usual, vehicle)))
-    missed = np.array([row["predicted_up"] - row["up"] for row in rows])
-    return WORDS.section(
-        "touchdowns",
-        {
-            "height": 1e3 * max(row["rms"] for row in rows),
-            "restitution": float(np.median(e)),
-            "contact_time": 1e3 * float(np.median(time)),
-            "rebound": float(np.sqrt(np.mean(missed**2))),
-        },
-        {"count": len(rows)},
-        tables=[_table(rows)],
-        data={"fits": rows},
-    )
-
-
-def _table(rows: list[dict]) -> Table:
-    columns = (
-        ("down [m/s]", "down", 1.0),
-        ("up [m/s]", "up", 1.0),
-        ("tilt [deg]", "tilt_deg", 1.0),
-        ("thrust / weight", "thrust", 1.0),
-        ("restitution, data", "restitution_measured", 1.0),
-        ("restitution, fit", "restitution", 1.0),
-        ("contact time, fit [ms]", "contact_time", 1e3),
-        ("rms [mm]", "rms", 1e3),
-        ("up, predicted [m/s]", "predicted_up", 1.0),
-    )
-    cells = [(row["flight"], *(float(factor * row[key]) for _, key, factor in columns)) for row in rows]
-    return Table("Touchdowns", ("flight", *(head for head, _, _ in columns)), cells)

@@ -1,4 +1,4 @@
-"""Figures of contact measurements; `DRAW[key](data)` takes the data of a finding of eval/truth."""
+"""Figures of contact measurements; `DRAW[key](data)` takes the data of a section."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PU
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
 _DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
-DRAW: dict[str, Callable[[dict], Figure]] = {}  # by the key of the finding
+DRAW: dict[str, Callable[[dict], Figure]] = {}  # by the key of the section
 
 
 def _panels(count: int, width: float = 3.5):

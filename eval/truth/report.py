@@ -1,0 +1,99 @@
+"""What both sets of claims share: the words of `claims.toml`, progress bar, page, JSON and figures."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import say
+from inclined_landing.eval.base.claims import Claim, Section, number
+from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.models import storage
+
+
+class Words:
+    """What the sections and claims of a package say: `claims.toml` beside its code.
+
+    A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
+    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and one or both
+    of its bounds `low` and `high`. Names in braces are filled in.
+    """
+
+    def __init__(self, package: str):
+        self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
+
+    def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
+        """Return a claim with its measured value."""
+        entry = self.tables[section][key]
+        name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
+        return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
+
+    def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
+        """Return a section; measured: values by claim, or the claims themselves; rest: its other fields."""
+        filling, entry = filling or {}, self.tables[key]
+        if isinstance(measured, dict):
+            claims = [self.claim(key, name, value, **filling) for name, value in measured.items()]
+        else:
+            claims = measured
+        remarks = [text.format(**filling) for text in entry.get("remarks", [])]
+        figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
+        fields = {"remarks": remarks, "figures": figures} | rest
+        return Section(key, entry["title"], entry["text"].format(**filling), claims, **fields)
+
+
+@contextlib.contextmanager
+def progress(total: int) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows what is measured next and moves a bar on by one of `total`."""
+    columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda text: bar.update(task, advance=1, description=text)
+
+
+def publish(
+    out: Path,
+    name: str,
+    sections: list[Section],
+    figures: Mapping[str, Figure],
+    record: dict,
+    **head: str,
+) -> bool:
+    """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
+
+    figures: by the file names that sections have captions for; record: of the JSON file, with `versions`;
+    head: title, lead and run (how it was made) of the page. Prints the claims that do not hold.
+    """
+    images = {file: png(figure) for file, figure in figures.items()}
+    page = render(
+        __package__,
+        "claims.html.j2",
+        sections=sections,
+        images={file: embedded(image) for file, image in images.items()},
+        versions=record["versions"],
+        **head,
+    )
+    with runs.staged_run(out) as folder:
+        for file, image in images.items():
+            storage.write_bytes(folder / file, image)
+        storage.write_json(folder / f"{name}.json", record)
+        storage.write_text(folder / f"{name}.html", page)
+    claims = [claim for section in sections for claim in section.claims]
+    failed = [claim for claim in claims if not claim.passed]
+    say(*(f"not met: {c.name}: {_measured(c)}, tolerance {c.tolerance}" for c in failed))
+    count = f"{len(claims) - len(failed)} of {len(claims)} claims hold"
+    unmet = f"; not met: {'; '.join(claim.name for claim in failed)}" if failed else ""
+    say(f"{count}{unmet}. The page is {out / f'{name}.html'}.")
+    return not failed
+
+
+def _measured(claim: Claim) -> str:
+    return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
