@@ -29,7 +29,7 @@ from inclined_landing.models.parameters import load_vehicle
 SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
 QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
-TICKS = 30  # of the progress bar
+TICKS = 33  # of the progress bar
 
 
 def command(

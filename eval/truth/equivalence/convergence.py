@@ -9,7 +9,7 @@ import numpy as np
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
-from inclined_landing.models.plants import Attitude
+from inclined_landing.models.plants import Attitude, Plant
 from inclined_landing.models.vehicle import Vehicle
 
 STEPS_MS = (10.0, 5.0, 2.5, 1.25)
@@ -53,14 +53,16 @@ def measure(vehicle: Vehicle, commands: np.ndarray, tick=lambda: None) -> list[C
     for attitude in ATTITUDES:
         fine = flying.fly(equations(n, attitude, REFERENCE, vehicle), commands)[-1]
         for name in ORDERS:
-            if name == "equations, RK4":
-                plants = [equations(n, attitude, substeps, vehicle) for substeps in SUBSTEPS]
-            else:
-                plants = [engine(n, attitude, vehicle, integrator=name, timestep=h / 1e3) for h in STEPS_MS]
-                tick()
+            plants: list[Plant] = [
+                equations(n, attitude, substeps, vehicle)
+                if name == "equations, RK4"
+                else engine(n, attitude, vehicle, integrator=name, timestep=h / 1e3)
+                for h, substeps in zip(STEPS_MS, SUBSTEPS)
+            ]
             ends = [flying.fly(plant, commands)[-1] for plant in plants]
             errors = np.array([flying.position_gap(end, fine).max() for end in ends])
             result.append(Convergence(name, attitude, errors))
+            tick()
     return result
 
 
