@@ -65,7 +65,7 @@ COMMANDS = {
     ),
     "upload": ("flying", "Send a policy to the app of a C export on a Crazyflie, in place of the one there."),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
-    "benchmark": ("machine", "What a step, an action, a picture and a training cost here (a few minutes)."),
+    "benchmark": ("machine", "What a step, an action and a training cost here (under a minute)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }
 GROUPS = {

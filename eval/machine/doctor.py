@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from inclined_landing.envs import policy
 from inclined_landing.envs.shared import runs
@@ -19,7 +19,6 @@ from inclined_landing.models.errors import UserError, shown
 
 _OLDEST_PYTHON = (3, 11)
 _COMPILERS = ("c++", "g++", "clang++")
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _FOR_DEVELOPERS = {"all", "docs", "test", "test-all", "wheel"}  # extras that nothing of the program asks for
 
 
@@ -38,7 +37,6 @@ def examine() -> list[Finding]:
     """Run every check and return what each found."""
     engine, more = "run `make` in the repository", "run `make test` for more"
     rebuild = "run `make` in the repository, or reinstall the package in this environment"
-    compiler = "apt install g++, or name a compiler in CXX"
     packages = _packages()
     findings = [
         Finding(
@@ -51,7 +49,7 @@ def examine() -> list[Finding]:
         _installed(),
         _tried("MuJoCo", _engine, engine),
         _tried("native plugins", _plugins, rebuild),
-        _program("C++ compiler", [os.environ.get("CXX", ""), *_COMPILERS], "building the plugins", compiler),
+        _compiler(),
     ]
     if all(finding.ok or not finding.needed for finding in findings):
         findings += [
@@ -63,8 +61,7 @@ def examine() -> list[Finding]:
         named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
         findings += [_extra(name) for name in named if name not in _FOR_DEVELOPERS]
     video = _tried("video encoder", _video, "pip install imageio-ffmpeg")
-    browser = _program("Chromium", _BROWSERS, "looking at pages in the tests", "apt install chromium")
-    return [*findings, video, _policies(), _display(), browser]
+    return [*findings, video, _policies(), _display()]
 
 
 def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Finding:
@@ -75,11 +72,13 @@ def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Fin
         return Finding(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
 
 
-def _program(name: str, names: Sequence[str], purpose: str, remedy: str) -> Finding:
-    """Return which of the programs is there; nothing but `purpose` needs one."""
-    found = next(filter(None, map(shutil.which, filter(None, names))), None)
-    detail = found or f"none found; only {purpose} needs one"
-    return Finding(name, found is not None, detail, remedy, needed=False)
+def _compiler() -> Finding:
+    """Return which C++ compiler there is; nothing but building the plugins needs one."""
+    names = filter(None, [os.environ.get("CXX", ""), *_COMPILERS])
+    found = next(filter(None, map(shutil.which, names)), None)
+    detail = found or "none found; only building the plugins needs one"
+    remedy = "apt install g++, or name a compiler in CXX"
+    return Finding("C++ compiler", found is not None, detail, remedy, needed=False)
 
 
 _MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed

@@ -26,7 +26,6 @@ from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import METADATA, load_policy
 from inclined_landing.envs.policy import tensors as tensors_of
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval.machine import benchmark
 from tests import ROOT
 from tests.campaign.judge import (
     Case,
@@ -199,7 +198,7 @@ def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypat
     path = write(tmp_path / "p.zip", with_member("data", json.dumps(DATA | {key: held})))
     policy = load_policy(path)
     flies(policy)
-    assert tensors_of(path) and benchmark.policy_latency(policy, 2, 0)["policy"] == "p"
+    assert tensors_of(path)
     assert not (tmp_path / "harm").exists()
 
 

@@ -35,7 +35,7 @@ LONG = {
     "figure landing --plant analytic --out {place}/out": r"2 of 2 flights succeeded; .*out has .*\.",
     "landings {place}/study.toml --out {place}/out": r"Of 12 landings: .*index.html\.",
     f"video landing {SMALL} --out {{place}}/a.mp4": r"1 of 1 flight succeeded; .*a\.mp4\.",
-    "benchmark --quick --no-training": r"This machine makes [\d,]+ control steps per second .*\.",
+    "benchmark": r"This machine makes [\d,]+ control steps per second .*\.",
     "curves {place}/run --out {place}/a.png": r"1 run of setpoint; .* at the end: .*a\.png\.",
     "demo --starts 2 --out {place}/out": rf"landed in 5 of 5 flights {SHARE}; open .*html in .*\.",
     "fly --simulated --yes --out {place}/out": r"1 of 1 landed; the logs are in .*out\.",

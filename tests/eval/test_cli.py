@@ -12,25 +12,18 @@ import torch
 from stable_baselines3 import PPO
 
 from inclined_landing.envs import policy
-from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.shared import command_line, runs
-from inclined_landing.envs.tasks import make_task
-from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.machine import benchmark, doctor
-from inclined_landing.eval.machine.plain_env import PlainLandingEnv
 from inclined_landing.models import plugins
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import make_plant
 
 
 @pytest.fixture(scope="module")
 def landing_policy(tmp_path_factory):
     """Hovers: all weights zero."""
     path = tmp_path_factory.mktemp("policy") / "hover.zip"
-    network = PPO("MlpPolicy", PlainLandingEnv(), seed=0, device="cpu")
+    network = PPO("MlpPolicy", "InclinedLanding-v0", seed=0, device="cpu")
     with torch.no_grad():
         for parameter in network.policy.parameters():
             parameter.zero_()
@@ -201,7 +194,6 @@ BAD = [
     (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml does not exist"),
     (["success", "{policy}", "--out", "{full}"], "exists and is not empty"),
     (["success", "{policy}", "--seed", "-1"], "--seed must lie from 0 to 4294967295, not -1"),
-    (["benchmark", "--runs", "{full}"], "is not a finished training run"),
     (["benchmark", "--out", "{full}"], "exists and is not empty"),
     (["benchmark", "--policy", "none.zip"], "none.zip does not exist"),
 ]
@@ -283,78 +275,15 @@ def test_doctor_finds_a_missing_package(monkeypatch):
 # ---- benchmark
 
 
-def test_the_plain_environment_is_the_same_task():
-    """Bit for bit: the baseline solves neither an easier nor another problem."""
-    task = make_task("landing", pwm_centre="paper")
-    batch, plain = BatchEnv(task, make_plant("mujoco", 1)), PlainLandingEnv()
-    rng, rewards = np.random.default_rng(0), set()
-    for x, z in [(0.0, 1.5), (0.8, 1.3), (-3.2, 2.2), (0.0, 1.25)]:
-        state = hover_states(np.array([[x, 0.0, z]]), load_vehicle())
-        first, _ = plain.reset(seed=0, options={"state": state[0]})
-        np.testing.assert_array_equal(first, batch.reset(state=state)[0])
-        for _ in range(150):
-            action = rng.uniform(-1, 1, 2) - [0.6, 0.2]
-            observation, reward, terminated, _, _ = plain.step(action)
-            step = batch.step(action[None])
-            np.testing.assert_array_equal(observation, step.observation[0])
-            assert reward == step.reward[0] and terminated == step.terminated[0]
-            rewards.add(reward)
-            if terminated:
-                break
-    assert rewards >= {-1.0, -2.0, -7.0}
-
-
-def test_the_plain_environment_pays_the_goal_and_truncates():
-    plain = PlainLandingEnv(pwm_centre=load_vehicle().hover_pwm)
-    plain.reset(seed=0, options={"state": hover_states(np.array([[1.5, 0, 1.8]]), load_vehicle())[0]})
-    for k in range(300):
-        _, reward, terminated, truncated, _ = plain.step(np.zeros(2))
-        assert (reward, terminated, truncated) == (-1.0, False, k == 299)
-    plain.goal[4] = 0.0  # level: then the middle of the box is reached by hovering there
-    plain.reset(seed=0, options={"state": hover_states(np.array([[0, 0, 1.25]]), load_vehicle())[0]})
-    assert plain.step(np.zeros(2))[1:4] == (0.0, True, False)
-
-
-@pytest.mark.slow
-def test_benchmark_rows(landing_policy):
-    rows = benchmark.environments(1, 0)
-    assert [row["plant"] for row in rows] == list(benchmark._ENVIRONMENTS)
-    for row in rows:
-        assert row["in_engine"] == 1 if row["plant"].startswith("mujoco") else row["in_engine"] < 0.5
-        assert 0 < row["steps_per_second"]["median"] < 2 * row["bare_steps_per_second"]["median"]
-        assert (row["over_plain"] is None) != row["plant"].startswith("  ")
-    latency = benchmark.policy_latency(policy.load_policy(landing_policy), 20, 0)
-    assert latency["predict_us"]["median"] < latency["sb3_predict_us"]["median"]
-    abroad = latency["exported_us"]
-    assert abroad["c"].get("min", 0.0) < 5.0  # an action in C, 1 us on a quiet machine
-    assert abroad["c"].get("largest_difference", 0.0) < 1e-5 > abroad["numpy"]["largest_difference"]
-    assert abroad["numpy"]["median"] > 0 and abroad["cost"]["multiply_adds"] > 4000
-    frames = benchmark.video(2)
-    assert frames[0]["backend"] == "ray" and frames[0]["cpu_ms"]["median"] > 0
-
-
-def test_time_to_99_reads_run_folders(tmp_path):
-    def finished(name, first):
-        (tmp_path / name).mkdir()
-        metrics = {
-            "seed": 1,
-            "versions": {"cpu": "a"},
-            "evaluations": {"first_at_99_percent": first},
-        }
-        (tmp_path / name / "metrics.json").write_text(json.dumps(metrics))
-        return tmp_path / name
-
-    folders = [
-        finished("a", {"steps": 100, "training_seconds": 10.0}),
-        finished("b", {"steps": 300, "training_seconds": 30.0}),
-        finished("c", None),
-    ]
-    result = benchmark.time_to_99(folders)
-    assert result["reached"] == 2 and len(result["runs"]) == 3
-    assert result["seconds"]["median"] == 20.0 and result["steps"]["max"] == 300
-    (tmp_path / "a" / "metrics.json").write_text("{}")
-    with pytest.raises(UserError, match="is not the metrics of a training run"):
-        benchmark.time_to_99(folders)
+def test_benchmark_rows(landing_policy, monkeypatch, capsys):
+    monkeypatch.setattr(benchmark, "_REPEATS", 1)
+    monkeypatch.setattr(benchmark, "_ACTIONS", 20)
+    monkeypatch.setattr(benchmark, "_TRAINING_STEPS", 4096)
+    assert cli.main(["benchmark", "--policy", str(landing_policy), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [row["plant"] for row in report["environments"]] == list(benchmark._PLANTS)
+    assert all(row["steps_per_second"]["median"] > 0 for row in report["environments"])
+    assert report["action_us"]["median"] > 0 and report["training_steps_per_second"] > 0
 
 
 def test_the_effects_are_listed_and_explained(capsys):

@@ -22,7 +22,6 @@ from inclined_landing.envs.tasks.landing import Conditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.options import Flown
 from inclined_landing.eval.base.style import STAMP_DPI
-from inclined_landing.eval.machine.plain_env import PlainLandingEnv
 from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures import (
     comparison_curves,
@@ -449,7 +448,7 @@ def test_curriculum_figure_shows_its_conditions(options):
 def hover_policy(tmp_path_factory):
     """Keeps its height, level, until the time limit: all weights zero."""
     path = tmp_path_factory.mktemp("policy") / "hover.zip"
-    network = PPO("MlpPolicy", PlainLandingEnv(), seed=0, device="cpu")
+    network = PPO("MlpPolicy", "InclinedLanding-v0", seed=0, device="cpu")
     with torch.no_grad():
         for parameter in network.policy.parameters():
             parameter.zero_()
