@@ -15,8 +15,8 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext, joined
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.plants import Plant
 
 _TRIES = 1000

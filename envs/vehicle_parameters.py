@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inclined_landing.models.equations import pack, rotor_speed_sum, settled_hover
+from inclined_landing.models.forces import pack, rotor_speed_sum, settled_hover
 from inclined_landing.models.vehicle import Vehicle
 
 NAMES = ("thrust to weight", "thrust lag", "attitude lag", "attitude gain", "drag rate", "reach")

@@ -20,7 +20,7 @@ from inclined_landing.envs.tasks import StepContext
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
-from inclined_landing.models.equations import settled_hover
+from inclined_landing.models.forces import settled_hover
 
 NAME = "descent"  # as in --from
 TIMES = np.linspace(0.3, 2.5, 45)  # s that a trajectory may take

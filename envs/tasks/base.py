@@ -36,8 +36,8 @@ from inclined_landing.models.attitude import (
     YAW_RATE_COMMAND,
     Z,
 )
-from inclined_landing.models.equations import settled_hover
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import as_vehicle, constants
 from inclined_landing.models.plants import Contacts
@@ -435,7 +435,7 @@ class Task(abc.ABC):
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
     """Return the PWM at action 0 for a number, "paper" (42 000), "hover" or "own".
 
-    "hover" is that of the vehicle that a policy is trained for (`equations.settled_hover`), whatever vehicle
+    "hover" is that of the vehicle that a policy is trained for (`forces.settled_hover`), whatever vehicle
     it is flown on later; "own" is that of each vehicle that it is flown on.
     """
     if isinstance(centre, str) and centre == "paper":

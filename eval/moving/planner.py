@@ -21,7 +21,7 @@ import numpy as np
 
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import VX, VZ, YAW, Z
-from inclined_landing.models.equations import settled_hover
+from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.models import equations, geometry
+from inclined_landing.models import equations, forces, geometry
 from inclined_landing.models.disturbance import Seed
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
@@ -45,8 +45,8 @@ class AnalyticPlant(Plant):
         self._meet([geometry.shapes_of(model) for model in (compile_scene(self.vehicle), *models)])
         self._position, _ = geometry.platform_poses(self.inclination, self.present, self.vehicle)
         self._distance = np.empty((n, 3, 3))
-        self._ambient = equations.free_air(n)
-        self._ambient[:, equations.INCLINATION], self._ambient[:, equations.PRESENT] = self.inclination, True
+        self._ambient = forces.free_air(n)
+        self._ambient[:, forces.INCLINATION], self._ambient[:, forces.PRESENT] = self.inclination, True
         push = equations.STILL if self.disturbance is None else self.disturbance.held
         self._conditions = equations.Conditions(
             self._constants, self.perturbation, self._ambient, push, self.load
@@ -64,7 +64,7 @@ class AnalyticPlant(Plant):
         """See `Plant.set_platform`."""
         super().set_platform(ids, inclination, present, azimuth)
         self._position[ids], _ = self._platform_poses(ids)
-        meets = equations.INCLINATION, equations.PRESENT, equations.AZIMUTH
+        meets = forces.INCLINATION, forces.PRESENT, forces.AZIMUTH
         self._ambient[np.ix_(np.atleast_1d(ids), meets)] = np.stack(
             [self.inclination[ids], self.present[ids], self.azimuth[ids]], axis=1
         )
@@ -72,7 +72,7 @@ class AnalyticPlant(Plant):
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13) at time 0; contacts and past commands cleared."""
         self._begin(ids, state)
-        self._ambient[ids, equations.TIME] = 0.0
+        self._ambient[ids, forces.TIME] = 0.0
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""

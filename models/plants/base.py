@@ -9,7 +9,7 @@ from typing import Literal
 import numba
 import numpy as np
 
-from inclined_landing.models import equations, geometry, perturbation
+from inclined_landing.models import forces, geometry, perturbation
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
@@ -154,7 +154,7 @@ class Plant:
         self.choice = np.zeros(
             n, int
         )  # whose constants each has: 0 the plant's own, k those of the k-th of the pool
-        self._records = np.concatenate([equations.pack(member) for member in self._vehicles])
+        self._records = np.concatenate([forces.pack(member) for member in self._vehicles])
         self._hover_shares = np.array([v.hover_lag for v in self._vehicles]) / self.vehicle.hover_lag
         self._constants = self._records[self.choice] if self.pool else self._records  # (n,) or (1,)
         self._height = np.full(n, self.vehicle.platform_surface_height)

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from inclined_landing.models import equations, geometry
+from inclined_landing.models import equations, forces, geometry
 from inclined_landing.models.attitude import PITCH, PWM, ROLL, VX, VZ, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.mujoco import MujocoPlant, write_load
 from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
@@ -60,7 +60,7 @@ class _Period(NamedTuple):
 class _Vehicles(NamedTuple):
     """The n vehicles of a plant."""
 
-    constants: np.ndarray  # (n,) or (1,) from `equations.pack`
+    constants: np.ndarray  # (n,) or (1,) from `forces.pack`
     perturbation: np.ndarray  # (n, 7)
     size: np.ndarray  # (n,) member of the fleet
     fleet: geometry.Fleet
@@ -220,9 +220,9 @@ def _fly(ids, period, vehicles, platforms, engine, results):
             if not present:
                 poses[0, Z] = geometry.PARKED
             approach, known = dt * speeds.most[i], False
-        ambient[equations.TIME], ambient[equations.VOLTAGE] = engine.time[i], math.nan
-        ambient[equations.INCLINATION], ambient[equations.PRESENT] = d[PITCH], present
-        ambient[equations.AZIMUTH] = d[YAW]
+        ambient[forces.TIME], ambient[forces.VOLTAGE] = engine.time[i], math.nan
+        ambient[forces.INCLINATION], ambient[forces.PRESENT] = d[PITCH], present
+        ambient[forces.AZIMUTH] = d[YAW]
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height)
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(results.state[i], y)

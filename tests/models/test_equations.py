@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inclined_landing.models import equations
+from inclined_landing.models import attitude_loops, equations, forces
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WY, YAW, Z, body_rates, rotation
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
@@ -30,7 +30,7 @@ def fly(state, commands, duration, steps, rate_loop=False, vehicle=V) -> np.ndar
     state = np.array(state)
     commands = np.broadcast_to(np.asarray(commands, float), (len(state), 4)).copy()
     n = len(state)
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), equations.free_air(n))
+    conditions = equations.Conditions(forces.pack(vehicle), neutral(n), forces.free_air(n))
     equations.advance(state, commands, conditions, rate_loop, duration / steps, steps)
     return state
 
@@ -90,9 +90,9 @@ def test_thrust_step_follows_the_exact_solution():
 
 
 def test_steady_thrust_is_the_gain_of_the_transfer_function():
-    assert equations.total_thrust(
-        V.hover_lag, V.hover_pwm, equations.pack(V)[0], neutral(1)[0]
-    ) == pytest.approx(V.body_mass * G, rel=1e-14)
+    assert forces.total_thrust(V.hover_lag, V.hover_pwm, forces.pack(V)[0], neutral(1)[0]) == pytest.approx(
+        V.body_mass * G, rel=1e-14
+    )
 
 
 def test_the_lag_is_the_papers_discrete_motor_function():
@@ -106,10 +106,10 @@ def test_the_lag_is_the_papers_discrete_motor_function():
     assert 4 * gain == pytest.approx(V.thrust_direct_gain, rel=5e-4)  # with four
     assert 4 * gain / (1 - pole) == pytest.approx(V.thrust_per_pwm, rel=1e-3)
     state, discrete, worst = np.zeros((1, 13)), 0.0, 0.0
-    v, p, pwm = equations.pack(V)[0], neutral(1)[0], 40_000.0
+    v, p, pwm = forces.pack(V)[0], neutral(1)[0], 40_000.0
     for _ in range(250):
         discrete = pole * discrete + 4 * gain * pwm
-        worst = max(worst, abs(equations.total_thrust(state[0, LAG], pwm, v, p) - discrete))
+        worst = max(worst, abs(forces.total_thrust(state[0, LAG], pwm, v, p) - discrete))
         state = fly(state, [pwm, 0, 0, 0], dt, 1)
     # The parameters' rounding, 1e-3 of the final thrust, is all that separates them.
     assert worst < 1e-3 * V.thrust_per_pwm * pwm
@@ -148,7 +148,7 @@ def test_the_exact_steps_are_the_equations():
     v = dataclasses.replace(
         V, effects_spin_down=0.4, effects_attitude_trim=(0.02, -0.03), effects_yaw_drift=0.05
     )
-    rng, dt, packed = np.random.default_rng(3), 0.02, equations.pack(v)
+    rng, dt, packed = np.random.default_rng(3), 0.02, forces.pack(v)
     commands = rng.uniform([2e4, -0.4, 0, -2], [5e4, 0.4, 0, 2], (30, 4))
     commands[:, 2] = 0.03  # against the trim: pitch stays 0, where roll and yaw are decoupled
     state = hovering()
@@ -161,10 +161,10 @@ def test_the_exact_steps_are_the_equations():
     flown = np.array(flown)
     # RK4 with B h = 0.025 errs by 4e-10 of each change; 30 periods of changes up to 0.5 rad, 2 rad/s.
     still = np.zeros(len(commands))
-    roll = equations.angle_steps(0, commands[:, 1], still, 0.1, dt, packed)
+    roll = attitude_loops.angle_steps(0, commands[:, 1], still, 0.1, dt, packed)
     np.testing.assert_allclose(flown[:, ROLL], roll, atol=1e-8)
-    np.testing.assert_allclose(flown[:, YAW], equations.yaw_steps(commands[:, 3], dt, packed), atol=1e-8)
-    lag = equations.lags(commands[:, 0], dt, packed)
+    np.testing.assert_allclose(flown[:, YAW], attitude_loops.yaw_steps(commands[:, 3], dt, packed), atol=1e-8)
+    lag = forces.lags(commands[:, 0], dt, packed)
     np.testing.assert_allclose(flown[:, LAG], lag, rtol=1e-8)
 
 
@@ -178,7 +178,7 @@ def test_damping_moves_the_poles_to_the_roots_of_its_equation(damping):
     t, k = np.arange(31) * 0.02, v.attitude_gain
     residues = poles[::-1] / (poles - poles[::-1])  # of the step response 1 + sum of residue exp(pole t)
     exact = 0.3 * k * (1.0 + (residues[:, None] * np.exp(poles[:, None] * t)).sum(axis=0).real)
-    steps = equations.angle_steps(1, np.full(30, 0.3), np.zeros(30), 0.0, 0.02, equations.pack(v))
+    steps = attitude_loops.angle_steps(1, np.full(30, 0.3), np.zeros(30), 0.0, 0.02, forces.pack(v))
     np.testing.assert_allclose(steps, exact, atol=1e-12)
     end = fly(hovering(), [v.hover_pwm, 0, 0.3, 0], 0.6, 1200, rate_loop=True, vehicle=v)[0]
     assert end[PITCH] == pytest.approx(exact[-1], rel=1e-8)  # (B h)^4 / 120 of each step's change
@@ -189,8 +189,8 @@ def test_the_exact_angle_step_where_the_poles_meet():
     tau, rng = V.attitude_time_constant, np.random.default_rng(4)
     command, twist = rng.uniform(-0.4, 0.4, 50), rng.uniform(-1, 1, 50)
     angles = [
-        equations.angle_steps(
-            1, command, twist, 0.1, 0.02, equations.pack(dataclasses.replace(V, attitude_bandwidth=b / tau))
+        attitude_loops.angle_steps(
+            1, command, twist, 0.1, 0.02, forces.pack(dataclasses.replace(V, attitude_bandwidth=b / tau))
         )
         for b in (1 - 1e-7, 1.0, 1 + 1e-7)
     ]
@@ -227,7 +227,7 @@ def test_drag_never_adds_power(velocity, angles, pwm, lag):
     state = np.zeros(13)
     state[VX : VZ + 1], state[ROLL : YAW + 1], state[LAG] = velocity, angles, lag
     acceleration = derivative(state, [pwm, 0, 0, 0], V)["acceleration"]
-    thrust = equations.total_thrust(lag, pwm, equations.pack(V)[0], neutral(1)[0])
+    thrust = forces.total_thrust(lag, pwm, forces.pack(V)[0], neutral(1)[0])
     without_drag = rotation(*angles)[:, 2] * thrust / V.body_mass - [0, 0, G]
     power = V.body_mass * (acceleration - without_drag) @ velocity
     # m |v| times the rounding of accelerations of about 50 m/s2
@@ -235,15 +235,15 @@ def test_drag_never_adds_power(velocity, angles, pwm, lag):
 
 
 def test_rotor_speeds_are_continuous_and_zero_without_thrust():
-    v = equations.pack(V)[0]
+    v = forces.pack(V)[0]
     a, b, floor = V.motor_pwm_to_force
     slope, offset = V.motor_pwm_to_speed
-    assert equations.rotor_speed_sum(0.0, v) == equations.rotor_speed_sum(-1.0, v) == 0.0
-    below, above = (equations.rotor_speed_sum(4 * floor * (1 + e), v) for e in (-1e-9, 1e-9))
+    assert forces.rotor_speed_sum(0.0, v) == forces.rotor_speed_sum(-1.0, v) == 0.0
+    below, above = (forces.rotor_speed_sum(4 * floor * (1 + e), v) for e in (-1e-9, 1e-9))
     assert below == pytest.approx(4 * offset, rel=1e-6) and above == pytest.approx(4 * offset, rel=1e-6)
     for pwm in (1_000.0, 30_000.0, 60_000.0):
         force = a * pwm**2 + b * pwm + floor
-        assert equations.rotor_speed_sum(4 * force, v) == pytest.approx(4 * (slope * pwm + offset), rel=1e-12)
+        assert forces.rotor_speed_sum(4 * force, v) == pytest.approx(4 * (slope * pwm + offset), rel=1e-12)
 
 
 def test_vehicles_do_not_influence_each_other():
@@ -253,10 +253,10 @@ def test_vehicles_do_not_influence_each_other():
     commands = rng.uniform([0, -0.5, -0.5, -3], [60_000, 0.5, 0.5, 3], (7, 4))
     others = [V.changed(body_mass=V.body_mass * (1 + 0.1 * i), effects_wind=(0.5 * i, 0.0)) for i in range(7)]
     for vehicles, packed in (
-        ([V] * 7, equations.pack(V)),
-        (others, np.concatenate([equations.pack(v) for v in others])),
+        ([V] * 7, forces.pack(V)),
+        (others, np.concatenate([forces.pack(v) for v in others])),
     ):
-        together, conditions = states.copy(), equations.Conditions(packed, neutral(7), equations.free_air(7))
+        together, conditions = states.copy(), equations.Conditions(packed, neutral(7), forces.free_air(7))
         equations.advance(together, commands, conditions, True, 0.004, 5)
         for i, v in enumerate(vehicles):
             alone = fly(states[i : i + 1], commands[i], 0.02, 5, True, v)[0]

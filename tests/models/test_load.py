@@ -9,7 +9,7 @@ import pytest
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
-from inclined_landing.models import equations, load
+from inclined_landing.models import forces, load
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -55,7 +55,7 @@ def flown(plant, steps, pwm):
 @pytest.mark.parametrize("kind, options", PLANTS)
 def test_the_rotors_carry_both(kind, options):
     plant = aloft(kind, options)
-    assert equations.settled_hover(AIRLESS) == pytest.approx(AIRLESS.hover_pwm, rel=1e-12)
+    assert forces.settled_hover(AIRLESS) == pytest.approx(AIRLESS.hover_pwm, rel=1e-12)
     assert AIRLESS.hover_pwm == pytest.approx(SHIPPED.hover_pwm * (1.0 + MASS / M), rel=1e-12)
     rows = flown(plant, 100, AIRLESS.hover_pwm)
     # Forces cancel to roundings of g, 2e-15 m/s2, over 2 s.

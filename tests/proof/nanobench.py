@@ -24,7 +24,7 @@ from inclined_landing.eval.gap.flights.windows import prepare_all, remove_tilt
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.csv_file import read_columns
-from inclined_landing.models import equations
+from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import LAG, PWM, ROLL, VX, WX, rotations, tilted
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -196,7 +196,7 @@ def by_commands(flown: Flown, vehicle: Vehicle) -> Motion:
     state[:, LAG] = starts.gather([lag for _, lag in driven], 1)[:, 0]
     ambient = starts.gather([f.ambient for f in starts.flights])
     around = ambient[:, 0].copy()
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), around)
+    conditions = equations.Conditions(forces.pack(vehicle), neutral(n), around)
     found = np.empty((n, steps, LAG))
     for k in range(steps):
         around[:, 1:] = ambient[:, k, 1:]
@@ -231,7 +231,7 @@ def by_motors(flown: Flown, vehicle: Vehicle) -> Motion:
         turned = turned @ half @ half
         out.rotation[:, k] = turned
     start = m.position[:, 0], m.velocity[:, 0]
-    _pushed(*start, middle, pwm, lag, ambient, equations.pack(vehicle), dt, out.position, out.velocity)
+    _pushed(*start, middle, pwm, lag, ambient, forces.pack(vehicle), dt, out.position, out.velocity)
     return out
 
 
@@ -243,9 +243,9 @@ def _pushed(position, velocity, rotation, pwm, lag, ambient, vehicle, dt, moved,
     for i in range(pwm.shape[0]):
         x, u, state = position[i].copy(), velocity[i].copy(), lag[i]
         for k in range(pwm.shape[1]):
-            state, mean = equations.lag_step(state, pwm[i, k], dt, v)
+            state, mean = forces.lag_step(state, pwm[i, k], dt, v)
             r = rotation[i, k]
-            equations.wrench(x, u, r, mean, pwm[i, k], ambient[i, k], v, none, f)
+            forces.wrench(x, u, r, mean, pwm[i, k], ambient[i, k], v, none, f)
             for j in range(3):
                 a = (r[j, 0] * f[0] + r[j, 1] * f[1] + r[j, 2] * f[2]) / v.body.mass
                 if j == 2:

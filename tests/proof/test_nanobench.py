@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.models import equations
+from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, YAW
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.perturbation import neutral
@@ -42,7 +42,7 @@ def flight(tmp_path):
     states = np.empty((m, 13))
     for k in range(m):
         states[k] = state[0]
-        conditions = equations.Conditions(equations.pack(vehicle), neutral(1), equations.free_air(1))
+        conditions = equations.Conditions(forces.pack(vehicle), neutral(1), forces.free_air(1))
         equations.advance(state, commands[k : k + 1], conditions, True, dt / 2, 2)
     angles = states[:, [YAW, ROLL, PITCH]]
     quaternion = Rotation.from_euler("ZXY", angles).as_quat()

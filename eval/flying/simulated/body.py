@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from inclined_landing.eval.flying.simulated.firmware import Setpoint
-from inclined_landing.models import equations
+from inclined_landing.models import attitude_loops, forces
 from inclined_landing.models.attitude import LAG, ROLL, VX, YAW, quaternion, rotation, tilted
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
@@ -45,7 +45,7 @@ class Body:
         seed: int = 0,
     ):
         self.vehicle = vehicle
-        self._constants = equations.pack(vehicle)[0]
+        self._constants = forces.pack(vehicle)[0]
         self.step_length = ENGINE_STEP
         self.time = 0.0
         restless = any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular))
@@ -129,7 +129,7 @@ class Body:
         """Return roll, pitch, yaw (3,) [rad] of the onboard estimate, with the vehicle file's errors."""
         state = self.state_at(time)
         angles = state[ROLL : YAW + 1].copy()
-        angles[:2] = equations.estimated_angles(*angles, *state[VX : VX + 3], self._constants)
+        angles[:2] = attitude_loops.estimated_angles(*angles, *state[VX : VX + 3], self._constants)
         turned = angles[None].copy()
         tilted(angles[None], *self.vehicle.effects_mocap_tilt, turned)
         return turned[0]
@@ -137,7 +137,7 @@ class Body:
     @property
     def voltage(self) -> float:
         """Battery voltage under the present load [V]."""
-        return equations.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
+        return forces.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
 
 
 def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:

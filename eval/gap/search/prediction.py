@@ -5,7 +5,7 @@ from the attitude commands, yaw from the yaw rate command. A start state enters 
 has died away in the others, so that one pass over a flight serves every short window of it: whitening
 projects the start state out.
 
-Effects are those of the vehicle: its packed constants (`equations.pack`) and its delays. Commands are
+Effects are those of the vehicle: its packed constants (`forces.pack`) and its delays. Commands are
 held between rows and averaged exactly over each step, which makes delays differentiable.
 """
 
@@ -19,8 +19,9 @@ import numpy as np
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.search.swing import pulled
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
+from inclined_landing.models.attitude_loops import angle_steps, yaw_steps
 from inclined_landing.models.delays import averages
-from inclined_landing.models.equations import angle_steps, lag_step, pack, wrench, yaw_steps
+from inclined_landing.models.forces import lag_step, pack, wrench
 from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 

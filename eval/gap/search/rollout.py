@@ -17,7 +17,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.gap.search.prediction import as_flown, predict
-from inclined_landing.models import equations
+from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.delays import averages
 from inclined_landing.models.errors import UserError
@@ -125,7 +125,7 @@ def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[
     late = vehicle.effects_mocap_delay
     delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
     commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
-    return commands, equations.lags(commands[:, PWM], dt, equations.pack(vehicle))
+    return commands, forces.lags(commands[:, PWM], dt, forces.pack(vehicle))
 
 
 def without_delays(vehicle: Vehicle) -> Vehicle:
@@ -180,7 +180,7 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     step_ambient = ambient[:, 0].copy()
     step_ambient[:, 0] -= 0.5 * starts.dt
     load = hanging(n) if vehicle.effects_load_mass else UNLOADED
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(n), step_ambient, load=load)
+    conditions = equations.Conditions(forces.pack(vehicle), neutral(n), step_ambient, load=load)
     for k in range(starts.rows):
         step_ambient[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
@@ -195,7 +195,7 @@ def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
     plain = dataclasses.replace(
         without_delays(vehicle), effects_thrust_fade=0.0, effects_voltage_sensitivity=0.0
     )
-    scale = _thrust_scales(ambient, lag, equations.pack(vehicle))
+    scale = _thrust_scales(ambient, lag, forces.pack(vehicle))
     varies = bool((scale != 1.0).any())
     step = starts.dt / math.ceil(starts.dt / LARGEST_STEP - 1e-9)
     plant = MujocoPlant(n, plain, control_period=starts.dt, timestep=step)
@@ -221,8 +221,8 @@ def _thrust_scales(ambient, lag, vehicle):
     v, out = vehicle[0], np.empty(lag.shape)
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
-            time, voltage = ambient[i, k, equations.TIME], ambient[i, k, equations.VOLTAGE]
-            out[i, k] = equations.fade(time, v) * equations.supply(voltage, lag[i, k], time, v)
+            time, voltage = ambient[i, k, forces.TIME], ambient[i, k, forces.VOLTAGE]
+            out[i, k] = forces.fade(time, v) * forces.supply(voltage, lag[i, k], time, v)
     return out
 
 

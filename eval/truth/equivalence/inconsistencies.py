@@ -15,7 +15,8 @@ from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import HEIGHT, WORDS, Sequences
 from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.models.attitude import LAG, PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z, rotation
-from inclined_landing.models.equations import derivative, pack, rotor_speed_sum
+from inclined_landing.models.equations import derivative
+from inclined_landing.models.forces import pack, rotor_speed_sum
 from inclined_landing.models.vehicle import Vehicle
 
 _SUBSTEPS = 5

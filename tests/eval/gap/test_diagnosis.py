@@ -17,7 +17,7 @@ from inclined_landing.eval.gap.search.reference import Reference
 from inclined_landing.eval.gap.search.residual import ReferenceResidual
 from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models import effects, equations
+from inclined_landing.models import effects, equations, forces
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -45,8 +45,8 @@ def flights(hidden=None, *, count=5, seconds=10.0, seed=0, voltage=None, distort
 
 def _fly(vehicle, rng, seconds, name, voltage, distort):
     m, h = round(seconds / STEP), STEP / SUBSTEPS
-    around = equations.free_air(1)
-    conditions = equations.Conditions(equations.pack(vehicle), neutral(1), around)
+    around = forces.free_air(1)
+    conditions = equations.Conditions(forces.pack(vehicle), neutral(1), around)
     state = np.zeros((1, 13))
     state[0, :3] = rng.uniform([-1, -1, 0.8], [1, 1, 1.5])
     state[0, 12] = VEHICLE.hover_pwm / vehicle.thrust_lag_rate
@@ -71,7 +71,7 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
             received = sent[max(0, len(sent) - 1 - late[1])].copy()
             received[0] = sent[max(0, len(sent) - 1 - late[0])][0]
             if voltage is not None:
-                around[0, equations.VOLTAGE] = voltage(t)
+                around[0, forces.VOLTAGE] = voltage(t)
             equations.advance(state, received[None], conditions, True, h, 1)
     pose += NOISE * rng.standard_normal(pose.shape)
     t = np.arange(m) * STEP
@@ -339,9 +339,7 @@ def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
     """A loop that answers otherwise in a wind whose drag is 14 % of the weight: only wind is named."""
     hidden = {"wind": {"x": -6.0}}
     # Rotor drag of the shipped vehicle in hover: k w_sum w/(m g)
-    w_sum = equations.rotor_speed_sum(
-        VEHICLE.body_mass * VEHICLE.environment_gravity, equations.pack(VEHICLE)[0]
-    )
+    w_sum = forces.rotor_speed_sum(VEHICLE.body_mass * VEHICLE.environment_gravity, forces.pack(VEHICLE)[0])
     drag = 6.0 * w_sum * -VEHICLE.drag_coefficients[0] / (VEHICLE.body_mass * VEHICLE.environment_gravity)
     windy = {"wind": {"x": -6.0, "y": 0.0}}
     candidates = Candidates.of(VEHICLE, LIBRARY)

@@ -28,8 +28,8 @@ from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.equations import lags, pack, rotor_speed_sum, total_thrust
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.forces import lags, pack, rotor_speed_sum, total_thrust
 from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 

@@ -1,0 +1,297 @@
+"""Force and torque of the rotors and the air on a vehicle, compiled: what an effect on them is a term of.
+
+Every effect of the vehicle (`effects_...`; see `effects/`) is a factor of 1 or a summand of 0 while it is
+neutral, and so changes no bit. The thrust's lag is here too.
+
+Symbols of the comments: F_t total thrust, Omega state of the thrust lag, f and tau force and torque in the
+body frame, v velocity, R attitude matrix (body to world).
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from operator import attrgetter
+
+import numba
+import numpy as np
+
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.perturbation import (
+    DRAG_CHANGE,
+    LAG_SCALE,
+    NEUTRAL,
+    THRUST_BIAS,
+    THRUST_SCALE,
+)
+from inclined_landing.models.vehicle import Vehicle
+
+# Columns of a vehicle's ambient conditions: time [s], battery voltage [V] (NaN: that of the vehicle file),
+# inclination of the platform [rad], whether it is there, its azimuth about the vertical [rad].
+AMBIENT_SIZE = 5
+TIME, VOLTAGE, INCLINATION, PRESENT, AZIMUTH = range(AMBIENT_SIZE)
+_DERIVED = ("slab_half_length", "thrust_centre")  # properties of a vehicle that the kernels take too
+
+
+@functools.cache
+def _layout() -> tuple[Callable, np.dtype]:
+    """Return a getter of all values of a vehicle, and the type of `pack`'s array."""
+    shipped = load_vehicle()
+    tables: dict[str, list[tuple]] = {}
+    for field in dataclasses.fields(Vehicle):
+        table, _, entry = field.name.partition("_")
+        tables.setdefault(table, []).append((entry, float, np.shape(getattr(shipped, field.name))))
+    names = [f"{table}_{entry}" for table in tables for entry, *_ in tables[table]]
+    more = [(name, float, np.shape(getattr(shipped, name))) for name in _DERIVED]
+    return attrgetter(*names, *_DERIVED), np.dtype((np.record, np.dtype([*tables.items(), *more])))
+
+
+def pack(vehicle: Vehicle) -> np.ndarray:
+    """Return the vehicle as the kernels take it: (1,), a record `v` whose entry `b` of table `a` is `v.a.b`.
+
+    The names are part of the array's type, and so of a compiled kernel's signature.
+    """
+    values, layout = _layout()
+    numbers: list[float] = []
+    for value in values(vehicle):
+        numbers += value if isinstance(value, tuple) else (value,)
+    return np.array(numbers, float).view(layout)
+
+
+@numba.njit(cache=True, inline="always")
+def rotor_speed_sum(thrust, v):
+    """Return the sum of the rotor speeds [rad/s] at a total thrust [N], 0 without thrust.
+
+    From the static maps of one motor, force a PWM^2 + b PWM + c and speed d PWM + e. Below the force c at
+    PWM 0 the sum goes linearly to zero.
+    """
+    motors = v.motor.count
+    to_force, to_speed = v.motor.pwm_to_force, v.motor.pwm_to_speed
+    quadratic, linear, idle_force = to_force[0], to_force[1], to_force[2]
+    slope, idle_speed = to_speed[0], to_speed[1]
+    force = thrust / motors
+    if force <= 0.0:
+        return 0.0
+    if force < idle_force:
+        return motors * idle_speed * force / idle_force
+    # a PWM^2 + b PWM + c = F_t / motors, solved for PWM; sum = motors (d PWM + e)
+    pwm = (-linear + math.sqrt(linear * linear + 4.0 * quadratic * (force - idle_force))) / (2.0 * quadratic)
+    return motors * (slope * pwm + idle_speed)
+
+
+@numba.njit(cache=True, inline="always")
+def total_thrust(lag, pwm, v, p):
+    """Return the total thrust F_t [N] at a lag state [PWM s] and a PWM command."""
+    # F_t = scale (c_Omega Omega + c_PWM PWM) + bias
+    return p[THRUST_SCALE] * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm) + p[THRUST_BIAS]
+
+
+@numba.njit(cache=True, inline="always")
+def lag_derivative(lag, pwm, v, p):
+    """Return dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
+    # dOmega/dt = (PWM - lambda Omega)/scale, over 1 + spin_down where that is negative
+    rate = (pwm - v.thrust.lag_rate * lag) / p[LAG_SCALE]
+    if v.effects.spin_down != 0.0 and rate < 0.0:
+        rate /= 1.0 + v.effects.spin_down
+    return rate
+
+
+@numba.njit(cache=True, inline="always")
+def lag_step(lag, pwm, dt, v):
+    """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
+    # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
+    rate, steady = v.thrust.lag_rate, pwm / v.thrust.lag_rate
+    if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
+        rate /= 1.0 + v.effects.spin_down
+    decay = math.exp(-rate * dt)
+    mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
+    return steady + (lag - steady) * decay, mean
+
+
+@numba.njit(cache=True, nogil=True)
+def lags(pwm, dt, vehicle):
+    """Return the lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s], first steady under the first."""
+    v, out = vehicle[0], np.empty(len(pwm) + 1)
+    out[0] = pwm[0] / v.thrust.lag_rate
+    for k in range(len(pwm)):
+        out[k + 1], _ = lag_step(out[k], pwm[k], dt, v)
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def fade(time, v):
+    """Return the factor of the thrust after a flight time [s]."""
+    return 1.0 - v.effects.thrust_fade * time
+
+
+@numba.njit(cache=True, inline="always")
+def battery_voltage(lag, time, v):
+    """Return the voltage [V] of the vehicle file's battery at a lag state, after a flight time [s]."""
+    # U = U_open - drop load - discharge t, the load as steady PWM: lambda Omega
+    load = v.thrust.lag_rate * lag
+    return v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
+
+
+@numba.njit(cache=True, inline="always")
+def supply(voltage, lag, time, v):
+    """Return the factor of the thrust at the battery's voltage [V]; NaN: that of the vehicle file."""
+    if math.isnan(voltage):
+        voltage = battery_voltage(lag, time, v)
+    return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
+
+
+@numba.njit(cache=True, inline="always")
+def powered_thrust(thrust, lag, time, voltage, v):
+    """Return the thrust [N] that sets the rotor speed: with bias, fade, sag under load, battery voltage."""
+    # F = (F_t + bias) (1 - fade t) (1 - sag (load/reference - 1)) (1 + sensitivity (U - U_ref))
+    load = v.thrust.lag_rate * lag
+    sag = 1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0)
+    return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
+
+
+@numba.njit(cache=True, inline="always")
+def intact(v):
+    """Return the share of the thrust that the rotors have not lost."""
+    loss = v.effects.rotor_loss
+    return 1.0 - 0.25 * (loss[0] + loss[1] + loss[2] + loss[3])
+
+
+@numba.njit(cache=True)
+def _hover_pwm(pwm, high, vehicle, p):
+    """Return `pwm` if no effect changes its thrust, else the PWM up to `high` whose thrust is the weight.
+
+    pwm: that of hover without effects; `high` where no command carries the weight.
+    """
+    v, low = vehicle[0], 0.0
+    weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
+    if _steady_thrust(pwm, v, p) == total_thrust(pwm / v.thrust.lag_rate, pwm, v, p):
+        return pwm
+    for _ in range(60):  # halves: to 1e-13 of what lies between
+        pwm = 0.5 * (low + high)
+        if _steady_thrust(pwm, v, p) < weight:
+            low = pwm
+        else:
+            high = pwm
+    return high
+
+
+@numba.njit(cache=True, inline="always")
+def _steady_thrust(pwm, v, p):
+    """Return the thrust [N] under a PWM held for long, at time 0."""
+    lag = pwm / v.thrust.lag_rate
+    return powered_thrust(total_thrust(lag, pwm, v, p), lag, 0.0, math.nan, v) * intact(v)
+
+
+def settled_hover(vehicle: Vehicle) -> float:
+    """Return the hover PWM at time 0 with the effects on the thrust: bias, sag, voltage.
+
+    `Vehicle.hover_pwm` where there are none; the highest command where no command carries the weight.
+    """
+    high = max(vehicle.hover_pwm, vehicle.command_pwm_range[1])
+    return _hover_pwm(vehicle.hover_pwm, high, pack(vehicle), NEUTRAL)
+
+
+@numba.njit(cache=True, inline="always")
+def disc_inside(distance, radius):
+    """Return the share of a disc on the inner side of a straight edge, its centre `distance` within."""
+    # 1/2 + (d sqrt(1 - d^2) + arcsin d)/pi, the area of a circular segment with d = distance/radius
+    d = min(1.0, max(-1.0, distance / radius))
+    return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
+
+
+@numba.njit(cache=True, inline="always")
+def ground_gain(height, v):
+    """Return the share of thrust that a rotor gains over an endless surface, at a height h [m] of its disc.
+
+    gain = strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
+    exp((4 radius - h) fading), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
+    """
+    ratio = 0.5
+    if height > 0.5 * v.rotor.radius:
+        ratio = v.rotor.radius / (4.0 * height)
+    fading = math.exp((4.0 * v.rotor.radius - height) * v.effects.ground_fading)
+    return min(1.0, v.effects.ground_effect * ratio * ratio * fading)
+
+
+@numba.njit(cache=True)
+def ground_effect(position, r, thrust, inclination, present, azimuth, v):
+    """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
+
+    position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab along its axis with
+    the share of its disc that is over it, and the floor with the rest; heights are along the normals.
+    """
+    extra, torque_x, torque_y = 0.0, 0.0, 0.0
+    if r[2, 2] <= 0.0:
+        return extra, torque_x, torque_y
+    si, ci = math.sin(inclination), math.cos(inclination)
+    sa, ca = math.sin(azimuth), math.cos(azimuth)
+    lean_along, lean_across = ca * r[0, 2] + sa * r[1, 2], ca * r[1, 2] - sa * r[0, 2]  # of the rotor's axis
+    facing = si * lean_along + ci * r[2, 2]  # of the rotor's axis and the slab's normal
+    radius = v.rotor.radius
+    for side in range(4):
+        x = v.rotor.arm if side < 2 else -v.rotor.arm
+        y = v.rotor.arm if side % 2 == 0 else -v.rotor.arm
+        px = position[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * v.rotor.height
+        py = position[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * v.rotor.height
+        pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * v.rotor.height
+        share, gain = 0.0, 0.0
+        if present != 0.0 and facing > 0.0:
+            forward, beside = ca * px + sa * py, ca * py - sa * px  # horizontal, along the slope's direction
+            normal = si * forward + ci * (pz - v.platform.surface_height)
+            along = ci * forward - si * (pz - v.platform.surface_height)
+            down = normal / facing  # along the rotor's axis
+            along -= down * (ci * lean_along - si * r[2, 2])
+            across = beside - down * lean_across
+            if normal > 0.0 and down * r[2, 2] < pz:  # the slab is below, and the floor below it
+                share = disc_inside(v.slab_half_length - abs(along), radius)
+                share *= disc_inside(0.5 * v.platform.depth - abs(across), radius)
+                gain = share * ground_gain(normal, v)
+        if pz > 0.0:
+            gain += (1.0 - share) * ground_gain(pz, v)
+        # Each rotor carries a quarter: f_i = gain_i F/4, torque = sum of r_i x (0, 0, f_i)
+        force = 0.25 * thrust * gain
+        extra += force
+        torque_x += y * force
+        torque_y -= x * force
+    return extra, torque_x, torque_y
+
+
+@numba.njit(cache=True, inline="always")
+def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
+    """Write force (3,) [N] and torque (x, y) [N m] in the body frame, without gravity, into `out` (5,).
+
+    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,),
+    vehicle v and perturbation p (7,).
+    """
+    thrust = powered_thrust(total_thrust(lag, pwm, v, p), lag, ambient[TIME], ambient[VOLTAGE], v)
+    ax, ay, az = velocity[0] - v.effects.wind[0], velocity[1] - v.effects.wind[1], velocity[2]
+    bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
+    by = r[0, 1] * ax + r[1, 1] * ay + r[2, 1] * az
+    bz = r[0, 2] * ax + r[1, 2] * ay + r[2, 2] * az
+    # Rotor and body drag: f = K (sum of rotor speeds) b - c |b| b, b = R^T (v - wind), K diagonal
+    speed, k = rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE]), v.drag.coefficients
+    drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
+    out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
+    # F (1 - mean loss) (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
+    lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
+    thrust *= intact(v) * lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
+    out[3] = out[4] = 0.0
+    if v.effects.ground_effect != 0.0:
+        extra, out[3], out[4] = ground_effect(
+            position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
+        )
+        thrust += extra
+    # Thrust at (x, y) from the centre of mass, which is at c: tau = (y F, -x F)
+    out[3] += (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
+    out[4] -= (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
+    out[0] += drag * bx
+    out[1] += drag * by
+    out[2] += drag * bz
+    out[2] += thrust
+
+
+def free_air(n: int) -> np.ndarray:
+    """Return the ambient conditions (n, AMBIENT_SIZE) at time 0, the battery the file's and no platform."""
+    ambient = np.zeros((n, AMBIENT_SIZE))
+    ambient[:, VOLTAGE] = np.nan
+    return ambient
