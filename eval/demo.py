@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import load_policy
@@ -17,7 +18,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
-from inclined_landing.eval.base.options import Folder, Look, Range, Seed
+from inclined_landing.eval.base.options import Folder, Look, Seed
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 
@@ -37,7 +38,7 @@ In Python:
 
 def command(
     out: Folder = Path("landing-demo"),
-    starts: Annotated[int, Range(1, 1000)] = 50,
+    starts: Annotated[int, Meta(ge=1, le=1000)] = 50,
     seed: Seed = 0,
 ) -> None:
     """The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).

@@ -11,16 +11,17 @@ import functools
 import math
 import re
 from importlib import resources
+from typing import Annotated
 
 import mujoco
 import numpy as np
+from msgspec import Meta
 
-from inclined_landing.models import geometry, plugins
+from inclined_landing.models import geometry, plugins, schema
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
-from inclined_landing.models.schema import is_finite
 from inclined_landing.models.vehicle import Vehicle
 
 INTEGRATORS = {
@@ -28,6 +29,8 @@ INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
 }
+Zone = Annotated[float, Meta(ge=0, le=1)]  # m, around the platform
+Period = Annotated[float, Meta(ge=1e-5, le=1)]  # s
 _VISUAL_GROUPS = (1, 2)
 _AT_A_MOTOR = re.compile(r"(?P<kind>[a-z]+)_(?P<x>front|rear)_(?P<y>left|right)(_\d)?")
 _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
@@ -53,8 +56,8 @@ def build_spec(
     vehicle: Vehicle | None = None,
     *,
     visuals: bool = True,
-    keep_out: float = 0.0,
-    timestep: float = ENGINE_STEP,
+    keep_out: Zone = 0.0,
+    timestep: Period = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
     pooled: float | None = None,
@@ -81,10 +84,7 @@ def build_spec(
         raise UserError(
             f"unknown integrator {shown(repr(integrator), 40)}; known are {', '.join(INTEGRATORS)}"
         )
-    if not (is_finite(timestep) and timestep > 0):
-        raise UserError(f"timestep must be positive, not {shown(repr(timestep), 40)}")
-    if not (is_finite(keep_out) and keep_out >= 0):
-        raise UserError(f"keep_out must not be negative, it is {shown(repr(keep_out), 40)}")
+    schema.check({"timestep": timestep, "keep_out": keep_out}, schema.kinds_of(build_spec))
     spec = _as_drawn(visuals).copy()
     spec.option.timestep = timestep
     spec.option.integrator = INTEGRATORS[integrator]
@@ -318,8 +318,8 @@ def _text(value) -> str:
 def compile_scene(
     vehicle: Vehicle,
     *,
-    keep_out: float = 0.0,
-    timestep: float = ENGINE_STEP,
+    keep_out: Zone = 0.0,
+    timestep: Period = ENGINE_STEP,
     integrator: str = "RK4",
     torque_limit: bool = True,
     pooled: float | None = None,

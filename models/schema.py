@@ -1,33 +1,31 @@
-"""Data that people write (tables of TOML, values of JSON) as typed structs, with errors of one sentence.
+"""Types and limits of what people write, in files and on command lines, with errors of one sentence.
 
-A file's layout is a `msgspec.Struct`: types, ranges (`Annotated[float, Meta(ge=0, le=1)]`), defaults. `parse`
-converts, without a word on rules between entries: they are their reader's.
+A limit is written once, in the type: `Annotated[float, Meta(ge=0, le=1)]`. A file's layout is a
+`msgspec.Struct`, which `parse` makes of its data; the options of a command, a task or a plant are the
+annotations of a function or a dataclass, which `check` compares with their values. Rules between entries are
+their reader's.
 """
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import difflib
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct, inspect, structs
 
 from inclined_landing.models.errors import UserError, choices, shown
 
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
 T = TypeVar("T")
-
-
-def is_finite(value: object) -> bool:
-    """Return whether this is a number, neither NaN nor infinite."""
-    try:
-        return math.isfinite(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):  # something else, or a whole number of 400 digits
-        return False
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True):
@@ -44,6 +42,46 @@ def parse(data: Any, kind: type[T], where: str = "") -> T:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         raise UserError(where + _sentence(data, kind, [])) from error
+
+
+def check(options: Any, kinds: Mapping[str, Any] | None = None, label: Callable[[str], str] = str) -> None:
+    """Raise UserError unless each option has its type, is within its limits, and its numbers are finite.
+
+    options: values by name, or a dataclass of them; groups of options within are checked too. kinds: the
+    types by name, where `options` has not its own. label: what sentences call an option.
+    """
+    values = options if isinstance(options, Mapping) else vars(options)
+    kinds = kinds_of(type(options)) if kinds is None else kinds
+    for name, value in values.items():
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            check(value, None, label)
+        elif name in kinds:
+            plain = _plain(value)
+            if not _fits(plain, kinds[name]):
+                raise UserError(_sentence(plain, kinds[name], [label(name)]))
+            for number in _floats(plain):
+                if not math.isfinite(number):
+                    raise UserError(f"{label(name)} takes finite numbers, not {number}")
+
+
+def kinds_of(options: Any) -> dict[str, Any]:
+    """Return the types that the annotations of a class or a function name, with their limits."""
+    return get_type_hints(options, include_extras=True)
+
+
+def _plain(value: Any) -> Any:
+    """Return an option with numbers of NumPy as Python's and sequences as lists."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def _floats(value: Any) -> Iterator[float]:
+    if isinstance(value, list):
+        for one in value:
+            yield from _floats(one)
+    elif isinstance(value, float):
+        yield value
 
 
 def _sentence(value: Any, kind: Any, way: list[str]) -> str:
@@ -80,17 +118,26 @@ def _entries(value: Any, kind: Any) -> Iterator[tuple[str | int, Any, Any]]:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    try:
-        msgspec.convert(value, kind)
-    except msgspec.ValidationError:
-        return False
-    return True
+    """Return whether a value is of a type, or of one of a union, within its limits; text may be a path."""
+    for one in _alternatives(kind):
+        with contextlib.suppress(msgspec.ValidationError):
+            msgspec.convert(Path(value) if one is Path and isinstance(value, str) else value, one)
+            return True
+    return False
 
 
 def _fields(kind: Any) -> dict[str, structs.FieldInfo]:
     """Return the entries of a table by their names in files; none for what is no table."""
     tables = (one for one in _members(kind) if isinstance(one, type) and issubclass(one, Struct))
     return {field.encode_name: field for table in tables for field in structs.fields(table)}
+
+
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """Return the types of a union, or the only one, with their limits."""
+    inner = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    if get_origin(inner) in (Union, UnionType):
+        return tuple(member for one in get_args(inner) for member in _alternatives(one))
+    return (kind,)
 
 
 def _members(kind: Any) -> tuple[Any, ...]:
@@ -104,12 +151,13 @@ def _members(kind: Any) -> tuple[Any, ...]:
 
 def expected(kind: Any) -> str:
     """Return what a value of a type must be, to go on after "must be": "a number from 0 to 2 or 'any'"."""
-    return _words(inspect.type_info(kind))
+    some = (one for one in _alternatives(kind) if one not in (None, type(None)))  # TOML has no null
+    return " or ".join(_words(inspect.type_info(one)) for one in some)
 
 
 def _words(kind: inspect.Type) -> str:
-    if isinstance(kind, inspect.UnionType):  # TOML has no null
-        return " or ".join(_words(one) for one in kind.types if not isinstance(one, inspect.NoneType))
+    if isinstance(kind, inspect.UnionType):
+        return " or ".join(map(_words, kind.types))
     if isinstance(kind, inspect.IntType | inspect.FloatType):
         noun = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
         limits = {"of at least": kind.ge, "above": kind.gt, "of at most": kind.le, "below": kind.lt}
@@ -127,6 +175,8 @@ def _words(kind: inspect.Type) -> str:
         return f"a list{_count(kind, 'entries')}, each {_words(kind.item_type)}"
     if isinstance(kind, inspect.DictType):
         return "a table" + _count(kind, "entries")
+    if isinstance(kind, inspect.CustomType):
+        return f"a {kind.cls.__name__.lower()}"
     return "true or false" if isinstance(kind, inspect.BoolType) else "a table"
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import numbers
-import types
-import typing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from msgspec import Meta
 
 from inclined_landing.envs.policy import (
     action_map,
@@ -21,9 +19,10 @@ from inclined_landing.envs.policy import (
     trained_task,
 )
 from inclined_landing.envs.randomise import locate
-from inclined_landing.envs.shared.options import Range, Seed, check_ranges
+from inclined_landing.envs.shared.options import Seed, flag_of
 from inclined_landing.envs.tasks import TASKS, Task, import_task, is_path, task_class
-from inclined_landing.envs.tasks.options import Record, TaskOptions, Training, fields_of, option
+from inclined_landing.envs.tasks.options import Many, Record, Share, TaskOptions, Training, fields_of, option
+from inclined_landing.models import schema
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from inclined_landing.models.plants import PLANTS
@@ -40,39 +39,39 @@ COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
 ENDING = ("steps", "success", "min_steps", "max_steps")
 UPDATES = ("fast", "stock")
 
-_MANY, _INTERVAL = (1, 10**9), (0, 10**9)
-
 
 @dataclasses.dataclass(frozen=True)
 class OnPolicy(Record):
     """Options that only ppo has."""
 
-    gae_lambda: float = option(0.95, "Of the advantage estimate", limits=(0, 1))
-    entropy: float = option(0.0, "Entropy bonus; sac finds its own", limits=(0, 1))
+    gae_lambda: Share = option(0.95, "Of the advantage estimate")
+    entropy: Share = option(0.0, "Entropy bonus; sac finds its own")
     update: str = option(
         "fast",
         "fast (PPO compiled for these networks) or stock (Stable-Baselines3's own): the same loss and files",
         more={"metavar": "{fast,stock}"},
     )
-    checkpoint_every: int = option(20, "Iterations between checkpoints", limits=_MANY)
+    checkpoint_every: Many = option(20, "Iterations between checkpoints")
 
 
 @dataclasses.dataclass(frozen=True)
 class ReplayBuffer(Record):
     """Options of algorithms with a replay buffer."""
 
-    buffer_size: int = option(300_000, "Samples in the replay buffer, the latest ones", limits=_MANY)
-    learning_starts: int = option(
-        5_000, "Environment steps with random actions before the first update", limits=_INTERVAL
+    buffer_size: Many = option(300_000, "Samples in the replay buffer, the latest ones")
+    learning_starts: Annotated[int, Meta(ge=0, le=10**9)] = option(
+        5_000, "Environment steps with random actions before the first update"
     )
-    gradient_steps: int = option(2, "Updates after each step of all vehicles", limits=(1, 16_384))
+    gradient_steps: Annotated[int, Meta(ge=1, le=16_384)] = option(
+        2, "Updates after each step of all vehicles"
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class TD3(ReplayBuffer):
     """Options of td3."""
 
-    action_noise: float = option(0.2, "Standard deviation of the noise on actions", limits=(0, 1))
+    action_noise: Share = option(0.2, "Standard deviation of the noise on actions")
 
 
 # Options of one kind of algorithm, and what they are where they are not given; None: what the task says.
@@ -119,11 +118,10 @@ def _as_options(*records: type[Record]) -> dict[str, tuple[Any, Any]]:
         more: dict[str, Any] = {"help": known.help.format(**_WORDS)} | known.more
         if not issubclass(records[0], TaskOptions):
             more |= {"help": f"{more['help']}.", "help_behavior_hint": f"(default: {_defaults(field.name)})"}
-        limits = [Range(*known.limits, known.open)] if known.limits else []
         flag = kind is bool
         if known.help:
             kind = kind if flag else (known.kind or kind) | None
-            found[field.name] = Annotated[kind, *limits, tyro.conf.arg(**more)], False if flag else None
+            found[field.name] = Annotated[kind, tyro.conf.arg(**more)], False if flag else None
     return found
 
 
@@ -184,9 +182,9 @@ class TrainConfig:
     touchdown, robust)."""
     nominal: bool = False
     """As in the paper: one vehicle in the plane, no history, actions around hover."""
-    max_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
+    max_seconds: Annotated[float, Meta(gt=0, lt=10**9)] | None = None
     """Stop at this wall time; the checkpoint allows to resume."""
-    max_cpu_seconds: Annotated[float | None, Range(0, 10**9, open=True)] = None
+    max_cpu_seconds: Annotated[float, Meta(gt=0, lt=10**9)] | None = None
     """Stop after so much computing for the training, on all cores together and without evaluations: unlike
     wall time, other work on the machine does not use it up."""
     resume: bool = False
@@ -199,26 +197,24 @@ class TrainConfig:
     buffer cannot be resumed."""
     plant: Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")] = "hybrid"
     """mujoco; hybrid: the same with the equations in free flight; or analytic."""
-    threads: Annotated[int, Range(0, 1024)] = 0
+    threads: Annotated[int, Meta(ge=0, le=1024)] = 0
     """Physics threads (0: all cores)."""
 
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
     """Parts of the landing's curriculum to leave out: start, tilt, motion, goal and platform are the task's
     from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
     reward_scale: Annotated[
-        float | None,
-        Range(0, 1000, open=True),
+        Annotated[float, Meta(gt=0, lt=1000)] | None,
         tyro.conf.arg(help_behavior_hint="(default: 0.1; sac 1)"),
     ] = None
     """Rewards are multiplied by this before the algorithm sees them."""
 
     evaluate_every: Annotated[
-        int | None,
-        Range(*_INTERVAL),
+        Annotated[int, Meta(ge=0, le=10**9)] | None,
         tyro.conf.arg(help_behavior_hint="(default: 16; on drawn vehicles 32)"),
     ] = None
     """Iterations between evaluations in the hybrid plant, without training aids (0: never)."""
-    video_every: Annotated[int, Range(*_INTERVAL)] = 0
+    video_every: Annotated[int, Meta(ge=0, le=10**9)] = 0
     """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
 
     if TYPE_CHECKING:  # the fields that `_GROUPS` adds
@@ -228,14 +224,14 @@ class TrainConfig:
 
     def resolved(self) -> TrainConfig:
         """A copy with every default filled in and every value checked; raises UserError."""
-        self._check_types()
+        schema.check(self, None, flag_of)
         kind = import_task(self.task) if is_path(self.task) else task_class(self.task)
         if self._is_in_space_by_default(kind):
             self = dataclasses.replace(self)
             self.dimensions = 3
         training = kind.training
         try:
-            training.check()
+            schema.check(training)
         except UserError as error:  # of a task of one's own
             raise UserError(f"task {shown(self.task, 60)}, its training: {error}") from error
         if self.plant not in PLANTS:
@@ -259,7 +255,6 @@ class TrainConfig:
         if drawn and self.dimensions == 3 and self.algorithm == "ppo" and not by_descent:
             defaults |= DRAWN_IN_SPACE
         filled = {k: value if getattr(self, k) is None else getattr(self, k) for k, value in defaults.items()}
-        check_ranges(self)
         for name in self.task_options():
             if name not in kind.option_names():
                 raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
@@ -405,14 +400,6 @@ class TrainConfig:
         """Environment steps after which the run ends in any case; of a resolved configuration."""
         return self.max_steps if self.steps is None else self.steps
 
-    def _check_types(self) -> None:
-        for name, kind in typing.get_type_hints(TrainConfig).items():
-            kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-            value = getattr(self, name)
-            if (isinstance(value, bool) and bool not in kinds) or not isinstance(value, _kinds(kinds)):
-                words = " or ".join(_KINDS[kind][1] for kind in kinds if kind in _KINDS)
-                raise UserError(f"{flag_of(name)} must be {words}, not {shown(repr(value), 40)}")
-
     def as_json(self) -> dict:
         """The configuration with JSON types only."""
         paths = {name: str(path) for name in ("out", *COPIED) if (path := getattr(self, name)) is not None}
@@ -422,23 +409,8 @@ class TrainConfig:
 def _check_gamma(gamma: float | str | None) -> None:
     if gamma is None or gamma == RISING:
         return
-    limits = Range(0, 1, open=True)
-    if isinstance(gamma, str) or gamma not in limits:
-        raise UserError(f"--gamma must lie {limits}, or be {RISING}, not {shown(gamma, 40)}")
-
-
-# What an annotation takes, and what sentences call it.
-_KINDS = {
-    bool: (bool, "true or false"),
-    int: (numbers.Integral, "a whole number"),
-    float: (numbers.Real, "a number"),
-    str: (str, "text"),
-    Path: ((str, Path), "a path"),
-}
-
-
-def _kinds(kinds: tuple) -> tuple:
-    return tuple(_KINDS[kind][0] if kind in _KINDS else kind for kind in kinds)
+    if isinstance(gamma, str):
+        raise UserError(f"--gamma must be a number above 0 and below 1, or {RISING}, not {shown(gamma, 40)}")
 
 
 # Pages of --help, by title: what people change, which --help shows alone, and the rest.
@@ -461,8 +433,3 @@ HELP = {
         *("reward_scale", "history"),
     ),
 }
-
-
-def flag_of(name: str) -> str:
-    """How a field is written on the command line."""
-    return "--from" if name == "start_from" else f"--{name.replace('_', '-')}"

@@ -68,7 +68,7 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
             return tyro.cli(target, prog=prog, args=words, config=_config())
     except SystemExit as end:
         if end.code:
-            raise UserError(_sentence(message.getvalue(), words, prog)) from end
+            raise UserError(_sentence(message.getvalue(), prog)) from end
         print(_tidy(page.getvalue()))
         raise
 
@@ -186,17 +186,18 @@ def versions(prog: str) -> str:
 def bound(command: Callable) -> Callable:
     """Return `command` with the same signature and docstring, which returns the call instead of making it.
 
-    Numbers beyond the `Range` of their option are refused here, before any work.
+    Values beyond the limits of their option's type are refused here, before any work.
     """
 
     _joined(command)
 
     @functools.wraps(command)
     def later(*arguments: Any, **options: Any) -> Callable:
-        from inclined_landing.envs.shared.options import check_ranges
+        from inclined_landing.envs.shared.options import flag_of
+        from inclined_landing.models import schema
 
-        given = inspect.signature(command).bind(*arguments, **options).arguments
-        check_ranges(given, typing.get_type_hints(command, include_extras=True))
+        values = inspect.signature(command).bind(*arguments, **options).arguments
+        schema.check(values, schema.kinds_of(command), flag_of)
         return functools.partial(command, *arguments, **options)
 
     return later
@@ -324,33 +325,11 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _sentence(box: str, words: Sequence[str], prog: str) -> str:
-    """Return tyro's message as one sentence: without colours, title, frame and closing line."""
-    rows = [row.strip(" │") for row in re.sub("\x1b\\[[0-9;]*m", "", box).splitlines()[1:]]
-    ruled = itertools.groupby(rows, lambda row: not row.strip("─-╭╮╰╯"))
-    parts = [" ".join(" ".join(part).split()).rstrip(".") for rule, part in ruled if not rule]
-    wrong = [part.removeprefix("Argument helptext: ") for part in parts if not part.startswith("For full")]
-    option = re.match("Error parsing (--[a-z0-9-]+): ", wrong[0] if wrong else "")
-    if option is not None:  # of the types of options, numbers alone can be of another
-        said = " ".join(wrong)
-        whole = re.search(r"\bint\(\)|integer string", said) is not None
-        one = "a whole number" if whole else "a number" if "to float" in said else "numbers"
-        given = _not_a_number(option[1], words, int if whole else float)
-        wrong = [f"{option[1]} takes {one}, not {shown(repr(given), 40)}"]
-    return "; ".join([shown("; ".join(wrong), 200), f"{prog} --help says what is right"])
-
-
-def _not_a_number(option: str, words: Sequence[str], kind: type) -> str:
-    """Return the first value of an option that is no int or no float."""
-    given: list[str] = []
-    for k, word in enumerate(words):
-        name, sign, value = word.partition("=")
-        if name.replace("_", "-") == option:
-            rest = itertools.takewhile(lambda other: not other.startswith("--"), words[k + 1 :])
-            given += [value] if sign else rest
-    for value in given:
-        try:
-            kind(value)
-        except ValueError:
-            return value
-    return " ".join(given)
+def _sentence(box: str, prog: str) -> str:
+    """Return tyro's message, which it prints in a frame, as one sentence."""
+    rows = [row.strip("│| ") for row in box.splitlines()[1:]]
+    ruled = itertools.groupby(rows, lambda row: not row.strip("─-+╰╯"))
+    parts = [" ".join(" ".join(part).split()).rstrip(".") for is_rule, part in ruled if not is_rule]
+    ends = ("Got errors", "Argument helptext", "For full helptext")
+    wrong = itertools.takewhile(lambda part: not part.startswith(ends), parts)
+    return f"{shown('; '.join(wrong), 200)}; {prog} --help says what is right"

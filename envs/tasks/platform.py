@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.models.attitude import X, Y, Z
@@ -20,8 +22,8 @@ class LandingOptions(TaskOptions):
     inclination: float | None = option(
         None,
         "Of the platform in degrees, where it differs from the vehicle file's.",
-        limits=(-90, 90),
         degrees=True,
+        kind=Annotated[float, Meta(ge=-90, le=90)],
         more={"metavar": "DEG"},
         recorded=True,
     )
@@ -29,32 +31,28 @@ class LandingOptions(TaskOptions):
         None,
         "Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, "
         "to both sides; in three dimensions to all sides.",
-        limits=(0, 90),
-        open=True,
         degrees=True,
+        kind=Annotated[float, Meta(gt=0, lt=90)],
         more={"metavar": "DEG"},
         trained_with=True,
     )
-    dimensions: int = option(
+    dimensions: Literal[2, 3] = option(
         2,
         "3: fly in space, with roll, and not in a plane (default: 2, touchdown 3).",
-        limits=(2, 3),
         more={"metavar": "{2,3}"},
         trained_with=True,
     )
     azimuth: float = option(0.0)  # direction that the slope faces, from +x, rad
     random_yaw: bool = option(False, "With three dimensions: every episode begins with a heading of its own.")
-    fastest: float | None = option(
+    fastest: Annotated[float, Meta(ge=0, le=10)] | None = option(
         None,
         "With three dimensions: platforms that travel steadily, any way, at up to this speed (observed).",
-        limits=(0, 10),
         more={"metavar": "M/S"},
         trained_with=True,
     )
-    swell: float = option(
+    swell: Annotated[float, Meta(ge=0, le=2)] = option(
         0.0,
         "With --fastest: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
-        limits=(0, 2),
         trained_with=True,
     )
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
+from msgspec import Meta
 
-from inclined_landing.envs.shared.options import AtMost, Flag, NewFolder, Range, Seed  # noqa: F401
+from inclined_landing.envs.shared.options import Flag, NewFolder, Seed  # noqa: F401
 from inclined_landing.models.errors import UserError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Flat = Annotated[T, tyro.conf.OmitArgPrefixes]
-Pixels = Annotated[int, Range(16, 4096)]
+Pixels = Annotated[int, Meta(ge=16, le=4096)]
 PolicyFile = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
 PolicyName = Annotated[str, tyro.conf.arg(metavar="POLICY")]
 PlantName = Annotated[str, tyro.conf.arg(metavar="{mujoco,hybrid,analytic}")]
@@ -32,8 +33,8 @@ Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
-Drawn = Annotated[int, Range(0, 100), tyro.conf.arg(metavar="N")]
-COMPARED = AtMost(10)  # more side by side no table and no figure tells apart
+Drawn = Annotated[int, Meta(ge=0, le=100), tyro.conf.arg(metavar="N")]
+MOST_COMPARED = 10  # more side by side no table and no figure tells apart
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from msgspec import Meta
 
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Degrees, Range, Seed
+from inclined_landing.eval.base.options import Degrees, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.storage import check_file, made
 
@@ -18,7 +19,7 @@ DeckName = Annotated[str | None, tyro.conf.arg(metavar="{lighthouse,flow}")]
 
 def command(
     *,
-    port: Annotated[int, Range(0, 65535)] = 19850,
+    port: Annotated[int, Meta(ge=0, le=65535)] = 19850,
     poses: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")] = "127.0.0.1:19870",
     vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE")] = "nominal",
     start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
@@ -26,7 +27,7 @@ def command(
     deck: DeckName = None,
     app: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")] = (),
-    seconds: Annotated[float | None, Range(0.0, 1e6, open=True), tyro.conf.arg(metavar="S")] = None,
+    seconds: Annotated[Annotated[float, Meta(gt=0.0, lt=1e6)] | None, tyro.conf.arg(metavar="S")] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:

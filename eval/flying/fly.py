@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
+from msgspec import Meta
 
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import (
@@ -20,7 +21,6 @@ from inclined_landing.eval.base.options import (
     Flag,
     NewFolder,
     PolicyName,
-    Range,
     Starts,
     VehicleFile,
 )
@@ -49,14 +49,14 @@ def command(
     mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None,
     position: Annotated[str, tyro.conf.arg(metavar="{mocap,onboard}")] = "mocap",
     at: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None,
-    mocap_latency: Annotated[float | None, Range(0.0, 0.1), tyro.conf.arg(metavar="S")] = None,
+    mocap_latency: Annotated[Annotated[float, Meta(ge=0, le=0.1)] | None, tyro.conf.arg(metavar="S")] = None,
     setpoint: PolicyName = "setpoint",
     start: Starts = (),
-    flights: Annotated[int, Range(1, 1000)] = 1,
+    flights: Annotated[int, Meta(ge=1, le=1000)] = 1,
     inclination: Degrees = None,
     arena: VehicleFile = None,
-    stand: Annotated[float | None, Range(0.0, 2.0), tyro.conf.arg(metavar="M")] = None,
-    heading: Annotated[float | None, Range(-360.0, 360.0), tyro.conf.arg(metavar="DEG")] = None,
+    stand: Annotated[Annotated[float, Meta(ge=0.0, le=2.0)] | None, tyro.conf.arg(metavar="M")] = None,
+    heading: Annotated[Annotated[float, Meta(ge=-360, le=360)] | None, tyro.conf.arg(metavar="DEG")] = None,
     plan: VehicleFile = None,
     no_platform: Flag = False,
     dry_run: Flag = False,
@@ -64,7 +64,7 @@ def command(
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None,
     deck: DeckName = None,
     fault: Faults = (),
-    seed: Annotated[int | None, Range(0, 2**32 - 1), tyro.conf.arg(metavar="SEED")] = None,
+    seed: Annotated[Annotated[int, Meta(ge=0, le=2**32 - 1)] | None, tyro.conf.arg(metavar="SEED")] = None,
     out: NewFolder = None,
 ) -> int:
     """Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import Progress
 
@@ -25,7 +26,6 @@ from inclined_landing.eval.base.options import (
     Look,
     NewFolder,
     PolicyName,
-    Range,
     Seed,
     VehicleFile,
 )
@@ -54,9 +54,9 @@ class HandOver:
     """
 
     hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = ",".join(f"{value:g}" for value in HAND_OVER)
-    near: Annotated[float, Range(0.005, 0.5)] = TOLERANCE
-    slow: Annotated[float, Range(0.01, 3.0)] = HAND_OVER_SPEED
-    dwell: Annotated[float, Range(0.0, 5.0)] = HAND_OVER_TIME
+    near: Annotated[float, Meta(ge=0.005, le=0.5)] = TOLERANCE
+    slow: Annotated[float, Meta(ge=0.01, le=3.0)] = HAND_OVER_SPEED
+    dwell: Annotated[float, Meta(ge=0.0, le=5.0)] = HAND_OVER_TIME
     drift: Flag = False
 
 
@@ -66,7 +66,7 @@ def command(
     landing: PolicyName = "landing",
     touchdown: PolicyName = "touchdown",
     start: Starts = (),
-    missions: Annotated[int | None, Range(1, 2000)] = None,
+    missions: Annotated[int, Meta(ge=1, le=2000)] | None = None,
     seed: Seed = 0,
     hand_overs: Flat[HandOver] = HandOver(),
     inclination: Degrees = None,

@@ -11,12 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.mission import Mission
-from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Range, Seed, Starts
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Seed, Starts
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flights import (
     Until,
@@ -56,7 +57,7 @@ def command(
     seed: Seed = 0,
     look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
     gif: Flag = False,
-    slow: Annotated[float, Range(0.1, 20)] = 1.0,
+    slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
     forces: Flag = False,
     until: Until = "rest",
     beside: Beside = (),

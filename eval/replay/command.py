@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from msgspec import Meta
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Range, Seed, Starts
+from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Seed, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.command import parse_units
@@ -44,7 +45,7 @@ def command(
     start: Starts = (),
     drawn: Drawn = 0,
     seed: Seed = 0,
-    anew: Annotated[float, Range(0.05, 3600)] = HORIZON,
+    anew: Annotated[float, Meta(ge=0.05, le=3600)] = HORIZON,
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
     platform: Flag = False,

@@ -6,11 +6,13 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Annotated
 
+from msgspec import Meta
+
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Flag, Range
+from inclined_landing.eval.base.options import Flag
 from inclined_landing.eval.pictures.flights import fly_from, say_outcome, succeeded
 from inclined_landing.eval.pictures.to_rest import to_rest
 
@@ -29,7 +31,7 @@ class InWindow:
     """
 
     window: Flag = False
-    slow: Annotated[float, Range(0.1, 100)] = 1.0
+    slow: Annotated[float, Meta(ge=0.1, le=100)] = 1.0
     again: Flag = False
 
 

@@ -11,11 +11,12 @@ from typing import Annotated, Any
 
 import tyro
 from matplotlib.figure import Figure
+from msgspec import Meta
 
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Section, show_sections
-from inclined_landing.eval.base.options import COMPARED, AtMost, Flag, Flat, NewFolder, PlantName, Range, Seed
+from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, NewFolder, PlantName, Seed
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.moving import report as moving
@@ -53,7 +54,7 @@ Policies = Annotated[
         "controller of your own, module:NAME or file.py:NAME.",
         help_behavior_hint=f"(default, of moving alone: {' '.join(BASELINES)})",
     ),
-    AtMost(100),
+    Meta(max_length=100),
 ]
 Over = Annotated[tuple[str, ...], tyro.conf.arg(metavar="{thrust,effects,slopes,vehicles,moving} [...]")]
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
@@ -88,8 +89,8 @@ class Draws:
     """
 
     ranges: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = Path("vehicles")
-    draws: Annotated[int, Range(0, 4096)] = 256
-    starts: Annotated[int, Range(1, 64)] = 4
+    draws: Annotated[int, Meta(ge=0, le=4096)] = 256
+    starts: Annotated[int, Meta(ge=1, le=64)] = 4
     seed: Seed = 2_000_003
 
 
@@ -104,7 +105,7 @@ class Moving:
     """
 
     scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [...]")] = ()
-    flights: Annotated[int | None, Range(1, 100_000)] = None
+    flights: Annotated[int, Meta(ge=1, le=100_000)] | None = None
     film: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
 
 
@@ -130,7 +131,7 @@ def command(
     over: Over = ("thrust", "effects"),
     out: NewFolder = None,
     plant: PlantName = "hybrid",
-    every: Annotated[int, Range(1, 250)] = 1,
+    every: Annotated[int, Meta(ge=1, le=250)] = 1,
     vehicle: Annotated[tuple[str, ...], _VEHICLE] = (),
     thrust_and_effects: Flat[Changes] = Changes(),
     drawn_vehicles: Flat[Draws] = Draws(),
@@ -209,8 +210,8 @@ def _check(policies: tuple[str, ...], over: tuple[str, ...], plant: str, vehicle
             raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}; policies are named before it")
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
-    if len(labels := {policy.partition("=")[0] for policy in policies}) > COMPARED.count:
-        raise UserError(f"policies: at most {COMPARED.count} stand side by side, not {len(labels)}")
+    if len(labels := {policy.partition("=")[0] for policy in policies}) > MOST_COMPARED:
+        raise UserError(f"policies: at most {MOST_COMPARED} stand side by side, not {len(labels)}")
     if plant not in PLANTS:
         raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
     if len(vehicle) > 1 and over != ("vehicles",):

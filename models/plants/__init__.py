@@ -30,6 +30,8 @@ What happens at touching is seen by `recorder.Recorder`, at every step of the en
 
 from __future__ import annotations
 
+import inspect
+
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants.analytic import AnalyticPlant
 from inclined_landing.models.plants.base import Attitude, Contacts, Plant, Snapshot
@@ -53,9 +55,16 @@ PLANTS = {"mujoco": MujocoPlant, "hybrid": HybridPlant, "analytic": AnalyticPlan
 
 
 def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
-    """A plant by name: one of PLANTS."""
+    """Return a plant by name, one of PLANTS; raises UserError for options that it has not."""
     if not isinstance(kind, str) or kind not in PLANTS:
         raise UserError(f"unknown plant {shown(repr(kind), 40)}; known are {', '.join(PLANTS)}")
     if kind == "analytic" and options.pop("moving", False):
         raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
+    parameters = inspect.signature(PLANTS[kind]).parameters.values()
+    known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    for name in options:
+        if name not in known:
+            raise UserError(
+                f"the {kind} plant has no option {shown(repr(name), 40)}; it has {', '.join(known)}"
+            )
     return PLANTS[kind](n, vehicle, **options)

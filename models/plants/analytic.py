@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
-from inclined_landing.models import equations, forces, geometry
+from inclined_landing.models import equations, forces, geometry, schema
 from inclined_landing.models.disturbance import Seed
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
-from inclined_landing.models.scene import build_spec, compile_scene
+from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
 
@@ -30,15 +31,14 @@ class AnalyticPlant(Plant):
         vehicle: Vehicle | None = None,
         *,
         attitude: Attitude = "kinematic",
-        keep_out: float = 0.0,
-        control_period: float | None = None,
-        substeps: int = 1,
+        keep_out: Zone = 0.0,
+        control_period: Period | None = None,
+        substeps: Annotated[int, Meta(ge=1, le=1000)] = 1,
         disturbance: Seed | None = None,
         pool: Sequence[Vehicle] = (),
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
-        if substeps < 1:
-            raise UserError(f"substeps must be at least 1, not {substeps}")
+        schema.check({"substeps": substeps}, schema.kinds_of(AnalyticPlant.__init__))
         self.substeps = substeps
         others = self.pool if sizes_differ(self._vehicles) else ()
         models = (build_spec(v, visuals=False, pooled=0.0).compile() for v in others)

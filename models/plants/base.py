@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
 import numba
 import numpy as np
+from msgspec import Meta
 
-from inclined_landing.models import forces, geometry, perturbation
+from inclined_landing.models import forces, geometry, perturbation, schema
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
@@ -17,10 +18,11 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import as_vehicle, check_vehicle
-from inclined_landing.models.schema import is_finite
+from inclined_landing.models.scene import Period, Zone
 from inclined_landing.models.vehicle import Vehicle
 
 Attitude = Literal["rate_loop", "kinematic"]
+Count = Annotated[int, Meta(ge=1, lt=2**31)]  # of vehicles
 PLATFORM_SIZE = WZ + 1  # columns of a vehicle's state but for the lag
 # What all vehicles of a plant have in common: another slab is another scene, other commands another task.
 _SHARED = (
@@ -105,24 +107,16 @@ class Plant:
 
     def __init__(
         self,
-        n: int,
+        n: Count,
         vehicle: Vehicle | None,
         attitude: Attitude,
-        keep_out: float,
-        control_period: float | None,
+        keep_out: Zone,
+        control_period: Period | None,
         disturbance: Seed | None,
         pool: Sequence[Vehicle] = (),
     ):
-        if not isinstance(attitude, str) or attitude not in ("rate_loop", "kinematic"):
-            raise UserError(f"attitude must be 'rate_loop' or 'kinematic', not {shown(repr(attitude), 40)}")
-        if isinstance(n, bool) or not (isinstance(n, (int, np.integer)) and 0 < n < 2**31):
-            raise UserError(
-                f"a plant needs a whole number of vehicles, at least one, not {shown(repr(n), 40)}"
-            )
-        if not (is_finite(keep_out) and keep_out >= 0):
-            raise UserError(f"keep_out must not be negative, it is {shown(repr(keep_out), 40)}")
-        if control_period is not None and not (is_finite(control_period) and control_period > 0):
-            raise UserError(f"control_period must be positive, not {shown(repr(control_period), 40)}")
+        options = {"n": n, "attitude": attitude, "keep_out": keep_out, "control_period": control_period}
+        schema.check(options, schema.kinds_of(Plant.__init__))
         self.n = n
         self.shapes: geometry.Shapes
         self.fleet: geometry.Fleet

@@ -7,14 +7,15 @@ import math
 import os
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 import mujoco.batch
 import numba
 import numpy as np
+from msgspec import Meta
 
-from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation
+from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation, schema
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
@@ -28,14 +29,13 @@ from inclined_landing.models.attitude import (
     quaternion,
 )
 from inclined_landing.models.disturbance import Disturbance, Seed
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
 from inclined_landing.models.plants.engine import Engine
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plausible import ENGINE_STEP
-from inclined_landing.models.scene import build_spec, compile_scene
-from inclined_landing.models.schema import is_finite
+from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
 # The engine's warnings on which it silently resets a simulation.
@@ -67,11 +67,11 @@ class MujocoPlant(Plant):
         vehicle: Vehicle | None = None,
         *,
         attitude: Attitude = "rate_loop",
-        keep_out: float = 0.0,
-        control_period: float | None = None,
+        keep_out: Zone = 0.0,
+        control_period: Period | None = None,
         integrator: str = "RK4",
-        timestep: float = ENGINE_STEP,
-        threads: int = 0,
+        timestep: Period = ENGINE_STEP,
+        threads: Annotated[int, Meta(ge=0, le=1024)] = 0,
         torque_limit: bool = True,
         torque_needs_motors: bool = False,
         disturbance: Seed | None = None,
@@ -79,8 +79,9 @@ class MujocoPlant(Plant):
         moving: bool = False,
     ):
         super().__init__(n, vehicle, attitude, keep_out, control_period, disturbance, pool)
-        if not (is_finite(timestep) and timestep > 0):
-            raise UserError(f"timestep must be positive, not {shown(repr(timestep), 40)}")
+        checked = {"timestep": timestep, "threads": threads, "moving": moving}
+        checked |= {"torque_limit": torque_limit, "torque_needs_motors": torque_needs_motors}
+        schema.check(checked, schema.kinds_of(MujocoPlant.__init__))
         self.substeps = round(self.control_period / timestep)
         if self.substeps < 1 or abs(self.substeps * timestep - self.control_period) > 1e-12:
             raise UserError(

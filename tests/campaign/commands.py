@@ -8,7 +8,8 @@ import typing
 from importlib import resources
 from pathlib import Path
 
-from inclined_landing.envs.shared.options import Range
+from msgspec import Meta
+
 from inclined_landing.eval import cli
 from inclined_landing.train import cli as train
 from inclined_landing.train.config import TrainConfig
@@ -76,6 +77,15 @@ NAMES = (
 
 
 @dataclasses.dataclass(frozen=True)
+class Range:
+    """What a number may be."""
+
+    low: float
+    high: float
+    open: bool
+
+
+@dataclasses.dataclass(frozen=True)
 class Option:
     """An option as a command's signature has it."""
 
@@ -121,7 +131,17 @@ def _dashed(key: str) -> str:
 def _option(hint) -> Option:
     about = getattr(hint, "__metadata__", ())
     kind = typing.get_args(hint)[0] if about else hint
-    return Option(kind, next((one for one in about if isinstance(one, Range)), None))
+    return Option(kind, _range(hint))
+
+
+def _range(hint) -> Range | None:
+    for one in (*getattr(hint, "__metadata__", ()), *map(_range, typing.get_args(hint))):
+        if isinstance(one, Range):
+            return one
+        if isinstance(one, Meta) and (one.ge is not None or one.gt is not None):
+            ends = (one.gt, one.lt) if one.ge is None else (one.ge, one.le)
+            return Range(*ends, one.ge is None)
+    return None
 
 
 def place(folder: Path) -> Path:

@@ -93,7 +93,7 @@ def number(where: tuple[str, str], value: str) -> Case:
     """A numeric option with what no number, or no possible one, is spelt like: it is named."""
     name, option = where
     reach = known(name)[option].range
-    if value == "-1" and (option == "inclination" or (reach and -1 in reach)):
+    if value == "-1" and (option == "inclination" or (reach and reach.low <= -1)):
         value = "nan"
     # What is a number, the command itself may refuse, and name it in other words.
     named = option.split("-")[-1] if value in ("-1", "1e300") else f"--{option}"
@@ -106,7 +106,7 @@ def bound(where: tuple[str, str], upper: bool) -> Case:
     reach = known(name)[option].range
     value = (reach.high if upper else reach.low) + (0 if reach.open else 1 if upper else -1)
     # What landing-train has for other tasks and algorithms is refused as such first.
-    sentence = f"--{option}" if name == "train" else f"--{option} must lie {reach}, not "
+    sentence = f"--{option}"
     return refused(f"{name} {option} beyond {value}", name, [f"--{option}={value:.15g}"], sentence)
 
 

@@ -173,13 +173,13 @@ WRONG_OPTIONS = [
     (
         InclinedLandingEnv,
         {"plant_options": {"timestep": "4 ms"}},
-        "timestep of the mujoco plant must be a number",
+        "timestep must be a number",
     ),
-    (InclinedLandingEnv, {"plant_options": {"threads": -1}}, "threads of the mujoco plant must be from 0"),
+    (InclinedLandingEnv, {"plant_options": {"threads": -1}}, "threads must be a whole number from 0"),
     (
         InclinedLandingEnv,
         {"plant_options": {"timestep": float("nan")}},
-        "timestep of the mujoco plant must be",
+        "timestep must be",
     ),
     (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
     (InclinedLandingEnv, {"plant": ["mujoco"]}, "unknown plant"),

@@ -1,16 +1,20 @@
 """Typed structs of data that people write: what fits comes back, all else is one sentence that names it."""
 
 import copy
+import dataclasses
 import math
+import re
+from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, field
 
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.schema import Real, Table, expected, parse
+from inclined_landing.models.schema import Real, Table, check, expected, parse
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -104,3 +108,41 @@ def test_what_a_number_may_be_is_said_in_words():
     assert expected(Real) == "a number" and expected(bool | None) == "true or false"
     assert expected(Annotated[float, Meta(gt=0, le=1e300)]) == "a number above 0"
     assert expected(Annotated[float, Meta(ge=0.5, le=1e300)]) == "a number of at least 0.5"
+
+
+@dataclasses.dataclass
+class Group:
+    near: Annotated[Share | None, "a note"] = None
+    out: Path | None = None
+
+
+@dataclasses.dataclass
+class Options:
+    seed: Annotated[int, Meta(ge=0, lt=9)] = 0
+    rates: Annotated[tuple[Share, ...], Meta(max_length=2)] = ()
+    centre: float | Literal["hover"] | None = None
+    group: Group = dataclasses.field(default_factory=Group)
+
+
+@pytest.mark.parametrize("options", [
+    Options(),
+    Options(np.int64(3), (np.float32(0.5), 1), "hover", Group(0.25, "a file")),
+    Options(centre=3),
+])  # fmt: skip
+def test_options_that_fit_their_types_are_let_pass(options):
+    check(options)
+
+
+@pytest.mark.parametrize(("options", "sentence"), [
+    (Options(seed=9), "seed must be a whole number of at least 0 and below 9, not 9"),
+    (Options(seed=True), "seed must be a whole number of at least 0 and below 9, not True"),
+    (Options(rates=(0.5, 2.0)), "rates[1] must be a number from 0 to 1, not 2.0"),
+    (Options(rates=(0, 0, 0)), "rates must be a list of at most 2 entries, each a number from 0 to 1"),
+    (Options(centre="own"), "centre must be a number or 'hover', not 'own'"),
+    (Options(centre=math.inf), "centre takes finite numbers, not inf"),
+    (Options(group=Group(near=2.0)), "near must be a number from 0 to 1, not 2.0"),
+    (Options(group=Group(out=3)), "out must be a path, not 3"),
+])  # fmt: skip
+def test_options_that_do_not_fit_are_one_sentence(options, sentence):
+    with pytest.raises(UserError, match=re.escape(sentence)):
+        check(options)

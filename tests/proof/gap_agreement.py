@@ -12,11 +12,12 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import track
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.models import storage
@@ -49,7 +50,7 @@ MIXED = {
 def command(
     out: Folder,
     family: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
-    cases: Annotated[int, Range(1, 1000)] = 6,
+    cases: Annotated[int, Meta(ge=1, le=1000)] = 6,
     seed: Seed = 0,
 ) -> None:
     """Flights of another vehicle or day among the others: are they found, and only they (minutes).

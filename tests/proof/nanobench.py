@@ -15,11 +15,12 @@ from typing import Annotated
 
 import numba
 import numpy as np
+from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import new_table, say, show_table
-from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, Range, VehicleFile
+from inclined_landing.eval.base.options import Flag, LogFiles, NewFolder, VehicleFile
 from inclined_landing.eval.gap.flights.windows import prepare_all, remove_tilt
 from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import read_log
@@ -76,7 +77,7 @@ def command(
     /,
     vehicle: VehicleFile = None,
     motors: VehicleFile = None,
-    every: Annotated[float, Range(0.01, 10.0)] = 0.1,
+    every: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.1,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:

@@ -14,11 +14,12 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.base.tracking import thrust_and_angles
 from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design
@@ -54,9 +55,9 @@ _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
 def command(
     out: Folder,
     family: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
-    cases: Annotated[int, Range(1, 1000)] = 16,
+    cases: Annotated[int, Meta(ge=1, le=1000)] = 16,
     seed: Seed = 0,
-    processes: Annotated[int, Range(1, 256)] = 2,
+    processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
     """Flights until the right name stands alone, planned or not (minutes).
 

@@ -199,11 +199,11 @@ def test_the_result_is_recorded_and_comments_stay(place):
     [
         ({}, ["--on", "moon"], "--on must be local or ray"),
         ({}, ["--address", "here:1"], "--address belongs to --on ray"),
-        ({}, ["--jobs", "-1"], "--jobs must lie from 0"),
+        ({}, ["--jobs", "-1"], "--jobs must be a whole number from 0"),
         ({}, ["--out", "pretended.py"], "is not a folder"),
         ({}, ["--out", "."], "exists and is not empty"),
         ({"train": ["landing", "--step", "3"]}, [], "--step"),
-        ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must lie above 0 and below 1"),
+        ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must be a number above 0 and below 1"),
         ({"train": ["--help"]}, [], "--help does no work"),
         ({"train": ["--tyro-write-completion", "bash", "x"]}, [], "--tyro-write-completion is no option"),
         ({"evaluate": [["moving", "--tyro_write-completion", "bash", "x"]]}, [], "is no option"),

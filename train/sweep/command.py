@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from inclined_landing.envs.shared import cluster, measured
 from inclined_landing.envs.shared import runs as run_folders
-from inclined_landing.envs.shared.options import Flag, NewFolder, Range
+from inclined_landing.envs.shared.options import Flag, NewFolder
 from inclined_landing.envs.shared.recipe import Recipe, read_recipe
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import storage
@@ -49,7 +50,7 @@ def command(
     /,
     *,
     out: NewFolder = None,
-    jobs: Annotated[int, Range(0, 1024)] = 0,
+    jobs: Annotated[int, Meta(ge=0, le=1024)] = 0,
     on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     record: Flag = False,

@@ -8,12 +8,13 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Folder, Range, Seed, VehicleFile
+from inclined_landing.eval.base.options import Folder, Seed, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
@@ -26,7 +27,7 @@ def command(
     report: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REPORT")],
     /,
     out: Folder,
-    seconds: Annotated[float, Range(8.0, 120.0)] = SECONDS,
+    seconds: Annotated[float, Meta(ge=8.0, le=120.0)] = SECONDS,
     vehicle: VehicleFile = None,
     seed: Seed = 0,
 ) -> None:

@@ -224,7 +224,7 @@ def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("arguments, sentence", [
-    (["--seed", "-1"], "--seed must lie from 0"),
+    (["--seed", "-1"], "--seed must be a whole number from 0"),
     (["--policy", "nowhere.zip"], "policy nowhere.zip does not exist"),
     (["--policy", "setpoint"], "was trained for the task setpoint, not for landing"),
 ])  # fmt: skip

@@ -6,11 +6,12 @@ import logging
 from typing import Annotated
 
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs, tables
-from inclined_landing.eval.base.options import Flag, NewFolder, Range, Seed
+from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.models import storage
 
 _COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -20,7 +21,7 @@ Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 def command(
     policies: Names = ("landing-nominal", "landing"),
     vehicles: Names = ("nominal", "hidden"),
-    flights: Annotated[int, Range(1, 1000)] = 10,
+    flights: Annotated[int, Meta(ge=1, le=1000)] = 10,
     faults: Flag = False,
     seed: Seed = 0,
     out: NewFolder = None,

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from msgspec import Meta
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base import style
-from inclined_landing.eval.base.options import Folder, Range, Seed
+from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
@@ -41,11 +42,11 @@ def command(
     out: Folder,
     set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,curve}")] = "dev",
     seed: Seed = 0,
-    cases: Annotated[int | None, Range(len(STRATA), 10**6)] = None,
+    cases: Annotated[int, Meta(ge=len(STRATA), le=10**6)] | None = None,
     method: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{workflow,tuning,sparse} [...]")] = (
         "workflow",
     ),
-    processes: Annotated[int, Range(1, 256)] = 2,
+    processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
     """Hidden causes in flights of independent simulators: what gap names (minutes).
 
