@@ -63,7 +63,6 @@ COMMANDS = {
         "flying",
         "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",
     ),
-    "upload": ("flying", "Send a policy to the app of a C export on a Crazyflie, in place of the one there."),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
     "benchmark": ("machine", "What a step, an action and a training cost here (under a minute)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
@@ -74,7 +73,7 @@ GROUPS = {
     "Pictures": ("figure", "video", "replay", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
-    "A real vehicle": ("fly", "upload", "crazyflie"),
+    "A real vehicle": ("fly", "crazyflie"),
 }
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.export import policy_file
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
 from inclined_landing.models import storage
@@ -19,19 +18,12 @@ from inclined_landing.models.errors import UserError, shown
 
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
 SMALL = 100_000  # bytes that are no burden beside the firmware
-SOURCES = ("landing_policy", "landing_policy_file")
-CHUNK = (
-    24  # bytes of a policy file in one packet of the radio: 30 less command, id and number, a multiple of 4
-)
-_STEP = 1024  # bytes: the firmware takes files up to the next multiple of the size of its own policy's
-_MEMORY = 40_000  # bytes that the firmware leaves for files: 42 KB without this app, as in docs/export.md
-_LAYERS = 4  # that firmware has room for, also where its own policy has fewer
 _PER_LINE = 6
 _ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what the firmware's estimator knows
 _APP_STACK = 350  # words that the firmware's own examples give an app, beside the policy's arrays
 
 
-def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
+def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
     """Write the C source into `folder`, and the app where the firmware can observe what the policy does.
 
     Raises UserError when the constants would not fit beside the firmware.
@@ -41,14 +33,11 @@ def write(folder: Path, task: Task, network: Network, contract: dict, vectors: V
             f"policy {contract['policy']['name']} has {4 * network.numbers} bytes of constants; the C export "
             f"takes at most {LARGEST}, half of the flash of a Crazyflie"
         )
-    file = policy_file.encode(contract, task.vehicle, network, vectors)
-    content = _template_values(contract, network, vectors) | _file_values(file, contract, task)
+    content = _template_values(contract, network, vectors)
     source = folder / "src"
     source.mkdir()
-    for name in SOURCES:
-        for kind in "hc":
-            storage.write_text(source / f"{name}.{kind}", render(f"c/{name}.{kind}.j2", **content))
-    (folder / policy_file.NAME).write_bytes(file)
+    for name in ("landing_policy.h", "landing_policy.c"):
+        storage.write_text(source / name, render(f"c/{name}.j2", **content))
     storage.write_text(folder / "check.c", render("c/check.c.j2", **content))
     reason = reason_without_app(contract)
     if reason is None:
@@ -71,7 +60,7 @@ def reason_without_app(contract: dict) -> str | None:
     return None
 
 
-def _template_values(contract: dict, network: Network, vectors: Vectors) -> dict:
+def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -> dict:
     history, o = contract["input"]["history"]["steps"], len(contract["observation"])
     widest = max(network.inputs, *network.sizes)
     stack = 4 * (2 * widest + (network.inputs + network.sizes[-1]) * (history > 0))
@@ -101,13 +90,10 @@ def _template_values(contract: dict, network: Network, vectors: Vectors) -> dict
         "commands": list(zip(COMMAND_NAMES, COMMAND_UNITS)),
         "given": [entry["column"] for entry in contract["action"]],
         "widest": widest,
-        "most_layers": max(_LAYERS, len(network.sizes)),
         "blocks": _blocks(network),
         "sizes": network.sizes,
-        "centres": [number(entry["centre"]) for entry in contract["action"]],
-        "spans": [number(entry["span"]) for entry in contract["action"]],
-        "limit": number(policy_file.none_as_zero(network.limit)),
-        "bound": number(policy_file.none_as_zero(network.bound)),
+        "limit": number(0.0 if math.isinf(network.limit) else network.limit),
+        "bound": number(0.0 if math.isinf(network.bound) else network.bound),
         "activation": network.activation,
         "squashed": network.squashed,
         "channels": [_channel(entry) for entry in contract["action"]],
@@ -121,41 +107,8 @@ def _template_values(contract: dict, network: Network, vectors: Vectors) -> dict
     }
 
 
-def _file_values(file: bytes, contract: dict, task: Task) -> dict:
-    """Return the template values of landing_policy_file."""
-    largest = -(-len(file) // _STEP) * _STEP
-    hexadecimal = lambda values: [f"0x{value:02x}" for value in values]  # noqa: E731
-    return {
-        "file_largest": largest,
-        "file_copies": 2 if 2 * largest <= _MEMORY else 1,
-        "chunk": CHUNK,
-        "answers": list(policy_file.WORDS.items()),
-        "header": policy_file.HEADER,
-        "version": policy_file.VERSION,
-        "magic": ", ".join(hexadecimal(policy_file.MAGIC)),
-        "compiled_hash": ",\n    ".join(
-            ", ".join(hexadecimal(file[-k : len(file) - k + 16])) for k in (policy_file.HASH, 16)
-        ),
-        "contract_lines": policy_file.c_strings(policy_file.contract_text(contract, task.vehicle)),
-        "sha_constants": _joined([f"0x{value:08x}" for value in _sha_constants()]),
-    }
-
-
-def _sha_constants() -> list[int]:
-    """Return the first 32 bits of the fractions of the cube roots of the first 64 primes."""
-    primes = [n for n in range(2, 312) if all(n % d for d in range(2, math.isqrt(n) + 1))]
-    values = []
-    for prime in primes:
-        low, high = 0, prime << 32  # floor of the cube root of prime 2**96, by bisection in integers
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if middle**3 <= prime << 96 else (low, middle)
-        values.append(low & 0xFFFFFFFF)
-    return values
-
-
-def _blocks(network: Network) -> list[tuple[str, str]]:
-    """Return the constants in the order of a policy file, in blocks with a comment."""
+def _blocks(network: ExportNetwork) -> list[tuple[str, str]]:
+    """Return the constants in their order in the C source, in blocks with a comment."""
     blocks = [("centres of the inputs", network.centre), ("scales of the inputs", network.scale)]
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases), start=1):
         inputs, outputs = weight.shape
@@ -165,7 +118,7 @@ def _blocks(network: Network) -> list[tuple[str, str]]:
 
 
 def _channel(entry: dict) -> dict:
-    names = ("low", "high", "idle")
+    names = ("centre", "span", "low", "high", "idle")
     numbers = {name: None if entry[name] is None else number(entry[name]) for name in names}
     return {"field": COMMAND_NAMES[entry["column"]], **numbers}
 
@@ -191,10 +144,7 @@ def number(value: float) -> str:
 
 def _format_numbers(values: Iterable[float]) -> str:
     """Return numbers as C literals, a few to a line."""
-    return _joined([number(value) for value in values])
-
-
-def _joined(texts: Sequence[str]) -> str:
+    texts = [number(value) for value in values]
     lines = (", ".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE))
     return "    " + ",\n    ".join(lines)
 

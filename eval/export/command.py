@@ -15,7 +15,7 @@ from inclined_landing.envs.tasks import import_task, is_path
 from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.export import c_source, contract, vectors
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
@@ -66,7 +66,7 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     """
     check_format(format)
     policy = policy.with_fixed_vehicle()
-    network = Network.from_policy(policy)
+    network = ExportNetwork.from_policy(policy)
     terms = contract.describe(policy, network)
     tested = vectors.record(policy)
     with staged_run(out) as folder:

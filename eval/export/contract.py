@@ -1,7 +1,7 @@
 """The contract of an export: what each number that goes in or out is, and where the policy comes from.
 
 `contract.json` is made from the task, the policy and its metadata; `contract.schema.json` says its form, and
-`words` is the same for people.
+`to_markdown` writes the same for people.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import COLUMNS
-from inclined_landing.eval.export import cost
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE
 from inclined_landing.models import storage
@@ -69,7 +68,7 @@ def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> 
     return load_policy(name, task, vehicle=_trained_vehicle(policy))
 
 
-def describe(policy: Policy, network: Network) -> dict:
+def describe(policy: Policy, network: ExportNetwork) -> dict:
     """Return the contract of a policy. Raises UserError where its task has its own mapping of actions."""
     task, space = policy.task, action_space(policy.task)
     _check_channels(policy)
@@ -118,7 +117,7 @@ def describe(policy: Policy, network: Network) -> dict:
                 "onnx": "every action of that row is NaN",
             },
         },
-        "cost": cost.estimate(network),
+        "cost": network.cost(),
         "versions": runs.packages(),
         "licence": {
             "spdx": importlib.metadata.metadata("inclined-landing")["License-Expression"],

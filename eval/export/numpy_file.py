@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 
 READER = "landing_policy.py"
 
 
-def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
+def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
     """Write policy.npz and landing_policy.py into `folder`."""
     rows = [(c.column, c.centre, c.span, c.low, c.high, -math.inf if c.idle is None else c.idle)
             for c in task.channels]  # fmt: skip

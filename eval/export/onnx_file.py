@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.envs.tasks import Task
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
 from inclined_landing.models.errors import optional
@@ -24,7 +24,7 @@ OPSET = 17
 _IR_VERSION = 8  # of the same age
 
 
-def write(folder: Path, task: Task, network: Network, contract: dict, vectors: Vectors) -> None:
+def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
     """Write policy.onnx into `folder`, with its contract as metadata."""
     nodes: list = []
     constants: list = []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import jinja2
 
 from inclined_landing.eval.base.markdown import escaped
@@ -12,7 +10,7 @@ from inclined_landing.eval.base.markdown import escaped
 def render(template: str, **content) -> str:
     """Return a template of this package filled in, as plain text; in Markdown values are escaped."""
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(text),
+        loader=jinja2.PackageLoader("inclined_landing.eval.export", ""),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -20,8 +18,3 @@ def render(template: str, **content) -> str:
         finalize=escaped if template.endswith(".md.j2") else None,
     )
     return environment.get_template(template).render(content)
-
-
-def text(name: str) -> str:
-    """Return a text file of this package."""
-    return resources.files("inclined_landing.eval.export").joinpath(*name.split("/")).read_text("utf-8")

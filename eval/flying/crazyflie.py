@@ -25,7 +25,6 @@ def command(
     start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
     inclination: Degrees = None,
     deck: DeckName = None,
-    app: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")] = (),
     seconds: Annotated[Annotated[float, Meta(gt=0.0, lt=1e6)] | None, tyro.conf.arg(metavar="S")] = None,
     seed: Seed = 0,
@@ -43,7 +42,6 @@ def command(
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
         deck: positioning deck on the vehicle: lighthouse or flow.
-        app: C export (a folder) whose app takes policies from landing-eval upload; needs a C compiler.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
         seed: of noise, delays and dropouts.
@@ -52,7 +50,6 @@ def command(
     from inclined_landing.eval.flying.pose_stream import resolved
     from inclined_landing.eval.flying.simulated.deck import check_deck
     from inclined_landing.eval.flying.simulated.faults import Fault
-    from inclined_landing.eval.flying.simulated.onboard import OnboardApp
     from inclined_landing.eval.flying.simulated.server import SimulatorServer
     from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting, World
@@ -61,8 +58,7 @@ def command(
     angle = None if inclination is None else math.radians(inclination)
     if deck is not None:
         check_deck(deck)
-    onboard = None if app is None else OnboardApp(app)
-    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle, deck=deck, app=onboard)
+    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle, deck=deck)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
             raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")

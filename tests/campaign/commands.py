@@ -47,7 +47,6 @@ NEEDED = {
     "effects": (),
     "gap-example": ("--out", "{place}/out"),
     "crazyflie": ("--port=0", "--seconds=0.1"),
-    "upload": ("landing", "--uri=udp://127.0.0.1:1"),
     "fly": ("--simulated", "--out", "{place}/out"),
     "benchmark": (),
     "doctor": (),

@@ -103,8 +103,7 @@ def test_the_last_line_says_what_came_out(line, outcome, tmp_path, monkeypatch, 
 
 
 def test_every_command_has_its_line():
-    """But for upload, whose vehicle is another process; `flying/test_upload.py` has it."""
-    assert {line.split()[0] for line in QUICK | LONG} == set(cli.COMMANDS) - {"upload"} | {"train"}
+    assert {line.split()[0] for line in QUICK | LONG} == set(cli.COMMANDS) | {"train"}
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])

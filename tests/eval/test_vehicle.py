@@ -17,7 +17,6 @@ HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
 NO_VEHICLE = {
     "demo",
     "export",
-    "upload",
     "curves",
     "logs",
     "effects",

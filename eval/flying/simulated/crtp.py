@@ -93,16 +93,10 @@ class Services:
     """The CRTP services of one `Firmware`: answers to packets, and log blocks.
 
     values: the present values of LOGGED by name, at a time [s]; read when a block is due.
-    app: the reply of an app to a packet of its channel and to whether the vehicle flies; empty for none.
     """
 
-    def __init__(
-        self,
-        firmware: Firmware,
-        values: Callable[[float], Mapping[str, float]],
-        app: Callable[[bytes, bool], bytes] = lambda packet, flying: b"",
-    ):
-        self.firmware, self.app = firmware, app
+    def __init__(self, firmware: Firmware, values: Callable[[float], Mapping[str, float]]):
+        self.firmware = firmware
         self._values = values
         self._blocks: dict[int, _Block] = {}
         self._answers = {
@@ -164,10 +158,6 @@ class Services:
             yield 1, b"Bitcraze Crazyflie".ljust(LARGEST, b"\0")
 
     def _platform(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 2:
-            if reply := self.app(data, self.firmware.is_flying):
-                yield 2, reply
-            return
         command = data[0]
         if channel == 0 and command == 1:
             granted = self.firmware.request_arming(bool(data[1]))

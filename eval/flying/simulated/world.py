@@ -24,7 +24,6 @@ from inclined_landing.eval.flying.simulated.deck import FLOW, LIGHTHOUSE, Deck
 from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
 from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
-from inclined_landing.eval.flying.simulated.onboard import OnboardApp
 from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQuality
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
@@ -57,7 +56,6 @@ class Setting:
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
-    app: OnboardApp | None = None  # that takes policies by radio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,8 +200,7 @@ class World:
         self.firmware = Firmware(self._print)
         self.firmware.parameters.deck_bcLighthouse4 = int(self.setting.deck == LIGHTHOUSE)
         self.firmware.parameters.deck_bcFlow2 = int(self.setting.deck == FLOW)
-        app = () if self.setting.app is None else (self.setting.app.start(),)
-        self.services = Services(self.firmware, lambda time: self.sensors.values(time), *app)
+        self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:
         self.on_message(f"console: {line}")

@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 import shutil
-import struct
 import subprocess
 import sys
 from importlib import resources
@@ -30,23 +29,19 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.base.markdown import LONGEST, escaped
 from inclined_landing.eval.export import (
     c_source,
-    compiled,
     contract,
     numpy_file,
     onnx_file,
-    policy_file,
     vectors,
 )
 from inclined_landing.eval.export.command import FORMATS, write
-from inclined_landing.eval.export.network import Network
-from inclined_landing.eval.export.policy_file import HASH, Answer
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
-from tests.policies import about_another_hover
+from tests.eval.export import compiled
 
-C_SOURCES = ("landing_policy.c", "landing_policy_file.c")
 POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown-nominal")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
 TOLERANCE = 1e-5
@@ -60,7 +55,7 @@ def exported(tmp_path_factory):
     folders = {}
     for name in POLICIES:
         policy = contract.load(name)
-        network, tested = Network.from_policy(policy), vectors.record(policy)
+        network, tested = ExportNetwork.from_policy(policy), vectors.record(policy)
         terms = contract.describe(policy, network)
         for format, make in FORMATS.items():
             folder = root / f"{name}-{format}"
@@ -249,67 +244,30 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wal
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
 @pytest.mark.parametrize("name", ["landing-nominal", "landing", "touchdown-nominal"])
 def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_answers_as_the_policy(exported, tmp_path, name):
-    """What is compiled in passes its self test; a file is loaded, damaged ones after it are refused."""
     source, here = exported[name, "c"] / "src", Path(__file__).with_name("firmware")
     words = ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", str(source / "landing_policy.c")]
     subprocess.run([*words, "-std=c99", "-pedantic", "-c", "-o", tmp_path / "policy.o"], check=True)
     said = subprocess.run(["arm-none-eabi-size", tmp_path / "policy.o"], capture_output=True, text=True)
     text, data, bss, *_ = map(int, said.stdout.splitlines()[1].split()[:3])
     assert text < c_source.SMALL and (data, bss) == (0, 0)
-    subprocess.run(
-        ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", "-std=c99", "-pedantic", "-Wconversion", "-Wshadow",
-         "-c", source / "landing_policy_file.c", "-o", tmp_path / "file.o"], check=True)  # fmt: skip
-    said = subprocess.run(["arm-none-eabi-size", tmp_path / "file.o"], capture_output=True, text=True)
-    text, data, bss, *_ = map(int, said.stdout.splitlines()[1].split()[:3])
-    largest, copies = (
-        int(re.search(rf"#define LANDING_POLICY_FILE_{what} (\d+)", header)[1])
-        for header in [(source / "landing_policy_file.h").read_text()]
-        for what in ("LARGEST", "COPIES")
-    )
-    # Beside the files networks and what is known of an upload.
-    assert text < 5000 and data + bss < copies * largest + 400 < 41_000
     if shutil.which("qemu-system-arm") is None:
         pytest.skip("no emulator of a Cortex-M4")
-    other = contract.load(about_another_hover(name, tmp_path))
-    file = policy_bytes(other)
-    files = (file, file[:-1] + bytes([file[-1] ^ 1]), file[:5000], b"not a policy", file + bytes(largest))
-    inputs = vectors.record(other).inputs[:20]
-    (tmp_path / "files.h").write_text(c_files(files, inputs))
+    policy = contract.load(name)
+    inputs = vectors.record(policy).inputs[:20]
+    rows = ", ".join("{" + ", ".join(map(c_source.number, row)) + "}" for row in inputs)
+    (tmp_path / "inputs.h").write_text(f"static const float INPUTS[][LANDING_POLICY_INPUTS] = {{{rows}}};\n")
     bare = ("--specs=rdimon.specs", "-nostartfiles", "-T", here / "cortex_m4.txt", "-Wl,--no-warnings")
-    sources = [source / "landing_policy_file.c", here / "cortex_m4.c", f"-I{tmp_path}"]
-    subprocess.run([*words, *sources, *bare, "-o", tmp_path / "image"], check=True)
+    subprocess.run(
+        [*words, here / "cortex_m4.c", f"-I{tmp_path}", *bare, "-o", tmp_path / "image"], check=True
+    )
     machine = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting-config", "enable=on"]
     machine += ["-kernel", tmp_path / "image"]
     done = subprocess.run(machine, capture_output=True, text=True, timeout=60)
     told = [line.split() for line in done.stdout.splitlines()]
-    answers = [int(words[1]) for words in told if words[0] == "file"]
-    wanted = (Answer.OK, Answer.CORRUPT, Answer.LENGTH, Answer.NO_POLICY, Answer.TOO_LARGE)
-    assert (told[0], answers) == (["self", "test", "0"], [*wanted]), done.stderr
+    assert told[0] == ["self", "test", "0"], done.stderr
     bits = np.array([int(words[1], 16) for words in told if words[0] == "action"], np.uint32)
     actions = bits.view(np.float32).reshape(len(inputs), -1)
-    np.testing.assert_allclose(actions, other.predict(inputs), rtol=0.0, atol=TOLERANCE)
-
-
-def policy_bytes(policy):
-    network = Network.from_policy(policy)
-    terms = contract.describe(policy, network)
-    return policy_file.encode(terms, policy.task.vehicle, network, vectors.record(policy))
-
-
-def c_files(files, inputs):
-    """Files and inputs (n, i) as C arrays."""
-    arrays = [
-        f"static const uint8_t FILE_{k}[] = {{{', '.join(map(str, file))}}};" for k, file in enumerate(files)
-    ]
-    names = ", ".join(f"{{FILE_{k}, sizeof FILE_{k}}}" for k in range(len(files)))
-    rows = ", ".join("{" + ", ".join(map(c_source.number, row)) + "}" for row in inputs)
-    return "\n".join(
-        [
-            *arrays,
-            f"static const struct {{ const uint8_t *bytes; size_t size; }} FILES[] = {{{names}}};",
-            f"static const float INPUTS[][LANDING_POLICY_INPUTS] = {{{rows}}};\n",
-        ]
-    )
+    np.testing.assert_allclose(actions, policy.predict(inputs), rtol=0.0, atol=TOLERANCE)
 
 
 @NO_COMPILER
@@ -438,7 +396,7 @@ def test_markdown_shows_a_value_letter_by_letter(value):
 
 def test_the_contract_is_the_task_the_metadata_and_the_vehicle():
     policy = contract.load("landing")
-    terms, task = contract.describe(policy, Network.from_policy(policy)), policy.task
+    terms, task = contract.describe(policy, ExportNetwork.from_policy(policy)), policy.task
     assert terms["control_period"] == load_vehicle().command_control_period
     assert terms["task"]["goal"]["z"] == task.goal[1]
     inside = np.zeros((2, 13))
@@ -505,7 +463,10 @@ def policies(draw, hidden=(2, 2)):
 
 
 def any_network_is_exported(policy, tmp_path):
-    network, terms = Network.from_policy(policy), contract.describe(policy, Network.from_policy(policy))
+    network, terms = (
+        ExportNetwork.from_policy(policy),
+        contract.describe(policy, ExportNetwork.from_policy(policy)),
+    )
     rng = np.random.default_rng(1)
     o, a = len(policy.task.observation_names), len(policy.task.action_names)
     tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
@@ -547,7 +508,7 @@ def test_tanh_of_the_c_code_is_tanh(tmp_path):
     weights, biases = (split, both, split.T.copy()), (np.zeros(2), np.zeros(2), np.zeros(1))
     ends = np.zeros(1), np.ones(1), np.inf
     policy = Policy(AnyTask(1, 1, 0), {}, Path(__file__), *ends, weights, biases, "ReLU", True)
-    network = Network.from_policy(policy)
+    network = ExportNetwork.from_policy(policy)
     tested = vectors.sequence(policy, np.zeros((3, 13)), np.array([[-1.0], [0.0], [2.0]]))
     c_source.write(tmp_path, policy.task, network, contract.describe(policy, network), tested)
     x = np.concatenate([np.linspace(-12, 12, 200_001), [3e38, -3e38, 1e-30]]).astype(np.float32)[:, None]
@@ -572,7 +533,7 @@ def app(exported, tmp_path_factory):
             for header in re.findall(r'"(\w+\.h)"', (exported[name, "c"] / "src/app_main.c").read_text()):
                 if not header.startswith("landing_policy"):
                     (root / header).write_text('#include "firmware.h"\n')
-            sources = [exported[name, "c"] / "src" / f for f in ("app_main.c", *C_SOURCES)]
+            sources = [exported[name, "c"] / "src" / f for f in ("app_main.c", "landing_policy.c")]
             sources.append(stand_in / "firmware.c")
             programs[name] = compiled.build(
                 sources, root / "app", f"-I{root}", f"-I{stand_in}", "-O1", "-lm", "-Wno-error=pedantic"
@@ -646,68 +607,12 @@ def test_the_app_waits_ends_and_begins_again(app):
     assert said[1][1] == said[3][1] == said[9][1]
 
 
-def packets(file):
-    """Lines that send a policy file to the app, in packets of its channel, and have it loaded."""
-    key = file[-HASH:][:16]
-    chunks = [file[k : k + c_source.CHUNK] for k in range(0, len(file), c_source.CHUNK)]
-    sent = [struct.pack("<BI", 1, len(file)) + key]
-    sent += [struct.pack("<B2sH", 2, key[:2], k) + chunk for k, chunk in enumerate(chunks)]
-    return [f"packet {packet.hex()}" for packet in (*sent, b"\4" + key)]
-
-
-def replies(said):
-    """Command and answer of each reply."""
-    found = [bytes.fromhex(word.split()[1]) for words in said for word in words if word.startswith("reply")]
-    return [(reply[0], reply[1]) for reply in found]
-
-
-def test_the_app_flies_the_policy_that_it_is_sent(app, tmp_path):
-    """Nine packets a period; then its commands are those of the other policy, about its own hover PWM."""
-    other = contract.load(about_another_hover("landing-nominal", tmp_path))
-    file, start = policy_bytes(other), other.task.sample(np.random.default_rng(3), 1).state
-    flight = record_flights(other, "hybrid", start, steps=50)[0]
-    wait, rows = line(0, flight.state[0]), range(len(flight.t) - 1)
-    lines, sent = [], packets(file)
-    for k in range(0, len(sent), 9):
-        lines += [*sent[k : k + 9], wait]
-    said = app("landing-nominal", [*lines, *(line(1, flight.state[k]) for k in rows)])
-    assert replies(said) == [(1, Answer.OK), (4, Answer.OK)]
-    first = f"policy {file[-HASH:][:4].hex()}"
-    assert first not in said[-len(rows) - 2] and all(first in words for words in said[-len(rows) - 1 :])
-    for command, words in zip(flight.commands, said[-len(rows) :]):
-        thrust, _, pitch, *_ = map(float, words[1].split()[2:])
-        assert thrust == pytest.approx(command[0], abs=1.0 + 1e-3 * other.task.pwm_span)
-        assert pitch == pytest.approx(-np.degrees(command[2]), abs=0.1)
-
-
-def test_the_app_takes_no_policy_in_flight_and_says_why(app, tmp_path):
-    other = contract.load(about_another_hover("landing-nominal", tmp_path))
-    file, task = policy_bytes(other), other.task
-    away, on = line(0, task.states_at([(1.5, 1.8)])[0]), line(1, task.states_at([(1.5, 1.8)])[0])
-    begin, *_, commit = packets(file)
-    lines = [begin, on, "flying 1", begin, away, "flying 0", begin, away, commit, away, *[begin] * 12, away]
-    said = app("landing-nominal", lines)
-    flying, good = (1, Answer.FLYING), (1, Answer.OK)
-    assert replies(said) == [flying, flying, good, (4, Answer.NO_UPLOAD), *[good] * 10]
-    spoken = [word for words in said for word in words if word.startswith("debug policy")]
-    wanted = (Answer.FLYING, Answer.FLYING, Answer.NO_UPLOAD)
-    assert spoken == [f"debug policy: {policy_file.WORDS[answer]}" for answer in wanted]
-    # The damaged file of a whole upload: what is compiled in goes on acting.
-    bad, lines = file[:9000] + b"\0" * 4 + file[9004:], []
-    sent = packets(bad)
-    for k in range(0, len(sent), 9):
-        lines += [*sent[k : k + 9], away]
-    said = app("landing-nominal", lines)
-    assert replies(said)[-1] == (4, Answer.CORRUPT)
-    assert len({word for words in said for word in words if word.startswith("policy ")}) == 1
-
-
 # --- the command --------------------------------------------------------------------------------------
 
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     for format, files in {
-        "c": {"README.md", "check.c", "src", "app-config", "Makefile", "Kbuild", "policy.bin"},
+        "c": {"README.md", "check.c", "src", "app-config", "Makefile", "Kbuild"},
         "numpy": {"policy.npz", "landing_policy.py"},
         "onnx": {"policy.onnx"},
     }.items():
@@ -761,13 +666,13 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
     wide = Policy(make_task("landing"), {}, Path(__file__), np.zeros(5), np.ones(5), np.inf,
                   (np.ones((5, 400)), np.ones((400, 400)), np.ones((400, 2))),
                   (np.zeros(400), np.zeros(400), np.zeros(2)), "ReLU")  # fmt: skip
-    network = Network.from_policy(wide)
+    network = ExportNetwork.from_policy(wide)
     tested = vectors.sequence(wide, np.zeros((1, 13)), np.zeros((1, 5)))
     with pytest.raises(UserError, match="bytes of constants"):
         c_source.write(tmp_path, wide.task, network, contract.describe(wide, network), tested)
     assert not [*tmp_path.iterdir()]
     with pytest.raises(UserError, match="float32 does not hold"):
-        Network.from_policy(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
+        ExportNetwork.from_policy(dataclasses.replace(wide, scale=np.full(5, 1e-300)))
 
     class OwnCommands(type(make_task("landing"))):
         def commands(self, actions):

@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.export import contract
-from inclined_landing.eval.export.network import Network
+from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.robustness.slopes import evaluate
 
 NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
@@ -49,7 +49,7 @@ def test_each_policy_stands_under_its_own_name(tmp_path, capsys):
 @pytest.mark.parametrize("name", NAMES)
 def test_contract_says_where_things_are_seen_from(name):
     policy = load_policy(name)
-    said = contract.describe(policy, Network.from_policy(policy))
+    said = contract.describe(policy, ExportNetwork.from_policy(policy))
     assert said["task"]["inclination"] is None and "azimuth" in said["frames"]["surface"]
     assert {row["frame"] for row in said["observation"]} == {"surface"}
     assert all(row["unit"] for row in said["observation"])

@@ -1,11 +1,11 @@
-/* The self test and policy files on a bare Cortex-M4F, as QEMU's board mps2-an386 has it; says what it answers. */
+/* The self test and some actions on a bare Cortex-M4F, as QEMU's board mps2-an386 has it; says what it answers. */
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "landing_policy_file.h"
-#include "files.h"
+#include "landing_policy.h"
+#include "inputs.h"
 
 extern uint32_t stack_top, bss_begin, bss_end;
 void initialise_monitor_handles(void);
@@ -19,12 +19,9 @@ static void reset(void)
     }
     initialise_monitor_handles();
     printf("self test %d\n", landing_policy_self_test());
-    for (unsigned k = 0; k < sizeof FILES / sizeof FILES[0]; k++) {
-        printf("file %d\n", landing_policy_load(FILES[k].bytes, FILES[k].size, 0));
-    }
     for (unsigned k = 0; k < sizeof INPUTS / sizeof INPUTS[0]; k++) {
         float action[LANDING_POLICY_ACTIONS];
-        landing_policy_infer_with(landing_policy_active(), INPUTS[k], action);
+        landing_policy_infer(INPUTS[k], action);
         for (int j = 0; j < LANDING_POLICY_ACTIONS; j++) {
             uint32_t bits;
             memcpy(&bits, &action[j], sizeof bits);

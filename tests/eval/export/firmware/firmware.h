@@ -26,9 +26,6 @@ void vTaskDelayUntil(TickType_t *last, TickType_t ticks);
 #define M2T(ms) ((TickType_t)(ms))
 uint64_t usecTimestamp(void);
 #define DEBUG_PRINT(...) printf("debug " __VA_ARGS__)
-size_t appchannelReceiveDataPacket(void *buffer, size_t max_length, int timeout_ms);
-int appchannelSendDataPacket(void *data, size_t length);
-bool supervisorIsFlying(void);
 void appMain(void);
 
 /* Where the firmware would find a parameter or a variable of the log. */
@@ -39,7 +36,7 @@ void appMain(void);
 #define PARAM_GROUP_START(group) uint8_t *param_##group(void); uint8_t *param_##group(void) {
 #define PARAM_ADD(type, name, address) return address;
 #define PARAM_GROUP_STOP(group) }
-#define LOG_GROUP_START(group) void log_##group(const void *a[6]); void log_##group(const void *a[6]) { int n = 0;
+#define LOG_GROUP_START(group) void log_##group(const void *a[5]); void log_##group(const void *a[5]) { int n = 0;
 #define LOG_ADD(type, name, address) a[n++] = address;
 #define LOG_GROUP_STOP(group) }
 

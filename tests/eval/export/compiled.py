@@ -1,4 +1,4 @@
-"""The C export compiled for this machine, to be compared and timed."""
+"""The C export compiled for this machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.export.templates import text
 from inclined_landing.models.errors import UserError
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow")
@@ -45,10 +44,8 @@ class Library:
     """The compiled policy of a C export; `folder` is one, `scratch` an empty folder to compile in."""
 
     def __init__(self, folder: Path, scratch: Path, *flags: str):
-        rows = scratch / "rows.c"
-        rows.write_text(text("c/rows.c"), "utf-8")
         source = folder / "src"
-        sources = [*sorted(source.glob("landing_policy*.c")), rows]
+        sources = [source / "landing_policy.c", Path(__file__).with_name("firmware") / "rows.c"]
         path = build(sources, scratch / "policy.so", f"-I{source}", "-shared", "-fPIC", *(flags or ("-O2",)))
         self._library = ctypes.CDLL(str(path))
 
@@ -66,32 +63,6 @@ class Library:
     def call(self, name: str, *arrays: np.ndarray) -> int:
         """Return the result of a function of the header for arrays that it reads or writes."""
         return getattr(self._library, name)(*map(_pointer, arrays))
-
-    def load(self, file: bytes, is_flying: bool = False) -> int:
-        """Return the answer to a policy file."""
-        return self._library.landing_policy_load(file, ctypes.c_size_t(len(file)), int(is_flying))
-
-    def infer_loaded(self, inputs: np.ndarray, actions: int) -> np.ndarray:
-        """Return actions (n, a) of the network that acts for inputs (n, i), history included."""
-        active = self._library.landing_policy_active
-        active.restype = ctypes.c_void_p
-        inputs, result = (
-            np.ascontiguousarray(inputs, np.float32),
-            np.zeros((len(inputs), actions), np.float32),
-        )
-        for row, action in zip(inputs, result):
-            network = ctypes.c_void_p(active())
-            if self._library.landing_policy_infer_with(network, _pointer(row), _pointer(action)):
-                raise ValueError("landing_policy_infer_with refused an input")
-        return result
-
-    def receive(self, packet: bytes, is_flying: bool) -> bytes:
-        """Return the reply to a packet of an upload; empty when there is none."""
-        reply = ctypes.create_string_buffer(64)
-        function = self._library.landing_policy_receive
-        function.restype = ctypes.c_size_t
-        size = function(packet, ctypes.c_size_t(len(packet)), int(is_flying), reply)
-        return reply.raw[:size]
 
 
 def _pointer(array: np.ndarray) -> ctypes.c_void_p:
