@@ -41,7 +41,8 @@ from inclined_landing.eval.gap.search import (
     sets,
     touchdown_simulation,
 )
-from inclined_landing.eval.gap.search.evidence import Candidates, Problem, Values, identifiable_effects
+from inclined_landing.eval.gap.search.columns import Candidates, Values
+from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import EffectSet, slab_deviations
 from inclined_landing.eval.gap.search.prediction import channels_of

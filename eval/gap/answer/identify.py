@@ -20,12 +20,8 @@ from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
-from inclined_landing.eval.gap.search.evidence import (
-    BASE,
-    Problem,
-    Values,
-    identifiable_effects,
-)
+from inclined_landing.eval.gap.search.columns import BASE, Values
+from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
     LinearGaussian,
@@ -37,6 +33,7 @@ from inclined_landing.eval.gap.search.posterior import (
 )
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.residual import Residual, reference_residual
 from inclined_landing.eval.gap.search.sets import (
     autocorrelation_inflation,
     fit_jointly,
@@ -56,6 +53,7 @@ FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which an effect is not identifiable
 ROUGH = 0.2  # above which it is poorly identified
 CONFOUNDED = 0.8  # posterior correlation above which two effects are confounded
+UNMET = 0.95  # posterior over prior standard deviation from which flights say nothing of an effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,7 +189,7 @@ def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
     around = Problem(problem.flights, vehicle, library)
     around.weight, around.wide_model_errors = problem.weight, True
-    reference = Reference.of(around, size, inflation)
+    reference = identified_reference(around, size, inflation)
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))
     scale = np.where(error > 0.0, error, 1.0)
@@ -286,3 +284,26 @@ def _field_half_widths(problem: Problem, values: Values, sized, before: Vehicle,
         for name in changed:
             width[name] = np.hypot(width[name], np.subtract(getattr(moved, name), getattr(after, name)))
     return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
+
+
+def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> Reference:
+    """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
+
+    size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
+    """
+    columns = problem.columns([*problem.library, BASE])
+    near = problem.linearise({}, columns, inflation)
+    problem.confounded = confounding(near)
+    problem.between = estimate_between_flight_deviations(problem, near)
+    problem.excitation = excitation(problem, near)
+    local = LinearGaussian.of(problem, near, {})
+    change, covariance = local.posterior(frozenset(problem.library))
+    residual = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
+    known = covariance * np.outer(local.unit, local.unit)
+    mean = (local.at + change) * local.unit
+    # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
+    # identification: theta = 0, and flights that meet it name it.
+    prior = local.slab.diagonal() * local.unit**2
+    met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
+    known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
+    return Reference(tuple(columns), mean, known, reference_residual(problem, residual))

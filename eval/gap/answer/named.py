@@ -17,8 +17,9 @@ from inclined_landing.eval.gap.result import (
     ScoredSet,
 )
 from inclined_landing.eval.gap.search import rollout
+from inclined_landing.eval.gap.search.columns import FittedValues, Values
 from inclined_landing.eval.gap.search.contact import ContactPosterior
-from inclined_landing.eval.gap.search.evidence import FittedValues, Problem, Values
+from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.fit import dersimonian_laird
 from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of

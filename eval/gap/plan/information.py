@@ -18,7 +18,8 @@ from inclined_landing.eval.gap.flights.whitening import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
-from inclined_landing.eval.gap.search.evidence import Candidates, Column, Problem, Values
+from inclined_landing.eval.gap.search.columns import Candidates, Column, Values
+from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.search.reference import Reference

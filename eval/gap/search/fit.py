@@ -8,15 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import (
-    BASE,
-    Column,
-    FittedValues,
-    Linearisation,
-    Problem,
-    Values,
-    solve,
-)
+from inclined_landing.eval.gap.search.columns import BASE, Column, FittedValues, Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, solve
 
 
 @dataclasses.dataclass

@@ -17,7 +17,8 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
+from inclined_landing.eval.gap.search.columns import Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
 from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding, slab_deviations
 
 SIGNIFICANCE = 0.01  # familywise false alarm rate of a diagnosis

@@ -19,7 +19,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, Values
+from inclined_landing.eval.gap.search.columns import Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
 from inclined_landing.models.effects.effect import OFF
 
 SPIKE = 0.35  # standard deviation of the spike, in negligible sizes

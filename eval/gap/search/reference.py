@@ -14,14 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.evidence import BASE, Candidates, Column, Problem
-from inclined_landing.eval.gap.search.posterior import (
-    LinearGaussian,
-    confounding,
-    estimate_between_flight_deviations,
-    excitation,
-)
-from inclined_landing.eval.gap.search.residual import TARGETS, Basis, ReferenceResidual, Residual
+from inclined_landing.eval.gap.search.columns import BASE, Candidates, Column
+from inclined_landing.eval.gap.search.features import TARGETS, Basis, ReferenceResidual
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -30,7 +24,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
 VERSION = 2
-UNMET = 0.95  # posterior over prior standard deviation from which flights say nothing of an effect
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 
 
@@ -52,29 +45,6 @@ class Reference:
             if column in place:
                 share[i, place[column]] = 1.0
         return share @ self.mean, share @ self.covariance @ share.T
-
-    @staticmethod
-    def of(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> Reference:
-        """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
-
-        size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
-        """
-        columns = problem.columns([*problem.library, BASE])
-        near = problem.linearise({}, columns, inflation)
-        problem.confounded = confounding(near)
-        problem.between = estimate_between_flight_deviations(problem, near)
-        problem.excitation = excitation(problem, near)
-        local = LinearGaussian.of(problem, near, {})
-        change, covariance = local.posterior(frozenset(problem.library))
-        left = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
-        known = covariance * np.outer(local.unit, local.unit)
-        mean = (local.at + change) * local.unit
-        # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
-        # identification: theta = 0, and flights that meet it name it.
-        prior = local.slab.diagonal() * local.unit**2
-        met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
-        known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
-        return Reference(tuple(columns), mean, known, ReferenceResidual.of(problem, left))
 
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> Reference:

@@ -11,14 +11,16 @@ sign-flip permutation test over blocks of a few seconds, with the largest gain o
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
-from inclined_landing.eval.gap.search.evidence import Problem, Values
+from inclined_landing.eval.gap.search.columns import Values
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.features import TARGETS, TIME, Basis, ReferenceResidual
 from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.models.vehicle import Vehicle
@@ -26,16 +28,11 @@ from inclined_landing.models.vehicle import Vehicle
 UNITS = {
     channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()
 }  # of `equivalent_sizes`
-TARGETS = (*CHANNELS, "forward", "left")
 SIGNIFICANCE = 0.02  # family-wise
 FLIPS = 400  # random sign flips
-FEATURES = 24  # random Fourier features of a function
-KNOTS = 7  # radial basis functions along every input
-TIME_SPACING = 0.5  # s between those along the flight time
 BLOCK = 5.0  # s of flight that share a sign in the permutation test
 COMMAND_LAGS = (0.1, 0.25)  # s
 VELOCITY_LAGS = (0.15, 0.3, 0.5)  # s
-TIME = "flight time"
 BINS = 8
 HORIZON = 1.0  # s, over which a function displaces the vehicle
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
@@ -64,54 +61,13 @@ class Residual:
         return Residual(errors, size, inflation)
 
 
-@dataclasses.dataclass(frozen=True)
-class Basis:
-    """Features of some inputs: radial basis functions of each, random Fourier features of all."""
-
-    centre: np.ndarray  # (k,)
-    scale: np.ndarray  # (k,)
-    knots: tuple[np.ndarray, ...]  # of k, in scaled inputs
-
-    @staticmethod
-    def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
-        """Return a basis scaled to inputs `seen` (m, k)."""
-        centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
-        z, count = (seen - centre) / scale, KNOTS
-        if tuple(inputs) == (TIME,):  # oscillations in time need a finer basis
-            count = max(KNOTS, round(float(np.ptp(seen)) / TIME_SPACING))
-        return Basis(centre, scale, tuple(np.quantile(c, np.linspace(0, 1, count)) for c in z.T))
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return the features (m, D) of inputs (m, k)."""
-        # Radial: exp(-(z - knot)^2 / (2 width^2));  Fourier: sqrt(2 / D) cos(w'z + phase), w ~ N(0, 1 / k)
-        z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
-        parts = []
-        for column, knots in zip(z.T, self.knots):
-            width = max(float(np.ptp(knots)) / (len(knots) - 1), 1e-6)
-            parts.append(np.exp(-0.5 * ((column[:, None] - knots) / width) ** 2))
-        if len(self.knots) > 1:
-            rng = np.random.default_rng(0)
-            turns = rng.standard_normal((len(self.knots), FEATURES)) / np.sqrt(len(self.knots))
-            phase = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
-            parts.append(np.sqrt(2.0 / FEATURES) * np.cos(z @ turns + phase))
-        return np.hstack(parts)
-
-
-@dataclasses.dataclass(frozen=True)
-class ReferenceResidual:
-    """Functions fitted to the residual of the reference flights."""
-
-    bases: Mapping[str, Basis]  # of quantities
-    weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
-
-    @staticmethod
-    def of(problem: Problem, residual: Residual) -> ReferenceResidual:
-        """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
-        inputs = regressors(problem.flights)
-        bases = {name: _basis(problem, *of) for name, of in inputs.items()}
-        functions = _functions(problem, residual, inputs, bases, None)
-        weights = {(f.target, f.on): f.shrinkage() * f.weights() for f in functions}
-        return ReferenceResidual(bases, {key: w for key, w in weights.items() if np.any(w)})
+def reference_residual(problem: Problem, residual: Residual) -> ReferenceResidual:
+    """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
+    inputs = regressors(problem.flights)
+    bases = {name: _basis(problem, *of) for name, of in inputs.items()}
+    functions = _functions(problem, residual, inputs, bases, None)
+    weights = {(f.target, f.on): f.shrinkage() * f.weights() for f in functions}
+    return ReferenceResidual(bases, {key: w for key, w in weights.items() if np.any(w)})
 
 
 def equivalent_sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

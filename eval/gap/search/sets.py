@@ -17,7 +17,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
-from inclined_landing.eval.gap.search.evidence import BASE, FittedValues, Linearisation, Problem, Values
+from inclined_landing.eval.gap.search.columns import BASE, FittedValues, Values
+from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
 from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
     EffectSet,

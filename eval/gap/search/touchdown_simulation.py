@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, TRANSIENT, Landing
-from inclined_landing.eval.gap.search.evidence import Candidates
+from inclined_landing.eval.gap.search.columns import Candidates
 from inclined_landing.eval.gap.search.rollout import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect

@@ -11,7 +11,8 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.evidence import FittedValues, Problem, Values
+from inclined_landing.eval.gap.search.columns import FittedValues, Values
+from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
 
 ROUNDS = 8  # of Newton's method

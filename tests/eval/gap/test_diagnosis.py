@@ -11,10 +11,11 @@ from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.answer.named import useful_values
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
 from inclined_landing.eval.gap.search import sets
-from inclined_landing.eval.gap.search.evidence import BASE, Candidates, Problem
+from inclined_landing.eval.gap.search.columns import BASE, Candidates
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.features import ReferenceResidual
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.residual import ReferenceResidual
 from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations, forces

@@ -14,17 +14,12 @@ from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise_model import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.evidence import BASE, Column
+from inclined_landing.eval.gap.search.columns import BASE, Column
+from inclined_landing.eval.gap.search.features import Basis, ReferenceResidual
 from inclined_landing.eval.gap.search.posterior import SHAPE_COVARIANCE, Bounds, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import predict
 from inclined_landing.eval.gap.search.reference import Reference, digest, posterior_path, read_reference
-from inclined_landing.eval.gap.search.residual import (
-    Basis,
-    ReferenceResidual,
-    _RidgeRegression,
-    _sign_flips,
-    gain_matrix,
-)
+from inclined_landing.eval.gap.search.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.search.sets import SetProbability, _relevant_subsets, model_error_weights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage

@@ -13,9 +13,9 @@ from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.search.evidence import Column
+from inclined_landing.eval.gap.search.columns import Column
+from inclined_landing.eval.gap.search.features import ReferenceResidual
 from inclined_landing.eval.gap.search.reference import Reference
-from inclined_landing.eval.gap.search.residual import ReferenceResidual
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
