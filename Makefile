@@ -49,7 +49,7 @@ test: .venv/.compiled
 	$(PYTEST)
 
 test-all: .venv/.installed-test-all .venv/.compiled
-	$(PYTEST) -m 'slow or gl or browser or not slow'
+	CAMPAIGN=10 $(PYTEST) -m 'slow or gl or browser or not slow'
 
 lint: .venv/.installed-test
 	$(BIN)/ruff check

@@ -15,19 +15,10 @@ for _name in ("COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "PYTHONUNBUFFERED",
 
 import hypothesis
 import pytest
-from _pytest.mark.expression import Expression
-
-from tests.campaign import judge
 
 # Compiled functions take seconds at their first call; the same examples on every machine and run.
 hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("suite")
-
-
-def pytest_configure(config):
-    """The campaign leaves its slow cases out where they would only be deselected."""
-    wanted = Expression.compile(config.option.markexpr or "slow")
-    judge.whole = wanted.evaluate(lambda mark, **_: mark == "slow")
 
 
 @pytest.fixture(autouse=True)

@@ -1,1 +1,1 @@
-"""Wrong input, generated: everything that is read gets every kind of evil value (see `judge`)."""
+"""Wrong input of every kind, drawn by Hypothesis: used, or refused in one sentence."""

@@ -8,7 +8,7 @@ from rich.text import Text
 from inclined_landing.envs.shared.tables import new_table, show_table
 from inclined_landing.eval import cli
 from inclined_landing.train import cli as train
-from tests.campaign.commands import place
+from tests.campaign.inputs import place
 
 SHARE = r"\(\d+\.\d % \[\d+\.\d, \d+\.\d\]\)"
 SMALL = "--width 96 --height 64 --backend ray"

@@ -1,0 +1,311 @@
+"""Everything that reads a file or a folder reads it, or refuses it in one sentence, whatever is in it.
+
+An entry of `READERS` is all that a new kind of file needs: good files, what reads them, what then must hold.
+"""
+
+import base64
+import dataclasses
+import functools
+import gzip
+import io
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.tasks.base import hover_states
+from inclined_landing.eval import cli
+from inclined_landing.eval.landings.design import design
+from inclined_landing.eval.landings.study import read_study
+from inclined_landing.eval.logs import FlightLog, motion, read_log
+from inclined_landing.eval.moving.scenario import read_scenario, shipped
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.train import cli as train
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.run import CHECKPOINT, Run
+from tests import ROOT
+from tests.campaign import damage, inputs
+from tests.log_files import firmware_values, sd_card, write_bag
+
+POLICY = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
+WEIGHTS, PICKLED = "policy.pth", "archive/data.pkl"
+
+
+@dataclasses.dataclass(frozen=True)
+class Reader:
+    """A kind of file or folder."""
+
+    good: Callable[[], dict[str, bytes]]  # files by path
+    take: Callable[[Path], object]  # reads what lies in a folder
+    works: Callable[[object], None] = lambda result: None
+    more: tuple[damage.Change, ...] = ()  # to its file
+    places: tuple[str, ...] = tuple(damage.PLACES)  # what may stand in the place of a file
+
+
+def text(name: str, content: str) -> Callable[[], dict[str, bytes]]:
+    """Return what makes one file of text."""
+    return lambda: {name: content.encode()}
+
+
+def flies(vehicle) -> None:
+    """0.1 s from hover stay finite in all plants."""
+    for kind in PLANTS:
+        plant = make_plant(kind, 1, vehicle)
+        position = np.array([[1.0, 0.5, vehicle.platform_surface_height + 0.5]])
+        plant.reset(np.arange(1), hover_states(position, vehicle))
+        command = np.array([[min(vehicle.hover_pwm, vehicle.command_pwm_range[1]), 0.0, 0.0, 0.0]])
+        for _ in range(10):
+            plant.step(command)
+        assert np.isfinite(plant.state).all() and np.abs(plant.state).max() < 1e7
+
+
+def is_flown_by(policy) -> None:
+    """Actions of any observation are within their bounds; five steps from a hover are finite."""
+    rows = np.random.default_rng(0).normal(scale=10.0, size=(20, len(policy.centre)))
+    assert (np.abs(policy.predict(rows)) <= 1.0).all()
+    states = hover_states(np.array([[1.0, 0.0, 1.9]]), policy.task.vehicle)
+    assert np.isfinite(record_flights(policy, "mujoco", states, steps=5)[0].state).all()
+
+
+def is_a_flight(log) -> None:
+    """It is finite where it was logged, with an even grid of bounded size."""
+    assert np.isfinite(log.position).all() and len(log) < 10_000
+    for part in motion.motion(log):
+        assert np.isfinite(part.force).all() and len(part.force) < 100_000
+
+
+def is_drawn(study) -> None:
+    """Every landing has its parameters and its start."""
+    drawn, start = design(study)
+    assert len(start) and all(np.isfinite(drawn[parameter.name]).all() for parameter in study.parameters)
+
+
+def can_be_landed_on(scenario) -> None:
+    """Its platforms stay finite, and there is time to rest for as long as is asked."""
+    drawn = scenario.draw(load_vehicle(), 2)
+    assert all(np.isfinite(array).all() for array in (drawn.start, drawn.azimuth, *drawn.motion.at(1.0)))
+    assert scenario.success.hold < scenario.success.within
+
+
+@functools.cache
+def a_log() -> FlightLog:
+    """Return the good flight."""
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "log.csv").write_text(FLIGHT)
+        return read_log(Path(place) / "log.csv")
+
+
+@functools.cache
+def a_bag(ros: int) -> dict[str, bytes]:
+    """Return the files of a bag of ROS 1 or 2."""
+    with tempfile.TemporaryDirectory() as place:
+        path = write_bag(Path(place, "log.bag" if ros == 1 else "log"), a_log(), ros)
+        return {str(p.relative_to(place)): p.read_bytes() for p in ([path] if ros == 1 else path.iterdir())}
+
+
+@functools.cache
+def a_training() -> dict[str, bytes]:
+    """Return the files of a run that was stopped after its first checkpoint."""
+    with tempfile.TemporaryDirectory() as place:
+        tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 160 --epochs 1 --threads 1"
+        tiny += " --max-seconds 1e-6 --evaluate-every 0 --video-every 0 --no-report"
+        damage.command(train.main, ["landing", *tiny.split(), "--out", place + "/run"])
+        files = {str(p.relative_to(place)): p.read_bytes() for p in Path(place).rglob("*") if p.is_file()}
+        return {f"run/{name}": files[f"run/{name}"] for name in (CHECKPOINT, "run.json")}
+
+
+def elsewhere(words: str, suffix: str = "") -> Callable[[Path], str]:
+    """Return what runs landing-eval on a folder and writes somewhere else."""
+
+    def run(folder: Path) -> str:
+        with tempfile.TemporaryDirectory() as away:
+            filled = words.replace("{folder}", str(folder)).replace("{out}", f"{away}/out")
+            return damage.command(cli.main, filled.split())
+
+    return run
+
+
+class Harmful:
+    """Leaves a folder behind where it is unpickled."""
+
+    def __reduce__(self):
+        return os.mkdir, ("harm",)
+
+
+# Instructions that torch never writes, in the place of the weights' pickle.
+PICKLES = {
+    "runs code": pickle.dumps({"a": Harmful()}, 2),
+    "protocol 5": pickle.dumps({"a": [1]}, 5),
+    "memo at 2^31": b"\x80\x02}r\xff\xff\xff\x7f.",
+    "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
+    "nested": b"\x80\x02)" + b"\x85" * 900_000 + b".",
+    "doubling": b"\x80\x02)q\x00" + b"h\x00h\x00\x86q\x00" * 100 + b".",
+    "its own element": b"\x80\x02}q\x00X\x01\x00\x00\x00ah\x00s.",
+}
+# What a tensor of the network may be.
+TENSORS = {
+    "one more axis": lambda t: t[None],
+    "one row less": lambda t: t[:-1].clone(),
+    "expanded": lambda t: t.flatten()[:1].expand(1_000_000_000),
+    "a view": lambda t: torch.stack([t, t], -1)[..., 0],
+    "a huge stride": lambda t: t.as_strided((1, *t.shape), (2**62, *t.stride())),
+    "bfloat16": lambda t: t.bfloat16(),
+    "complex": lambda t: t.to(torch.complex64),
+    "sparse": lambda t: t.to_sparse(),
+    "meta": lambda t: t.to("meta"),
+    "NaN": lambda t: torch.full_like(t, torch.nan),
+    "1e300": lambda t: torch.full_like(t.double(), 1e300),
+    "a number": lambda t: 1.0,
+    "an array": lambda t: t.numpy(),
+}
+
+
+def weights(content: bytes, change) -> bytes:
+    """Return a policy file of other tensors: `change` to every second one."""
+    tensors = torch.load(io.BytesIO(damage.members(content)[WEIGHTS]), weights_only=True)
+    out = io.BytesIO()
+    torch.save({n: change(t) if k % 2 else t for k, (n, t) in enumerate(tensors.items())}, out)
+    return damage.with_member(content, WEIGHTS, lambda _: out.getvalue())
+
+
+def unpickled(content: bytes, instructions: bytes) -> bytes:
+    """Return a policy file whose weights are this pickle."""
+    inside = damage.with_member(damage.members(content)[WEIGHTS], PICKLED, lambda _: instructions)
+    return damage.with_member(content, WEIGHTS, lambda _: inside)
+
+
+NETWORKS = (
+    *(damage.Change(n, functools.partial(unpickled, instructions=p)) for n, p in PICKLES.items()),
+    *(damage.Change(n, functools.partial(weights, change=change)) for n, change in TENSORS.items()),
+)
+RUN = {
+    "run/run.json": b'{"config": {"task": "landing"}}',
+    "run/learning.csv": b"steps,level,episode_length,episode_reward\n8192,0.1,40,-60\n16384,0.2,50,-50\n",
+    "run/evaluations.csv": b"steps,score,strict_success\n8192,0.5,0.4\n16384,0.75,0.7\n",
+}
+VEHICLE = (resources.files("inclined_landing.models") / "crazyflie.toml").read_text("utf-8")
+FLIGHT = inputs.flight()
+READERS = {
+    "vehicle": Reader(text("v.toml", VEHICLE), lambda f: load_vehicle(f / "v.toml"), flies),
+    "ranges": Reader(
+        text("r.toml", inputs.RANGES), lambda f: read_ranges(f / "r.toml").draw(load_vehicle(), 0, 3)
+    ),
+    "study": Reader(text("s.toml", inputs.STUDY), lambda f: read_study(f / "s.toml"), is_drawn),
+    "scenario": Reader(
+        text("m.toml", shipped()["ship_5_bow"].read_text("utf-8")),
+        lambda f: read_scenario(f / "m.toml"),
+        can_be_landed_on,
+    ),
+    "mapping": Reader(
+        lambda: {"m.toml": inputs.MAPPING.encode(), "log.csv": FLIGHT.encode()},
+        lambda f: read_log(f / "log.csv", mapping=f / "m.toml"),
+        is_a_flight,
+    ),
+    "log": Reader(text("log.csv", FLIGHT), lambda f: read_log(f / "log.csv"), is_a_flight),
+    "packed log": Reader(
+        lambda: {"log.csv.gz": gzip.compress(FLIGHT.encode())},
+        lambda f: read_log(f / "log.csv.gz"),
+        is_a_flight,
+    ),
+    "card": Reader(
+        lambda: {"log": sd_card(firmware_values(a_log()), a_log().t, 2, {"pm.state": 1.0})},
+        lambda f: read_log(f / "log"),
+    ),
+    "bag of ROS 1": Reader(lambda: a_bag(1), lambda f: read_log(f / "log.bag")),
+    "bag of ROS 2": Reader(lambda: a_bag(2), lambda f: read_log(f / "log"), places=("nothing", "a folder")),
+    "policy": Reader(lambda: {"p.zip": POLICY}, lambda f: load_policy(f / "p.zip"), is_flown_by, NETWORKS),
+    "training": Reader(a_training, lambda f: Run(TrainConfig(out=f / "run", resume=True))),
+    "curves": Reader(lambda: RUN, elsewhere("curves {folder}/run --out {out}.png")),
+    "report": Reader(
+        lambda: {"report.json": json.dumps(inputs.REPORT).encode()}, elsewhere("plan {folder} --out {out}")
+    ),
+}
+
+
+def judged(reader: Reader, name: str, change: Callable[[bytes], bytes] | None, put=None) -> str:
+    """Return what becomes of good files of which one is changed, or something else is put in its place."""
+    with tempfile.TemporaryDirectory() as place:
+        for path, content in reader.good().items():
+            (Path(place) / path).parent.mkdir(parents=True, exist_ok=True)
+            (Path(place) / path).write_bytes(change(content) if change and path == name else content)
+        if put is not None:
+            damage.replace(Path(place) / name, put)
+        return damage.used_or_refused(Path(place), lambda: reader.take(Path(place)), reader.works)
+
+
+@pytest.mark.parametrize("kind", READERS)
+@damage.examples(8)
+@given(data=st.data())
+def test_files_are_used_or_refused(kind, data):
+    reader = READERS[kind]
+    name = data.draw(st.sampled_from(list(reader.good())))
+    ways = [damage.changes(reader.good()[name]), st.sampled_from(reader.places)]
+    ways += [st.sampled_from(reader.more)] if reader.more else []
+    way = data.draw(st.one_of(ways))
+    if isinstance(way, str):
+        judged(reader, name, None, damage.PLACES[way])
+    else:
+        judged(reader, name, way.of)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_good_files_are_used(kind):
+    assert judged(READERS[kind], "", None) == ""
+
+
+@pytest.mark.parametrize("key", ["policy_class", "lr_schedule", "policy_kwargs", "anything"])
+def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypatch):
+    """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
+    monkeypatch.chdir(tmp_path)
+    harm = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
+    (tmp_path / "p.zip").write_bytes(
+        damage.with_member(POLICY, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
+    )
+    is_flown_by(load_policy(tmp_path / "p.zip"))
+    assert not (tmp_path / "harm").exists()
+
+
+def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    array, saved = io.BytesIO(), io.BytesIO()
+    np.lib.format.write_array(array, np.array([Harmful()], object), allow_pickle=True)
+    torch.save(Harmful(), saved)
+    packed = damage.zipped([("state.json", b"{}"), ("a.npy", array.getvalue())])
+    for content in (saved.getvalue(), packed):
+        assert CHECKPOINT in judged(READERS["training"], f"run/{CHECKPOINT}", lambda _, c=content: c)
+    assert not (tmp_path / "harm").exists()
+
+
+def test_nothing_is_called_that_executes_what_a_file_holds():
+    """In the source: readers of others that unpickle, and shells."""
+    wrong = re.compile(
+        r"\b(PPO|SAC|TD3|torch|joblib|cloudpickle|pickle|marshal|shelve)\.(load|loads|open)\("
+        r"|allow_pickle=True|read_pickle|yaml\.(unsafe_|full_)?load\(|shell=True"
+    )
+    files = [file for folder in ("models", "envs", "eval", "train") for file in (ROOT / folder).rglob("*.py")]
+    assert files and not [(file, match) for file in files for match in wrong.findall(file.read_text("utf-8"))]
+
+
+def test_policies_are_read_without_torch():
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from inclined_landing.envs.policy import load_policy\n"
+        "for name in ('landing', 'setpoint', 'touchdown'): load_policy(name)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
