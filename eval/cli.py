@@ -54,6 +54,10 @@ COMMANDS = {
     ),
     "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
     "logs": ("", "What flight logs hold and whether they can be believed, in words."),
+    "flights": (
+        "logs",
+        "Measured flights of others: where each set is, its licence, and its files as documented CSV.",
+    ),
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag: a vehicle file."),
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
@@ -72,7 +76,7 @@ GROUPS = {
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
     "Pictures": ("figure", "video", "replay", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
-    "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
+    "Flight logs and the gap to the model": ("logs", "flights", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly", "crazyflie"),
 }
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
+from inclined_landing.eval.logs.channels import Channel
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
 from inclined_landing.eval.logs.log import (
     COMMANDS,
@@ -18,7 +20,6 @@ from inclined_landing.eval.logs.log import (
     FlightLog,
     repeated_share,
 )
-from inclined_landing.eval.logs.mapping import Channel
 from inclined_landing.eval.logs.units import (
     COMMANDED_QUATERNION,
     QUATERNION,
@@ -69,28 +70,22 @@ def assemble(
 
     channels |= _without_repeats(channels, notes)
     t = channels["x"].t
-    pose, near = _interpolate_pose(channels, t, quaternion)
-    commands, started = _hold_commands(channels, t)
+    turning = QUATERNION if quaternion else _EULER
+    pose, near = _at(t, channels, (*_POSITION, *turning), _interpolate)
+    commands, started = _at(t, channels, (*COMMANDS, "contact"), _hold)
     complete = near & started
     if complete.sum() < 2:
         raise UserError(f"{path}: pose and commands are never logged at the same time")
     notes += _describe_rows(channels, t, complete)
-    velocity = _interpolate_fully(channels, _VELOCITY, t[complete], "velocity", notes)
-    voltage = _interpolate_fully(channels, ("vbat",), t[complete], "battery voltage", notes, longest=1.5)
-    requests, complete_requests = _hold_all(channels, REQUESTS, t[complete])
-    if requests is not None and not complete_requests:
-        notes.append("the requests of the motors are not logged throughout and are not used")
-        requests = None
-    speeds = _interpolate_fully(channels, ROTOR_SPEEDS, t[complete], "rotor speed", notes)
+    optional = _optional(t[complete], channels, notes)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
         notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
 
-    pose = {key: value[complete] for key, value in pose.items()}
-    command = np.stack([commands.get(key, np.full(len(t), np.nan))[complete] for key in COMMANDS], axis=1)
+    nothing = np.full(len(t), np.nan)
+    command = np.stack([commands.get(key, nothing)[complete] for key in COMMANDS], axis=1)
+    attitude = np.stack([pose.get(key, nothing)[complete] for key in turning], axis=1)
     if quaternion:
-        attitude = _from_quaternion(path, np.stack([pose[key] for key in QUATERNION], axis=1))
-    else:
-        attitude = np.stack([pose[key] for key in _EULER], axis=1)
+        attitude = _from_quaternion(path, attitude)
     if euler == "ZYX":
         if not quaternion:
             attitude = _zyx_to_zxy(attitude, "attitude", notes)
@@ -99,14 +94,14 @@ def assemble(
     return FlightLog(
         name=name,
         t=t[complete] - t[complete][0],
-        position=np.stack([pose[key] for key in _POSITION], axis=1),
+        position=np.stack([pose[key][complete] for key in _POSITION], axis=1),
         attitude=attitude,
         command=command,
-        velocity=velocity,
-        voltage=None if voltage is None else voltage[:, 0],
+        velocity=optional.get("velocity"),
+        voltage=optional["battery voltage"][:, 0] if "battery voltage" in optional else None,
         contact=commands["contact"][complete] > 0.5 if "contact" in commands else None,
-        requests=requests,
-        rotor_speed=speeds,
+        requests=optional.get("requests"),
+        rotor_speed=optional.get("rotor speed"),
         thrust_is_measured=channels["cmd_thrust_pwm"].measured,
         from_quaternion=quaternion,
         notes=tuple(dict.fromkeys(notes)),
@@ -163,39 +158,36 @@ def _at_rest(t: np.ndarray, position: np.ndarray, new: np.ndarray) -> list[int]:
     return rows
 
 
-def _hold_all(
-    channels: Mapping[str, Channel], keys: tuple[str, ...], t: np.ndarray
-) -> tuple[np.ndarray | None, bool]:
-    """Return (m, k) held at t where all of `keys` are logged, and whether they are from the first t on."""
-    if not all(key in channels for key in keys):
-        return None, False
-    parts = [_hold(channels[key], t) for key in keys]
-    return np.stack([value for value, _ in parts], axis=1), all(started.all() for _, started in parts)
-
-
-def _interpolate_pose(
-    channels: Mapping[str, Channel], t: np.ndarray, quaternion: bool
+def _at(
+    t: np.ndarray, channels: Mapping[str, Channel], keys: tuple[str, ...], method: Callable
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return the pose at t by column (m,), NaN where not logged, and a mask of rows with near neighbours."""
-    pose, complete = {}, np.ones(len(t), bool)
-    for key in (*_POSITION, *(QUATERNION if quaternion else _EULER)):
-        pose[key] = np.full(len(t), np.nan)
+    """Return the values at t (m,) of the `keys` that were logged, and a mask of the rows that have them all.
+
+    method: `_interpolate` or `_hold`.
+    """
+    values, complete = {}, np.ones(len(t), bool)
+    for key in keys:
         if key in channels:
-            pose[key], near = _interpolate(channels[key], t, angle=key in ("roll", "yaw"))
-            complete &= near
-    return pose, complete
+            values[key], usable = method(channels[key], t)
+            complete &= usable
+    return values, complete
 
 
-def _hold_commands(
-    channels: Mapping[str, Channel], t: np.ndarray
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return commands and contact at t by column (m,), and a mask of the rows from their first values on."""
-    commands, complete = {}, np.ones(len(t), bool)
-    for key in (*COMMANDS, "contact"):
-        if key in channels:
-            commands[key], started = _hold(channels[key], t)
-            complete &= started
-    return commands, complete
+def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) -> dict[str, np.ndarray]:
+    """Return by name what a flight may lack, (m, k) at t, where it is logged throughout; note what is not."""
+    found = {}
+    for what, keys, method in (
+        ("velocity", _VELOCITY, _interpolate),
+        ("battery voltage", ("vbat",), functools.partial(_interpolate, longest=1.5)),
+        ("requests", REQUESTS, _hold),
+        ("rotor speed", ROTOR_SPEEDS, _interpolate),
+    ):
+        values, usable = _at(t, channels, keys, method)
+        if len(values) == len(keys) and usable.all():
+            found[what] = np.stack([values[key] for key in keys], axis=1)
+        elif len(values) == len(keys):
+            notes.append(f"{what} is not logged throughout and is not used")
+    return found
 
 
 def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.ndarray) -> Iterator[str]:
@@ -209,24 +201,6 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
         yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
-
-
-def _interpolate_fully(
-    channels: Mapping[str, Channel],
-    keys: tuple[str, ...],
-    t: np.ndarray,
-    what: str,
-    notes: list[str],
-    **options,
-) -> np.ndarray | None:
-    """Return (m, k) at t where all of `keys` are logged throughout; note what is not."""
-    if not all(key in channels for key in keys):
-        return None
-    parts = [_interpolate(channels[key], t, **options) for key in keys]
-    if all(near.all() for _, near in parts):
-        return np.stack([value for value, _ in parts], axis=1)
-    notes.append(f"{what} is not logged throughout and is not used")
-    return None
 
 
 def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
@@ -281,7 +255,8 @@ def _clean(key: str, channel: Channel, notes: list[str]) -> Channel:
     later = np.r_[True, np.diff(t) > 0]
     if not later.all():
         notes.append(f"{int((~later).sum())} rows of {channel.column} repeat an instant and were dropped")
-    return Channel(t[later], value[later], channel.column, channel.measured)
+    wraps = key in ("roll", "yaw")
+    return dataclasses.replace(channel, t=t[later], value=value[later], wraps=wraps)
 
 
 def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:
@@ -296,19 +271,19 @@ def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float,
 
 
 def _interpolate(
-    channel: Channel, t: np.ndarray, angle: bool = False, longest: float = GAP_SECONDS
+    channel: Channel, t: np.ndarray, longest: float = GAP_SECONDS
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the values at t, and a mask of where their neighbours are near enough; (m,) each."""
     if len(channel.t) == len(t) and np.array_equal(channel.t, t):
         return channel.value, np.ones(len(t), bool)
     if len(channel.t) < 2:
         return np.full(len(t), np.nan), np.zeros(len(t), bool)
-    value = np.unwrap(channel.value) if angle else channel.value
     right = np.clip(np.searchsorted(channel.t, t, side="left"), 1, len(channel.t) - 1)
     step = channel.t[right] - channel.t[right - 1]
     exact = np.isin(t, channel.t)
     inside = (t >= channel.t[0]) & (t <= channel.t[-1])
     near = exact | (inside & (step <= max(longest, GAP_STEPS * np.median(np.diff(channel.t)))))
+    value = np.unwrap(channel.value) if channel.wraps else channel.value
     return np.interp(t, channel.t, value), near
 
 

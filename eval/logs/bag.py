@@ -123,7 +123,6 @@ def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str])
 def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
     """Yield the messages of a topic and when the bag received them [ns]."""
     connections = [c for c in reader.connections if c.topic == topic]
-    kinds = ", ".join(sorted({c.msgtype for c in connections}))
     stored = reader.messages(connections=connections)
     for count in itertools.count(1):
         try:
@@ -132,13 +131,11 @@ def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
         except StopIteration:
             return
         except Exception as error:  # rosbags raises any kind on damaged bytes
-            sentence = f"topic {topic} ({shown(kinds)}) cannot be decoded"
-            if any(c.msgtype not in reader.typestore.types for c in connections):
-                raise UserError(
-                    f"{sentence}: the bag has no definition of this type; `ros2 bag convert` to mcap adds "
-                    "it, where the type is installed"
-                ) from error
-            raise UserError(f"{sentence} ({_reason(error)})") from error
+            kind = shown(connections[0].msgtype)
+            raise UserError(
+                f"topic {topic} ({kind}) cannot be decoded ({_reason(error)}); where the bag has no "
+                "definition of this type, `ros2 bag convert` to mcap adds it"
+            ) from error
         if count > MOST_ROWS:
             raise UserError(f"topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out")
         yield message, timestamp
@@ -151,12 +148,10 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
     files = [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
     if path.suffix != ".bag" and folder / "metadata.yaml" not in files:
         stored = [path] if folder != path else [file for file in files if file.suffix in (".mcap", ".db3")]
-        if not stored:
-            raise UserError(f"{path}: a ROS 2 bag is a folder with metadata.yaml; none is there")
-        if len(stored) > 1:
+        if len(stored) != 1:
             raise UserError(
-                f"{path}: several files of ROS 2 bags without metadata.yaml; name one of them, or write it: "
-                f"`ros2 bag reindex {shown(folder.name)}`"
+                f"{path}: a ROS 2 bag is a folder with metadata.yaml, which `ros2 bag reindex "
+                f"{shown(folder.name)}` writes, or one .mcap or .db3 file; {len(stored)} are there"
             )
         folder, files = stored[0], stored
     if sum(file.stat().st_size for file in files) > LARGEST:
@@ -165,10 +160,8 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except Exception as error:
-        tools = {".mcap": "mcap recover", ".bag": "rosbag reindex"}
-        tool = next((tools[file.suffix] for file in (path, *files) if file.suffix in tools), None)
-        cut = f"; if it was cut short, `{tool}` saves what is whole" if tool else ""
-        raise UserError(f"{path}: not a readable bag ({_reason(error)}){cut}") from error
+        tools = "`rosbag reindex` or `mcap recover` saves what is whole of one that was cut short"
+        raise UserError(f"{path}: not a readable bag ({_reason(error)}); {tools}") from error
     try:
         yield reader
     finally:

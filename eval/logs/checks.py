@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.logs import motion, values
+from inclined_landing.eval.logs.channels import FULL_COMMAND
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import FlightLog, as_logs
-from inclined_landing.eval.logs.mapping import FULL_COMMAND
 from inclined_landing.models.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}

@@ -147,18 +147,10 @@ def check(where: str, t: np.ndarray, column: str) -> None:
     back = np.flatnonzero(t[1:] < t[:-1])
     if back.size:
         k = back[0] + 1
-        for lone in (k - 1, k):  # without this row, the clock goes on
-            if back.size == 1 and 0 < lone < len(t) - 1 and t[lone - 1] <= t[lone + 1]:
-                raise UserError(
-                    f"{where}: {column} holds {t[lone]:g} s in row {lone + 1} of the data, between "
-                    f"{t[lone - 1]:g} and {t[lone + 1]:g} s: correct or remove that row"
-                )
-        goes = f"{column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data"
-        if back.size == 1:
-            raise UserError(f"{where}: {goes}; are two flights in one file? Cut it in two before that row")
+        more = f", and in {back.size - 1} more" if back.size > 1 else ""
         raise UserError(
-            f"{where}: {goes}, and in {back.size - 1} more: sort the rows by it, or cut the file where "
-            "another flight begins"
+            f"{where}: {column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data{more}: "
+            "correct that row, sort the rows by it, or cut the file where another flight begins"
         )
     if t[-1] - t[0] > limits.LONGEST:
         row = int(np.argmax(np.diff(t)))

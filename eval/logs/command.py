@@ -4,54 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Flag, Flat, LogSource, NewFolder
+from inclined_landing.eval.base.options import Flag, Flat, LogSource
 from inclined_landing.eval.logs.checks import check_fleet, check_log, without_bad_data
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.flights.command import public_flights
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
 from inclined_landing.eval.logs.read import read_log
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, first_of, shown
 
 
-class Logs(LogSource):
-    """Which logs, and what their column names do not tell."""
-
-    def __post_init__(self) -> None:
-        """Accept no logs, as --public has none."""
-
-
-def command(
-    source: Flat[Logs],
-    *,
-    public: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[SET [FILE ...]]")] = None,
-    out: NewFolder = None,
-    json: Flag = False,
-) -> None:
+def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     """What flight logs hold and whether they can be believed, in words.
 
     The exit code is 2 where a log is refused.
 
     Args:
-        public: measured flights of others instead: where every set is, under which licence; with a SET
-            and its FILEs, these are converted.
-        out: new folder for the converted flights, one .csv.gz each, and source.txt.
         json: print JSON, and nothing else, on standard output.
     """
-    if public is not None:
-        if source != Logs(()) or json:
-            raise UserError("--public is about flights of others: name no log, and leave other options out")
-        public_flights(public[0] if public else "", public[1:], out)
-        return
-    if not source.files:
-        raise UserError("name at least one log")
-    if out is not None:
-        raise UserError("--out is where --public puts converted flights")
     units = parse_units(source.unit)
     reports = [_check_file(file, source.mapping, units) for file in source.files]
     usable = [(log, found) for log, found in reports if log is not None and not _refused(found)]

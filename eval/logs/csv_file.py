@@ -60,7 +60,8 @@ def read(path: Path) -> Record:
             notes.append("the decimal sign is a comma")
             table = _parse(rows, layout, encoding, decimal)
     except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
-        raise UserError(f"{path}: {_different_length(path, data, layout, encoding, str(error))}") from error
+        reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
+        raise UserError(f"{path}: rows of different length ({reason}) below the header") from error
     except pandas.errors.EmptyDataError as error:
         raise UserError(f"{path}: a header and no rows") from error
     columns: dict[str, np.ndarray] = {}
@@ -232,21 +233,6 @@ def _matches(text: pandas.Series, pattern: str) -> np.ndarray:
     """Return which cells (m,) are what the pattern describes."""
     whole = re.compile(pattern).fullmatch
     return text.isin([cell for cell in text.dropna().unique() if whole(cell)]).to_numpy(bool)
-
-
-def _different_length(path: Path, data: bytes, layout: _Layout, encoding: str, reason: str) -> str:
-    """Return which row has more cells than the header, as part of a sentence."""
-    lines = data[layout.start :].decode(encoding, "replace").split("\n")
-    for count, line in enumerate(lines, layout.lines + 1):
-        cells = len(_cells(path, line, layout.separator))
-        if cells > len(layout.names):
-            doubt = ""
-            if layout.separator == "," and cells > 1.5 * len(layout.names):
-                doubt = "; with decimal commas, another sign has to separate the cells"
-            return (
-                f"rows of different length: {cells} cells in line {count}, {len(layout.names)} names{doubt}"
-            )
-    return f"rows of different length ({reason.strip()})"
 
 
 def _line(data: bytes, layout: _Layout, row: int) -> int:

@@ -6,61 +6,50 @@ from pathlib import Path
 
 from inclined_landing.models.errors import UserError, shown
 
-_PANDAS = "pandas.{}('{{name}}').to_csv('flight.csv', index=False) makes a CSV file of it"
-_NUMPY = (
-    "pandas.DataFrame({}, columns=['t', 'x', ...]).to_csv('flight.csv', index=False) makes a CSV file of it"
+_TO_CSV = ".to_csv('flight.csv', index=False) makes a CSV file of it"
+_PICKLES = tuple(
+    b"\x80" + bytes([k]) + rest for k in range(2, 6) for rest in (b"\x95", b"c", b"}", b"]", b"(")
 )
-_TOPICS = "; a mapping file then names their columns and turns north-east-down into z up"
 # Suffixes, first bytes, and what to do with such a file, where {name} is its name.
 _KINDS: tuple[tuple[tuple[str, ...], tuple[bytes, ...], str], ...] = (
     (
         (".ulg",),
         (b"ULog\x01\x12\x35",),
-        f"a log of PX4: `ulog2csv {{name}}` (pip install pyulog) writes a CSV file per topic{_TOPICS}",
+        "a log of PX4: `ulog2csv {name}` (pip install pyulog) writes CSV files",
     ),
     (
         (".bin", ".tlog", ".px4log"),
         (b"\xa3\x95", b"FMT, 128"),
         "a binary log, of ArduPilot perhaps: `mavlogdump.py --format csv --types TYPE {name}` "
-        f"(pip install pymavlink) writes the messages of a type as CSV{_TOPICS}",
+        "(pip install pymavlink) writes the messages of a type as CSV",
     ),
     (
         (".bbl", ".bfl", ".bbs"),
         (b"H Product:Blackbox",),
-        "a blackbox log of Betaflight: `blackbox_decode {name}` (blackbox-tools) writes CSV; a mapping file "
-        "then names its columns; position has to come from another log",
+        "a blackbox log of Betaflight: `blackbox_decode {name}` (blackbox-tools) writes CSV",
     ),
     ((".xlsx", ".xlsm", ".xls", ".ods"), (b"\xd0\xcf\x11\xe0",), "a spreadsheet: save it as CSV there"),
-    ((".parquet",), (b"PAR1",), f"a Parquet table: {_PANDAS.format('read_parquet')}"),
-    ((".feather", ".arrow"), (b"ARROW1", b"FEA1"), f"a Feather table: {_PANDAS.format('read_feather')}"),
+    ((".parquet",), (b"PAR1",), "a Parquet table: pandas.read_parquet('{name}')" + _TO_CSV),
     (
-        (".jsonl", ".ndjson"),
-        (b'{"',),
-        "JSON, no table: pandas.read_json('{name}', lines=True).to_csv('flight.csv', index=False) makes a "
-        "CSV file of one object per line; leave out lines=True where all is one object",
-    ),
-    ((".json",), (b"{", b"[{", b"[["), f"JSON, no table: {_PANDAS.format('read_json')}"),
-    ((".npy",), (b"\x93NUMPY",), "an array without names: " + _NUMPY.format("numpy.load('{name}')")),
-    (
-        (".npz",),
-        (),
-        "arrays of numpy: pandas.DataFrame(dict(numpy.load('{name}'))).to_csv('flight.csv', index=False) "
-        "makes a CSV file of arrays with one value per row",
+        (".feather", ".arrow"),
+        (b"ARROW1", b"FEA1"),
+        "a Feather table: pandas.read_feather('{name}')" + _TO_CSV,
     ),
     (
-        (".mat",),
-        (b"MATLAB",),
-        "a file of MATLAB: writetable(table(t, x, y, z, ...), 'flight.csv') there makes a CSV file of its "
-        "variables",
+        (".jsonl", ".ndjson", ".json"),
+        (b"{", b"[{", b"[["),
+        "JSON, no table: pandas.read_json('{name}')" + _TO_CSV,
     ),
     (
-        (".h5", ".hdf5", ".hdf"),
-        (b"\x89HDF",),
-        f"an HDF5 file: {_PANDAS.format('read_hdf')} if pandas wrote it; otherwise h5py reads its arrays",
+        (".npy", ".npz"),
+        (b"\x93NUMPY",),
+        "arrays of numpy: pandas.DataFrame(numpy.load('{name}'), columns=['t', 'x', ...])" + _TO_CSV,
     ),
+    ((".mat",), (b"MATLAB",), "a file of MATLAB: writetable there makes a CSV file of a table"),
+    ((".h5", ".hdf5", ".hdf"), (b"\x89HDF",), "an HDF5 file: pandas.read_hdf('{name}')" + _TO_CSV),
     (
         (".pkl", ".pickle"),
-        tuple(b"\x80" + bytes([k]) + rest for k in range(2, 6) for rest in (b"\x95", b"c", b"}", b"]", b"(")),
+        _PICKLES,
         "a pickle, which could run anything and is not opened: write the table as CSV where you made it",
     ),
     (
@@ -70,12 +59,10 @@ _KINDS: tuple[tuple[tuple[str, ...], tuple[bytes, ...], str], ...] = (
     ),
     (
         (".active",),
-        (),
-        "a ROS 1 bag that was not closed: `rosbag reindex {name}`, and a name that ends in .bag",
+        (b"#ROSBAG",),
+        "a ROS 1 bag: give it a name that ends in .bag, after `rosbag reindex` if it is open",
     ),
-    ((), (b"#ROSBAG",), "a ROS 1 bag: give it a name that ends in .bag"),
-    ((), (b"\x89MCAP",), "a ROS 2 bag: give it a name that ends in .mcap"),
-    ((), (b"SQLite format 3\0",), "a database: if it is a ROS 2 bag, give it a name that ends in .db3"),
+    ((), (b"\x89MCAP", b"SQLite format 3\0"), "a ROS 2 bag: give it a name that ends in .mcap or .db3"),
     ((), (b"version https://git-lfs",), "a pointer of Git LFS, not the log: `git lfs pull` fetches that"),
     ((), (b"<",), "a web page or XML, not a log: download the file itself, or save it as CSV"),
 )

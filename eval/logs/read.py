@@ -13,6 +13,7 @@ import pandas
 
 from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card
 from inclined_landing.eval.logs import mapping as mappings
+from inclined_landing.eval.logs.channels import Channel, channels_of
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
@@ -88,10 +89,10 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
     )
     if column_map is None:
         column_map = mappings.detect(names, where)
-    channels: dict[str, mappings.Channel] = {}
+    channels: dict[str, Channel] = {}
     notes: list[str] = []
     for record in records:
-        found, words = mappings.apply(column_map, record, units)
+        found, words = channels_of(column_map, record, units)
         notes += words
         notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
         channels = found | channels

@@ -14,7 +14,7 @@ class Record:
 
     columns: values (m,) each; NaN where the file has no value.
     times: seconds (m,) per column where the format dates every value itself (micro-SD, bags);
-        empty for tables, whose time is a column like any other.
+        empty for tables, whose time is a column like any other, until that is found.
     units: unit per column where the file states it.
     unreadable: why, in a sentence, per column whose values cannot be read: not in `columns`, or NaN there
         where it holds text alone.
@@ -26,3 +26,4 @@ class Record:
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     unreadable: Mapping[str, str] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    is_table: bool = False  # whether all columns have the same times, which are checked

@@ -53,7 +53,10 @@ _SPELLINGS = {
     **dict.fromkeys(("usec", "micros", "microseconds"), "us"),
     **dict.fromkeys(("nsec", "nanos", "nanoseconds"), "ns"),
 }
-_FORCES = ("n", "newton", "newtons", "mn", "g", "gram", "grams", "gf", "kg", "kgf", "m/s2", "m/s^2", "m/s²")
+OF_A_FORCE = (
+    "newton, gram or m/s2 need a mapping file: inherit = 'documented' and, under [columns], "
+    "cmd_thrust_pwm = { column = 'NAME', full = 0.6 }, what it is at the full command"
+)
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")  # x [mm], roll (deg)
 _AT_THE_END = re.compile(r"(.+?)[ _](deg|degrees|rad|[mc]?m|m?v|s|secs?|[mun]s|[mun]sec)", re.IGNORECASE)
 
@@ -79,11 +82,8 @@ def factor(column: str, unit: str, where: str) -> float:
     named = shown(unit.strip().strip("[]()"), 40)
     choices = ", ".join(name for name in UNITS[COLUMNS[column]] if name)
     sentence = f"{where}: unit '{named}' of column {column} is not known; one of {choices}"
-    if COLUMNS[column] == "pwm" and unit.strip(" []()").lower() in _FORCES:
-        entry = f'inherit = "documented" and, under [columns], {column} = {{ column = "NAME", full = 0.6 }}'
-        sentence += (
-            f"; a force or acceleration needs a mapping file with {entry}, what it is at the full command"
-        )
+    if COLUMNS[column] == "pwm":
+        sentence += f"; {OF_A_FORCE}"
     raise UserError(sentence)
 
 

@@ -18,6 +18,7 @@ from inclined_landing.eval.logs.log import (
     FlightLog,
     repeated_share,
 )
+from inclined_landing.eval.logs.units import OF_A_FORCE
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
@@ -34,10 +35,6 @@ MOTORS_OFF = 10_000.0  # PWM
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
 MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
-_OF_A_FORCE = (
-    "Newton, gram or m/s2 need a mapping file: inherit = 'documented' and, under [columns], "
-    "cmd_thrust_pwm = { column = 'NAME', full = 0.6 }, what it is at the full command"
-)
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -218,15 +215,15 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
         yield refuse(
             "cmd_thrust_pwm",
             f"column cmd_thrust_pwm never exceeds {top:.3g}, but PWM is 0 to 65535: a {unit}? "
-            f"State its unit. {_OF_A_FORCE}",
+            f"State its unit. Of a force: {OF_A_FORCE}",
         )
     elif np.ptp(pwm) < 1.0:
         yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm is always {top:.6g}: not what was flown with")
     elif top < MOTORS_OFF:
         yield refuse(
             "cmd_thrust_pwm",
-            f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight, or in another unit. "
-            + _OF_A_FORCE,
+            f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight, or in another unit; "
+            + OF_A_FORCE,
         )
     else:
         share = (pwm >= 65534.0).mean()

@@ -19,6 +19,7 @@ QUICK = {
     "doctor": r"Everything that is needed works\..*",
     "effects": r"The library has \d+ effects; .*\.",
     "export landing --format numpy --out {place}/out": r"is exported as numpy; .*contract.md says .*\.",
+    "flights": r"\d+ sets of measured flights are known: .*\.",
     "gap-example --out {place}/out": r"Twenty flights with hidden effects are in .*out.*\.",
     "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",
     "success setpoint --plant analytic": rf"cm off after 3 s; within 5 cm \d+ of 200 flights {SHARE}\.",

@@ -18,6 +18,7 @@ NO_VEHICLE = {
     "demo",
     "export",
     "curves",
+    "flights",
     "logs",
     "effects",
     "gap-example",

@@ -84,7 +84,7 @@ def command(
     """NanoBench's identification task: an identified vehicle beside the published baselines.
 
     Args:
-        files: flights from `landing-eval logs --public nanobench` that the vehicle was not fitted to.
+        files: flights from `landing-eval flights nanobench` that the vehicle was not fitted to.
         vehicle: vehicle file driven by thrust command and angle setpoints.
         motors: vehicle file for tests/proof/gap_real/nanobench_motors.toml, driven by the PWM of the motors
             alone; the measured angular velocity is held, as in the paper's physics model.
@@ -93,7 +93,7 @@ def command(
         out: new folder for nanobench.json.
     """
     if not files:
-        raise UserError("name at least one flight; landing-eval logs --public nanobench says where they are")
+        raise UserError("name at least one flight; landing-eval flights nanobench says where they are")
     if out is not None:
         runs.check_new_run(out)
     models = {key: load_vehicle(file) for key, file in (("commands", vehicle), ("motors", motors)) if file}

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.logs.alignment import align_pose
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
 from tests.proof.__main__ import main
 from tests.proof.gap_real import attitude, halves, pads, thrust
+from tests.proof.gap_real.alignment import align_pose
 from tests.proof.gap_real.command import MOTORS, flights
 
 DATA = ROOT.parent / "shared" / "data"

@@ -1,4 +1,4 @@
-"""`landing-eval logs --public`: where measured flights of others are, and their files as documented CSV."""
+"""`landing-eval flights`: where measured flights of others are, and their files as documented CSV."""
 
 from __future__ import annotations
 
@@ -6,26 +6,33 @@ import gzip
 import hashlib
 import io
 import sys
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.eval.base.options import NewFolder
 from inclined_landing.eval.logs.flights.convert import PublicSet, convert, public_sets
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
+SetAndFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SET [FILE ...]]")]
 
-def public_flights(name: str, files: Sequence[str], out: Path | None) -> None:
-    """Print where every set of measured flights, or the one called `name`, is; or convert its files.
 
-    files: of that set as they are in its repository. out: new folder for one .csv.gz per flight and
-    source.txt.
+def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
+    """Measured flights of others: where each set is, its licence, and its files as documented CSV.
+
+    Args:
+        public: a set, and files of it as they are in its repository.
+        out: new folder for the converted flights, one .csv.gz each, and source.txt.
     """
     sets = public_sets()
-    if not name:
+    if not public:
         print("\n\n".join(_where(key, known) for key, known in sets.items()))
         print(f"\n{len(sets)} sets of measured flights are known: {', '.join(sets)}.")
         return
+    name, *files = public
     if name not in sets:
         raise UserError(f"unknown set {shown(name)!r}; known are {', '.join(sets)}")
     if not files:
@@ -67,7 +74,7 @@ def _where(name: str, known: PublicSet) -> str:
         (
             known.title,
             f"  git clone {known.repository} && git -C {folder} checkout {known.commit[:7]}",
-            f"  landing-eval logs --public {name} {folder}/{known.files} --out {name}",
+            f"  landing-eval flights {name} {folder}/{known.files} --out {name}",
             f"  licence: {known.licence}",
             f"  cite: {known.cite}",
         )

@@ -148,7 +148,7 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
             "cmd_thrust_pwm holds .*, but PWM is 0 to 65535",
         ),
         "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), r"a fraction\? State its unit"),
-        "newton": (change(log, cmd_thrust_pwm=pwm / 65535 * 0.6), "Newton, gram or m/s2 need a mapping file"),
+        "newton": (change(log, cmd_thrust_pwm=pwm / 65535 * 0.6), "newton, gram or m/s2 need a mapping file"),
         "millinewton": (change(log, cmd_thrust_pwm=pwm / 110), "full = 0.6"),
         "upside down": (change(log, roll=roll + np.pi), "upside down in most of the rows"),
         "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),

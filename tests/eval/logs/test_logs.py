@@ -225,11 +225,11 @@ BAD = {
     "ragged": ("t,x,y,z\n0,0,0,0\n0,0,0,0,0,0\n", "rows of different length"),
     "time back": (
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n2,0,0,0,0,1\n1,0,0,0,0,1\n",
-        "column t holds 2 s in row 2 of the data, between 0 and 1 s",
+        "column t goes back from 2 to 1 s in row 3 of the data: correct that row",
     ),
     "two flights": (
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n2,0,0,0,0,1\n0,0,0,0,0,1\n1,0,0,0,0,1\n",
-        "column t goes back from 2 to 0 s in row 4 of the data; are two flights in one file",
+        "column t goes back from 2 to 0 s in row 4 of the data: .* cut the file",
     ),
     "time nan": ("t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n,0,0,0,0,1\n", "column t has no number in row 2"),
     "degrees": (
@@ -431,9 +431,9 @@ def test_rows_in_order_of_arrival_are_sorted_and_two_flights_are_not(tmp_path):
         back = order(np.argsort(log.t + random.uniform(0.0, late, 400)))
         assert np.array_equal(back.t, log.t) and np.allclose(back.position, log.position)
         assert any("sorted by it" in note for note in back.notes)
-    with pytest.raises(UserError, match="two flights in one file"):
+    with pytest.raises(UserError, match="cut the file where another flight begins"):
         order([*range(60), *range(400)])  # 0.6 s, then another recording
-    with pytest.raises(UserError, match=r"and in \d+ more: sort the rows by it"):
+    with pytest.raises(UserError, match=r"and in \d+ more: correct that row, sort the rows by it"):
         order(random.permutation(400))
 
 
@@ -479,8 +479,7 @@ def test_files_of_one_flight_are_joined_by_a_plus_wherever_they_are(tmp_path, fo
         ("a.csv", b"<!DOCTYPE html>", "a web page"),
         ("a.csv", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
         ("log07", bytes(4096), "nothing but zero bytes"),
-        ("a.csv", b"time,variable,value\n0,x,1\n0,y,1\n", r"pivot_table\(index='time', columns='variable'"),
-        ("a.csv", b"t,x,y\n0,0,0,1,0,2\n", "6 cells in line 2, 3 names; with decimal commas"),
+        ("a.csv", b"t,x,y\n0,0,0,1,0,2\n", "rows of different length"),
         ("a.csv", b"t,x,y,z,roll,cmd_thrust_pwm [N]\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "full = 0.6"),
         ("a.csv", b"t,x,y,z,q.0,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n", 'as qw = "q.3"'),
     ],
@@ -733,7 +732,7 @@ def test_a_needed_topic_that_cannot_be_decoded_is_named_with_its_type(tmp_path):
     path = humble_bag(tmp_path / "bag", a_log(), status="own", defined=False)
     (tmp_path / "m.toml").write_text(HUMBLE.replace('"/cf/cmd:linear.z"', '"/cf/status:battery_voltage"'))
     with pytest.raises(
-        UserError, match=r"/cf/status \(a/msg/Status\) cannot be decoded: .*`ros2 bag convert`"
+        UserError, match=r"/cf/status \(a/msg/Status\) cannot be decoded .*`ros2 bag convert`"
     ):
         read(path, mapping=tmp_path / "m.toml")
 

@@ -17,12 +17,12 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap.flights.reading import read_flights
-from inclined_landing.eval.logs import alignment, read_log
+from inclined_landing.eval.logs import read_log
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.proof.gap_real import attitude, figures, halves, pads, tables, thrust
+from tests.proof.gap_real import alignment, attitude, figures, halves, pads, tables, thrust
 from tests.proof.gap_real.halves import Fleet
 
 MOTORS = Path(__file__).with_name("nanobench_motors.toml")

@@ -8,8 +8,8 @@ import pandas as pd
 
 from inclined_landing.eval.gap.report.words import residual_sentences
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
-from inclined_landing.eval.logs.alignment import Estimate, PoseAlignment
 from inclined_landing.models.vehicle import Vehicle
+from tests.proof.gap_real.alignment import Estimate, PoseAlignment
 from tests.proof.gap_real.attitude import Lean, Loop, Tilt
 from tests.proof.gap_real.halves import Fleet, Stability
 from tests.proof.gap_real.thrust import Lag, Law

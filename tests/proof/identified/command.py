@@ -39,7 +39,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     """Vehicles identified from public flights, and how far they predict flights left out (a minute).
 
     Args:
-        data: folder with the clones of the repositories (`landing-eval logs --public` says which).
+        data: folder with the clones of the repositories (`landing-eval flights` says which).
         out: folder for NAME.toml and NAME.posterior.json, as they stand in models/vehicles, and table.md.
         only: names of vehicles.
     """

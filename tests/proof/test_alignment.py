@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.alignment import align_commands, align_pose
 from inclined_landing.models.attitude import rotations
 from inclined_landing.models.errors import UserError
+from tests.proof.gap_real.alignment import align_commands, align_pose
 
 DT, FINE = 0.01, 10  # s between rows; steps of the integration in each
 
