@@ -33,7 +33,6 @@ BOXES = {
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
     "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
     "eval.moving": (8.3, 4, 1.3, "moving platforms"),
-    "eval.sweeps": (1.35, 3, 1.9, "the page of sweeps"),
     "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
@@ -48,7 +47,6 @@ BOXES = {
     "models": (3.825, 0, 11.55, "vehicle file, equations, effects, MJCF scene, native plugins, plants"),
 }
 _PLACES = {  # x at the start and at the end of arrows that go beside other boxes
-    ("eval.cli", "eval.sweeps"): (0.5, 0.5),
     ("eval.truth", "eval.logs"): (6.33, 6.33),
     ("eval.robustness", "eval.policies"): (9.2, 9.2),
     ("eval.robustness", "eval.moving"): (8.8, 8.8),

@@ -166,7 +166,7 @@ class TrainConfig:
     evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
     wrong input with 2.
 
-    `landing-train sweep RECIPE` trains and evaluates what a recipe describes, for every seed.
+    `landing-train sweep RECIPE` runs the command lines of a recipe for every seed.
     """
 
     task: Annotated[tyro.conf.Positional[str], _TASK] = "landing"

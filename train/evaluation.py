@@ -12,8 +12,6 @@ _MODULES = {
     "report": "after_training",  # after a run
     "film": "after_training",  # during a run, --video-every
     "find": "cli",  # the commands of a recipe
-    "renamed": "cli",
-    "write_page": "sweeps.page",  # landing-train sweep --page
 }
 
 

@@ -21,17 +21,16 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from generated import table  # beside this file
+from beyond import recorded  # beside this file
+from generated import table
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
-from inclined_landing.envs.shared import measured
-from inclined_landing.envs.shared.recipe import Recipe, read_recipe
 from inclined_landing.eval import cli
 from inclined_landing.models.effects import LIBRARY
+from inclined_landing.train.sweep.recipe import filled, read_recipe, shipped
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -386,15 +385,15 @@ def _fails(rows: list[dict]) -> Iterator[str]:
 # Three seeds of its recipe.
 
 
-def recipe_of(metadata: dict) -> tuple[Recipe, str] | None:
-    """The recipe, and its variant, one of whose trainings made a policy."""
+def recipe_of(metadata: dict) -> tuple[str, str] | None:
+    """The name of the recipe, and its variant, one of whose trainings made a policy."""
     made = _words(shlex.split(metadata["command"])[1:])
-    for file in sorted((ROOT / "train" / "recipes").glob("*.toml")):
+    for name, file in shipped().items():
         recipe = read_recipe(file)
-        for variant, more in recipe.variants.items():
-            if recipe.train and recipe.result and metadata["seed"] in recipe.seeds:
-                if _words([*recipe.train, *more]) == made:
-                    return recipe, variant
+        for variant, options in recipe.variants.items():
+            program, *words = shlex.split(filled(recipe.commands[0], {"options": options}))
+            if program == "landing-train" and metadata["seed"] in recipe.seeds and _words(words) == made:
+                return name, variant
     return None
 
 
@@ -412,14 +411,16 @@ def _words(words: list[str]) -> set[tuple[str, ...]]:
     return {group for group in groups if group[0] not in OF_THE_RUN and group not in ONCE_DEFAULT}
 
 
-def _recipe(recipe: Recipe, variant: str) -> str:
-    result = measured.read(recipe, recipe.result)
+def _recipe(name: str, variant: str) -> str:
+    recipe = read_recipe(shipped()[name])
+    result = recorded(recipe, name)
     rows = []
-    for number in recipe.numbers.values():
-        found: Any = result.of(variant, number.name)
-        unit = "" if number.unit == "1" else f" {number.unit}"
-        each = ", ".join("never" if value is None else f"{value:.4g}" for value in found.values)
-        rows.append([number.title, f"{found.interval_words}{unit}", each])
+    for found in result.measured:
+        if found.variant == variant:
+            number = recipe.numbers[found.number]
+            unit = "" if number.unit == "1" else f" {number.unit}"
+            each = ", ".join("never" if value is None else f"{value:.4g}" for value in found.values)
+            rows.append([number.title, f"{found.mean_words()}{unit}", each])
     seeds = ", ".join(map(str, recipe.seeds))
     return (
         f"The same training with the seeds {seeds} (`{result.command}`), all together and by seed:\n\n"

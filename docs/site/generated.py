@@ -49,7 +49,7 @@ def commands() -> str:
                 ["[`landing-train`](#landing-train)", "Train a policy; everything lands in one run folder."],
                 [
                     "[`landing-train sweep`](#landing-train-sweep)",
-                    "Train and judge what a recipe says, for every seed.",
+                    "Run the command lines of a recipe for every seed.",
                 ],
                 *([f"[`landing-eval {name}`](#{name})", line] for name, (_, line) in cli.COMMANDS.items()),
             ],

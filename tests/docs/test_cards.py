@@ -9,12 +9,14 @@ import pytest
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from tests import documents  # finds docs/site
 
+import beyond  # isort: skip
 import cards  # isort: skip
 
 
 def test_the_page_is_what_the_generator_makes():
     assert cards.PAGE.read_text("utf-8") == cards.page(), "run `python docs/site/cards.py`"
     assert cards.PAGE == documents.ROOT / "envs" / "shipped" / "README.md"
+    assert beyond.PAGE.read_text("utf-8") == beyond.page(), "run `python docs/site/beyond.py`"
 
 
 def test_a_card_names_the_file_and_how_it_was_made():
@@ -49,7 +51,7 @@ def test_a_policy_that_did_not_fly_is_refused(tmp_path, monkeypatch):
 )
 def test_the_recipe_is_the_one_that_made_it(name, recipe):
     found = cards.recipe_of(load_policy(name).metadata)
-    assert (found[0].name if found else None) == recipe
+    assert (found[0] if found else None) == recipe
 
 
 def test_conditions_that_it_fails_in_are_listed_worst_first():

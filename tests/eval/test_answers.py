@@ -54,9 +54,11 @@ SWEEP = """
 title = "Small"
 question = "None?"
 answer = "After 4096 steps it is {error} from the goal."
-train = ["setpoint", "--steps", "4096"]
 seeds = [1, 2]
-evaluate = [["success", "{run}/final.zip", "--plant", "analytic", "--out", "{run}/success"]]
+commands = [
+    "landing-train setpoint --steps 4096 --seed {seed} --out {out} --no-report",
+    "landing-eval success {out}/final.zip --plant analytic --out {out}/success",
+]
 
 [numbers.error]
 title = "error"
@@ -64,9 +66,6 @@ file = "success/success.json"
 path = "conditions.0.error.mean"
 unit = "cm"
 factor = 100
-better = "lower"
-bar = 1000
-over = "mean"
 """
 LINES = [
     pytest.param(*case, id=case[0].split(" --out")[0][:60], marks=[pytest.mark.slow] * (case[0] in LONG))

@@ -1,5 +1,6 @@
-"""Sweeps: every run and command done once, whatever happens on the way; Ctrl-C ends the processes."""
+"""Sweeps: every command done once, whatever happens on the way; numbers by known truths."""
 
+import copy
 import json
 import os
 import signal
@@ -12,16 +13,16 @@ from pathlib import Path
 import psutil
 import pytest
 import tomlkit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
 
-from inclined_landing.envs import tasks
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.recipe import read_recipe
 from inclined_landing.models.errors import UserError
 from inclined_landing.train import cli
-from inclined_landing.train.sweep import children, command, jobs, record
-from inclined_landing.train.sweep.check import check
-from inclined_landing.train.sweep.children import Children, Stopped
-from tests.test_own_task import CODE as OWN_TASK
+from inclined_landing.train.sweep import command, jobs
+from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped
+from inclined_landing.train.sweep.result import sum_up, take
 from tests.training import assert_same_policy
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
@@ -37,13 +38,13 @@ out = Path(given["--out"])
 if "--no-report" in words:  # a training
     if os.path.exists("fails") and given["--seed"] == Path("fails").read_text():
         sys.exit("error: it diverged")
-    assert out.exists() == ("--resume" in words), out
+    assert ("--resume" in words) == (out / "run.json").exists()
     out.mkdir(exist_ok=True)
     (out / "run.json").write_text("{}")
     if os.path.exists("interrupted"):
         os.unlink("interrupted")
         sys.exit(130)
-    (out / "metrics.json").write_text(json.dumps({"steps": int(given["--seed"]), "ended": "well"}))
+    (out / "metrics.json").write_text(json.dumps({"steps": int(given["--seed"])}))
     sys.exit(3 if "0.9" in words else 0)
 assert not out.exists(), out
 out.mkdir(parents=True)
@@ -55,14 +56,17 @@ if os.path.exists("half"):
 RECIPE = {
     "title": "Pretended",
     "question": "Is all done once?",
-    "train": ["landing", "--steps", "100"],
+    "answer": "After {a.steps}, {b.share}.",
     "seeds": [5, 6],
-    "variants": {"a": [], "b": ["--gamma", "0.9"]},
-    "evaluate": [["success", "{run}/final.zip", "--seed", "{seed}", "--out", "{run}/s"]],
-    "together": [["success", "{run}/final.zip", "--out", "{sweep}/all"]],
+    "commands": [
+        "landing-train landing --steps 100 {options} --seed {seed} --out {out} --no-report",
+        "landing-eval success {out}/final.zip --seed {seed} --out {out}/s",
+    ],
+    "together": ["landing-eval success {sweep}/a-5/final.zip --out {out}/all"],
+    "variants": {"a": "", "b": "--gamma 0.9"},
     "numbers": {
-        "steps": {"file": "metrics.json", "path": "steps", "unit": "steps", "better": "lower", "bar": 5},
-        "share": {"file": "s/success.json", "path": "share", "unit": "%", "factor": 100, "better": "higher"},
+        "steps": {"title": "steps", "file": "metrics.json", "path": "steps", "unit": "steps", "at_least": 6},
+        "share": {"title": "s", "file": "s/success.json", "path": "share", "unit": "%", "factor": 100},
     },
 }
 
@@ -72,15 +76,14 @@ def place(tmp_path, monkeypatch):
     """A folder with a recipe, in which the two programs are pretended."""
     (tmp_path / "pretended.py").write_text(PRETENDED)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    monkeypatch.setattr(children, "PROGRAMS", dict.fromkeys(children.PROGRAMS, "pretended"))
+    monkeypatch.setattr(jobs, "PROGRAMS", dict.fromkeys(jobs.PROGRAMS, "pretended"))
     monkeypatch.chdir(tmp_path)
     write(RECIPE)
     return tmp_path
 
 
 def write(data, name="pretended.toml"):
-    Path(name).write_text("# kept\n" + tomlkit.dumps(data), "utf-8")
+    Path(name).write_text(tomlkit.dumps(data), "utf-8")
 
 
 def calls() -> list[str]:
@@ -95,25 +98,24 @@ def sweep(*words) -> int:
     return cli.main(["sweep", "pretended.toml", *words])
 
 
-def test_every_run_is_trained_and_judged_once_then_all_together(place, capsys):
+def test_every_command_is_done_once_for_every_run_then_all_together(place, capsys):
     cores = len(os.sched_getaffinity(0))
     assert sweep("--jobs", "1") == 0
     done = calls()
     assert len(done) == 4 * 2 + 1
-    assert (
-        done[0]
-        == f"landing --steps 100 --seed 5 --out runs/pretended/a-5 --no-report --threads {cores} {cores}"
-    )
+    trained = "landing --steps 100 --seed 5 --out runs/pretended/a-5 --no-report"
+    assert done[0] == f"{trained} --threads {cores} {cores}"
     assert done[1] == f"success runs/pretended/a-5/final.zip --seed 5 --out runs/pretended/a-5/s {cores}"
-    assert done[-1].startswith("success runs/pretended/a-5/final.zip --out runs/pretended/all ")
+    assert done[-1].startswith("success runs/pretended/a-5/final.zip --out runs/pretended/together/all ")
     result = json.loads(Path("runs/pretended/result.json").read_text())
     assert [m["values"] for m in result["measured"] if m["number"] == "steps"] == [[5, 6]] * 2
     assert [m["mean"] for m in result["measured"] if m["number"] == "share"] == [90, 90]
-    assert len(result["runs"]) == 4 and all(0 < run["cpu_seconds"] < 60 for run in result["runs"])
-    assert result["versions"]["mujoco"] == "4.0.0" and result["machine"]
+    assert len(result["cpu_seconds"]) == 4 and all(0 < seconds < 60 for seconds in result["cpu_seconds"])
     printed = capsys.readouterr().out
-    assert "5.5 (5 to 6) steps" in printed and "missed" in printed
+    assert "6: missed" in printed and printed.endswith("After 5.5 (5 to 6) steps, 90 %.\n")
     assert sweep() == 0 and not calls()  # everything is there
+    os.rename("runs/pretended", "elsewhere")
+    assert sweep("--out", "elsewhere") == 0 and not calls()
 
 
 def test_side_by_side_the_cores_are_shared_out(place):
@@ -125,7 +127,8 @@ def test_side_by_side_the_cores_are_shared_out(place):
 def test_what_was_interrupted_is_resumed_and_what_was_half_done_begun_again(place, capsys):
     Path("interrupted").touch()
     assert sweep("--jobs", "1") == 1
-    assert "a-5: landing-train landing ended with 130: said landing" in capsys.readouterr().err
+    assert "a-5: landing-train landing --steps" in (said := capsys.readouterr().err)
+    assert " ended with 130: said landing" in said
     assert not Path("runs/pretended/result.json").exists() and len(calls()) == 1 + 3 * 2
     assert sweep("--jobs", "1") == 0
     resumed, *rest = calls()
@@ -135,63 +138,39 @@ def test_what_was_interrupted_is_resumed_and_what_was_half_done_begun_again(plac
     assert sweep("--out", "other", "--jobs", "1") == 0 and len(calls()) == 2  # that one, and all together
 
 
-def test_an_interrupted_run_that_keeps_no_checkpoint_is_begun_again(place):
-    Path("interrupted").touch()
-    assert sweep("--jobs", "1") == 1 and calls()
-    Path("runs/pretended/a-5/run.json").write_text('{"config": {"algorithm": "sac"}}')
-    assert sweep("--jobs", "1") == 0  # the pretended training asserts that its folder is gone
-    assert "--resume" not in calls()[0]
-
-
 def test_a_failed_run_leaves_the_others_and_no_result(place, capsys):
     Path("fails").write_text("6")
-    assert sweep("--record") == 1
+    assert sweep() == 1
     said = capsys.readouterr().err
-    assert said.count("error: it diverged") == 2 and said.count(": failed after ") == 2
-    assert all("it diverged" in line for line in said.splitlines()[-2:])
-    assert "[result]" not in Path("pretended.toml").read_text()
+    assert said.count(": failed after ") == 2
+    assert all("error: it diverged" in line for line in said.splitlines()[-2:])
     assert Path("runs/pretended/a-5/s/success.json").exists()
+    assert not Path("runs/pretended/result.json").exists()
 
 
-def test_new_seeds_and_commands_are_added_and_another_training_is_refused(place, capsys):
+def test_what_is_added_or_changed_is_done_and_what_follows_it(place):
     assert sweep() == 0 and calls()
     write(RECIPE | {"seeds": [5, 6, 7]})
     assert sweep() == 0 and len(calls()) == 2 * 2  # what is done together names no other run
-    more = [*RECIPE["evaluate"], ["success", "landing", "--out", "{run}/t"]]
-    write(RECIPE | {"evaluate": more})
+    training, judged = RECIPE["commands"]
+    write(RECIPE | {"commands": [training, judged, "landing-eval success landing --out {out}/t"]})
     assert sweep() == 0 and len(calls()) == 4
-    write(RECIPE | {"evaluate": [["success", "landing", "--out", "{run}/s"]]})
+    write(RECIPE | {"commands": [training, "landing-eval success landing --out {out}/s"]})
     assert sweep() == 0 and len(calls()) == 4  # in the place of the old one
-    write(RECIPE | {"train": ["landing", "--steps", "200"]})
-    assert sweep() == 2 and not calls()
-    assert "was begun as landing-train landing --steps 100" in capsys.readouterr().err
+    write(RECIPE | {"commands": [training.replace("100", "200"), judged]})
+    assert sweep() == 0
+    assert [("--resume" in line) for line in calls() if line.startswith("landing")] == [True] * 4
 
 
-def test_a_moved_sweep_goes_on(place):
-    assert sweep() == 0 and calls()
-    os.rename("runs/pretended", "elsewhere")
-    assert sweep("--out", "elsewhere") == 0 and not calls()
-
-
-def test_without_training_the_variants_are_the_evaluations(place):
-    data = {key: value for key, value in RECIPE.items() if key != "train"}
-    data["numbers"] = {"share": RECIPE["numbers"]["share"]}
-    data["variants"] = {"mujoco": ["--plant", "{variant}"], "hybrid": ["--plant", "{variant}"]}
-    data["evaluate"] = [["success", "landing", "--seed", "{seed}", "--out", "{run}/s"]]
-    write(data)
-    assert sweep("--jobs", "1") == 0
-    assert calls()[1].startswith("success landing --seed 5 --out runs/pretended/hybrid-5/s --plant hybrid ")
-
-
-def test_the_result_is_recorded_and_comments_stay(place):
-    for _ in range(2):
-        assert sweep("--record") == 0
-        text = Path("pretended.toml").read_text()
-        assert text.startswith("# kept\n") and text.count("[result]") == 1
-        recipe = read_recipe("pretended.toml")
-        assert recipe.result["command"] == "landing-train sweep pretended.toml"
-        assert len(recipe.result["measured"]) == 4
-    assert sweep() == 0 and len(calls()) == 9  # a recipe with a result is the same recipe
+def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
+    wrong = copy.deepcopy(RECIPE)
+    wrong["numbers"]["share"]["path"] = "shares"
+    write(wrong)
+    assert sweep() == 2
+    assert "number share: runs/pretended/a-5/s/success.json has no shares" in capsys.readouterr().err
+    assert len(calls()) == 9
+    write(RECIPE)
+    assert sweep() == 0 and not calls()
 
 
 @pytest.mark.parametrize(
@@ -199,18 +178,24 @@ def test_the_result_is_recorded_and_comments_stay(place):
     [
         ({}, ["--on", "moon"], "--on must be local or ray"),
         ({}, ["--address", "here:1"], "--address belongs to --on ray"),
-        ({}, ["--jobs", "-1"], "--jobs must be a whole number from 0"),
         ({}, ["--out", "pretended.py"], "is not a folder"),
         ({}, ["--out", "."], "exists and is not empty"),
-        ({"train": ["landing", "--step", "3"]}, [], "--step"),
-        ({"train": ["landing", "--gamma", "2"]}, [], "--gamma must be a number above 0 and below 1"),
-        ({"train": ["--help"]}, [], "--help does no work"),
-        ({"train": ["--tyro-write-completion", "bash", "x"]}, [], "--tyro-write-completion is no option"),
-        ({"evaluate": [["moving", "--tyro_write-completion", "bash", "x"]]}, [], "is no option"),
-        ({"variants": {"a": ["--curriculum", "steep"]}}, [], "unknown curriculum"),
-        ({"evaluate": [["sucess", "x"]]}, [], "'sucess' is no command that a recipe may run"),
-        ({"evaluate": [["success"]]}, [], "POLICY"),
+        ({"commands": ["landing-train landing --step 3"]}, [], "--step"),
+        ({"commands": ["landing-train landing --gamma 2"]}, [], "--gamma must be a number above 0 and below 1"),
+        ({"commands": ["landing-train --help"]}, [], "does no work"),
+        ({"variants": {"a": "", "b": "--gamma"}}, [], "--gamma"),
+        ({"commands": ["landing-eval sucess x"]}, [], "sucess does no work"),
+        ({"commands": ["landing-eval success"]}, [], "POLICY"),
+        ({"commands": ["rm -r {out}"]}, [], "a command line begins with landing-train or landing-eval"),
+        ({"commands": ["landing-train 'landing"]}, [], "quotation"),
+        ({"commands": ["landing-train landing --seed {sed}"]}, [], "{sed} is no name of landing-train"),
+        ({"together": ["landing-eval curves {seed}"]}, [], "{seed} is no name of landing-eval"),
+        ({"answer": "{steps}"}, [], "{steps} is no name of {steps}; known are a.steps"),
         ({"seeds": "many"}, [], "seeds must be a list"),
+        ({"seeds": [1, 1]}, [], "a seed is listed twice"),
+        ({"variants": {"a/b": ""}}, [], "variants must be a table"),
+        ({"numbers": {}}, [], "numbers must be a table of at least 1"),
+        ({"unknown": 1}, [], "unknown entry 'unknown'"),
     ],
 )
 def test_wrong_input_is_one_sentence_and_nothing_begins(change, words, sentence, place, capsys):
@@ -222,126 +207,77 @@ def test_wrong_input_is_one_sentence_and_nothing_begins(change, words, sentence,
     assert sorted(place.rglob("*")) == before
 
 
-# A recipe is data. Imported, this would leave a file.
-FOREIGN = "from pathlib import Path\nPath('imported').touch()\ndef fly(t, states, decks): pass\n"
+def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys, monkeypatch):
+    assert cli.main(["sweep", "none.toml"]) == 2
+    assert "recipe none.toml does not exist (shipped ones: " in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert sweep("--on", "ray") == 2
+    assert "--on ray needs Ray, which is not installed; pip install" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"train": ["foreign.py:Hop"]},
-        {"train": ["foreign:Hop", "--steps", "100"]},
-        {"variants": {"a": [], "b": ["--from", "foreign.py:Hop"]}},
-        {"evaluate": [["success", "x.zip", "--task=foreign.py:Hop", "--out", "{run}/s"]]},
-        {"evaluate": [["moving", "planner", "{here}/foreign.py:fly", "--out", "{run}/s"]]},
-        {
-            "together": [
-                ["video", "x.zip", "--task", "{here}/../{sweep}/foreign:Hop", "--out", "{sweep}/v.gif"]
-            ]
-        },
-    ],
-)
-def test_python_that_nobody_named_is_not_imported(change, place, capsys):
-    Path("foreign.py").write_text(FOREIGN)
-    write(RECIPE | change)
-    before = sorted(place.rglob("*"))
-    assert sweep() == 2
-    said = capsys.readouterr().err
-    assert "would run Python, which a recipe alone may not" in said and "name it: --allow " in said
-    assert said.count("\n") == 1 and sorted(place.rglob("*")) == before and "foreign" not in sys.modules
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tmp_path_factory):
+    odd = st.recursive(
+        st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
+        | st.integers(-(2**63), 2**63 - 1)
+        | st.floats()
+        | st.booleans()
+        | st.sampled_from(["{out}", "{seed", "}", "{nobody}", "landing-train '"]),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab.-_ "), inner, max_size=2),
+        max_leaves=4,
+    )
+    recipe = copy.deepcopy(RECIPE)
+    table = data.draw(st.sampled_from([recipe, recipe["variants"], recipe["numbers"]["steps"]]))
+    table[data.draw(st.sampled_from([*sorted(table), "new"]))] = data.draw(odd)
+    path = tmp_path_factory.mktemp("odd", numbered=True) / "odd.toml"
+    path.write_text(tomlkit.dumps(recipe), "utf-8")
+    try:
+        read = read_recipe(path)
+        for job in jobs.jobs_of(read, path.parent).values():
+            assert all(job.words(line) for line in job.lines)
+    except UserError as error:
+        assert str(error).isprintable() and len(str(error)) < 500 + len(str(path))
 
 
-def test_python_that_is_named_is_imported(place, capsys, monkeypatch):
-    monkeypatch.setattr(tasks, "_OWN", {})
-    Path("foreign.py").write_text(FOREIGN)
-    Path("loop.py").symlink_to("loop.py")
-    write(RECIPE | {"evaluate": [["moving", "{here}/foreign.py:fly", "--out", "{run}/s"]]})
-    for words, sentence in (
-        (["--allow", "foreign.py:land"], "--allow ./foreign.py:fly"),
-        (["--allow", "loop.py:fly"], "--allow ./foreign.py:fly"),
-        (["--allow", "foreign"], "--allow takes module:NAME or FILE.py:NAME, not foreign"),
-        (
-            ["--allow", "foreign.py:fly", "--allow", "os:system"],
-            "--allow os:system: the recipe names no such",
-        ),
-    ):
-        assert sweep(*words) == 2 and sentence in capsys.readouterr().err
-    assert sweep("--allow", str(place / "foreign.py:fly"), "--record") == 0
-    assert any("moving ./foreign.py:fly" in line for line in calls())
-    assert "sweep pretended.toml --allow /" in read_recipe("pretended.toml").result["command"]
-    Path("hop.py").write_text(OWN_TASK)
-    write(RECIPE | {"train": ["hop.py:Hop"]})
-    assert sweep("--allow", "hop.py:Hop", "--out", "own") == 0
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_recipes_would_begin(name, tmp_path):
+    command.Sweep(read_recipe(shipped()[name]), tmp_path, "").check()
 
 
-@pytest.fixture
-def begun(place):
-    """The folder of a sweep that was begun."""
-    folder = place / "runs" / "pretended"
-    (folder / "steps").mkdir(parents=True)
-    (folder / "pretended.toml").write_text("")
-    return folder
+# ---- processes
 
 
-@pytest.mark.parametrize(
-    "out",
-    ["/tmp/x", "x", "{sweep}/../../x", "{run}/../x", "{run}", "{sweep}/x", "{run}/link/x", "{here}/x",
-     "{run}/metrics.json", "{run}/tensorboard/x"],
-)  # fmt: skip
-def test_a_run_writes_into_its_folder_alone(out, place, begun, capsys):
-    for run in ("a-5", "b-5"):
-        (begun / run).mkdir()
-        (begun / run / "link").symlink_to(place)
-    write(RECIPE | {"evaluate": [["success", "landing", f"--out={out}"], *RECIPE["evaluate"]]})
-    before = sorted(place.rglob("*"))
-    assert sweep() == 2 and not calls()
-    assert "--out must be a new name in {run}, beside what is there" in capsys.readouterr().err
-    assert sorted(place.rglob("*")) == before
+@pytest.mark.parametrize("text", ["[", "{}", '[{"code": 0}]', '[{"line": "a", "code": "x"}]', "3"])
+def test_a_damaged_record_is_refused(text, place):
+    job = jobs.jobs_of(read_recipe(Path("pretended.toml")), Path("runs"))["a", 5]
+    job.record.parent.mkdir(parents=True)
+    job.record.write_text(text)
+    with pytest.raises(UserError, match=r"record \S+a-5\.json"):
+        jobs.read(job)
 
 
-@pytest.mark.parametrize(
-    "out", ["/tmp/x", "{sweep}", "{sweep}/..", "{run}", "{run}/x", "{sweep}/steps/x", "{sweep}/result.json"]
-)
-def test_what_is_done_together_writes_beside_the_runs(out, place, capsys):
-    write(RECIPE | {"together": [["success", "landing", "--out", out]]})
-    assert sweep() == 2 and "--out must be a new name in {sweep}, beside its runs" in capsys.readouterr().err
+def test_no_two_processes_do_the_same_job(place):
+    job = jobs.jobs_of(read_recipe(Path("pretended.toml")), Path("runs"))["a", 5]
+    job.log.parent.mkdir(parents=True)
+    with runs.held(job.folder, job.log) as log:
+        other = os.dup(log)  # as the program that was begun has it
+    with pytest.raises(UserError, match=r"another process works in the run folder \S+a-5; wait"):
+        jobs.work(1, 0.1, None, job)
+    assert not calls() and not job.record.exists()
+    timer = threading.Timer(0.3, os.close, [other])
+    timer.start()
+    assert [step.code for step in jobs.work(1, 60.0, None, job)] == [0, 0]
+    timer.join(0)
 
 
-def test_a_run_folder_that_leads_elsewhere_is_refused(place, begun, capsys):
-    (begun / "a-6").symlink_to(place)
-    assert sweep() == 2 and "out of the sweep" in capsys.readouterr().err
-    (begun / "a-6").unlink()
-    (begun / "a-6").symlink_to("a-6")
-    assert sweep() == 2 and "a-6" in capsys.readouterr().err
-
-
-def test_a_number_or_picture_that_nothing_writes_is_refused(place, capsys):
-    share = RECIPE["numbers"]["share"]
-    for change, sentence in (
-        (
-            {"numbers": {"n": share | {"file": "t/success.json"}}},
-            "number n: a run will have no t/success.json;",
-        ),
-        ({"figure": "{sweep}/all/x.png", "video": "{run}/x.gif"}, "video: no command of the recipe writes"),
-    ):
-        write(RECIPE | change)
-        assert sweep() == 2 and sentence in capsys.readouterr().err and not calls()
-    data = {key: value for key, value in RECIPE.items() if key not in ("train", "variants")}
-    write(data)  # metrics.json is of a training
-    assert sweep() == 2 and "it has what is in s" in capsys.readouterr().err
-
-
-def test_a_number_that_is_not_found_costs_one_run(place, capsys):
-    wrong = {"share": RECIPE["numbers"]["share"] | {"path": "shares"}}
-    write(RECIPE | {"numbers": wrong})
-    assert sweep("--jobs", "1") == 2
-    said = capsys.readouterr().err
-    assert "success.json has no shares; the sweep stops: correct the recipe" in said.splitlines()[-1]
-    assert len(calls()) <= 2 * 2  # the next run may have begun when the first had ended
-    assert not Path("runs/pretended/result.json").exists()
-    write(RECIPE)
-    assert sweep() == 0
-    assert not [line for line in calls() if "pretended/a-5" in line and "--seed 5" in line]
+def test_only_what_the_sweep_wrote_makes_room(tmp_path):
+    job = jobs.Job("a-5", (), str(tmp_path / "sweep"), str(tmp_path))
+    for place, gone in (("a-5/s", True), ("a-5", False), ("", False), ("steps", False), ("../x", False)):
+        out = Path(job.sweep, place)
+        out.mkdir(parents=True, exist_ok=True)
+        jobs._prepared(job, ["landing-eval", "success", "--out", str(out)], 1)
+        assert out.exists() is not gone, place
 
 
 def test_the_programs_import_nothing_from_where_they_are_run(tmp_path, monkeypatch):
@@ -349,155 +285,139 @@ def test_the_programs_import_nothing_from_where_they_are_run(tmp_path, monkeypat
     (tmp_path / "modules" / "quiet.py").write_text("import json, numpy\n")
     for name in ("json.py", "numpy.py", "runpy.py", "inclined_landing.py"):
         (tmp_path / name).write_text("raise SystemExit('foreign')\n")
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
-    monkeypatch.setitem(children.PROGRAMS, "landing-eval", "quiet")
-    assert Children().run(["landing-eval"], subprocess.DEVNULL, 1).code == 0
+    monkeypatch.setitem(jobs.PROGRAMS, "landing-eval", "quiet")
+    with jobs.leashed() as leash:
+        assert jobs._run(["landing-eval"], str(tmp_path), subprocess.DEVNULL, 1, leash)[0] == 0
 
 
-def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys, monkeypatch):
-    assert cli.main(["sweep", "none.toml"]) == 2
-    said = capsys.readouterr().err
-    assert "recipe none.toml does not exist (shipped ones: " in said and " landing," in said
-    monkeypatch.setitem(sys.modules, "ray", None)
-    assert sweep("--on", "ray") == 2
-    assert capsys.readouterr().err == (
-        "landing-train: --on ray needs Ray, which is not installed; pip install 'inclined-landing[ray]'\n"
-    )
-
-
-@pytest.mark.parametrize("text", ["[", "{}", '[{"words": []}]', '[{"words": ["a"], "code": "x"}]', "3"])
-def test_a_damaged_record_is_refused(text, place):
-    job = jobs.of_runs(read_recipe("pretended.toml"), Path("runs"), place)["a", 5]
-    job.record.parent.mkdir(parents=True)
-    job.record.write_text(text)
-    with pytest.raises(UserError, match=r"record \S+a-5\.json is "):
-        jobs.read(job)
-
-
-def test_processes_end_when_the_sweep_does(tmp_path, monkeypatch):
-    (tmp_path / "sleeper.py").write_text("import time; time.sleep(60)")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setitem(children.PROGRAMS, "landing-eval", "sleeper")
-    group, ended = Children(), []
-    threads = [
-        threading.Thread(target=lambda: ended.append(group.run(["landing-eval"], subprocess.DEVNULL, 1)))
-        for _ in range(2)
-    ]
-    for thread in threads:
-        thread.start()
-    while len(group._running) < 2:
-        time.sleep(0.01)
-    group.stop()
-    for thread in threads:
-        thread.join(10)
-    assert [one.code for one in ended] == [-signal.SIGTERM] * 2
-    with pytest.raises(Stopped):
-        group.run(["landing-eval"], subprocess.DEVNULL, 1)
-
-
-def test_processes_end_when_the_sweep_is_killed(tmp_path):
-    (tmp_path / "sleeper.py").write_text("import os, time; print(os.getpid(), flush=True); time.sleep(60)")
-    code = (
-        "from inclined_landing.train.sweep import children\n"
-        "children.PROGRAMS['landing-eval'] = 'sleeper'\n"
-        "children.Children().run(['landing-eval'], 1, 1)"
-    )
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment)
-    begun = psutil.Process(int(first.stdout.readline()))
-    first.kill()
-    first.communicate()
-    assert psutil.wait_procs([begun], timeout=10)[0]
-
-
-def test_no_two_processes_do_the_same_job(place):
-    job = jobs.of_runs(read_recipe("pretended.toml"), Path("runs"), place)["a", 5]
-    job.log.parent.mkdir(parents=True)
-    with runs.held(job.run, job.log) as log:
-        other = os.dup(log)  # as the program that was begun has it
-    with pytest.raises(UserError, match=r"another process works in the run folder \S+a-5; wait"):
-        jobs.work(job, Children(), 1, patience=0.1)
-    assert not calls() and not job.record.exists()
-    timer = threading.Timer(0.3, os.close, [other])
-    timer.start()
-    steps = jobs.work(job, Children(), 1, patience=60)
-    timer.join(0)
-    assert [step.code for step in steps] == [0, 0]
-
-
-def test_what_a_process_takes_is_measured_with_its_own_children(tmp_path, monkeypatch):
+def test_what_a_command_takes_is_measured_with_its_own_children(tmp_path, monkeypatch):
     work = "import time\nwhile time.process_time() < 0.3: pass"
-    (tmp_path / "busy.py").write_text(
-        f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', '''{work}'''])"
-    )
+    code = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', '''{work}'''])"
+    (tmp_path / "busy.py").write_text(code)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setitem(children.PROGRAMS, "landing-eval", "busy")
-    ended = Children().run(["landing-eval"], subprocess.DEVNULL, 1)
-    assert ended.code == 0 and 0.3 <= ended.cpu_seconds < 5 and ended.wall_seconds > 0.3
+    monkeypatch.setitem(jobs.PROGRAMS, "landing-eval", "busy")
+    with jobs.leashed() as leash:
+        code, seconds = jobs._run(["landing-eval"], str(tmp_path), subprocess.DEVNULL, 1, leash)
+    assert code == 0 and 0.3 <= seconds < 10
 
 
-def test_only_what_the_sweep_wrote_makes_room(tmp_path):
-    recipe = tmp_path / "r.toml"
-    recipe.write_text(tomlkit.dumps(RECIPE))
-    runs = jobs.of_runs(read_recipe(recipe), tmp_path / "sweep", tmp_path)
-    job = runs["a", 5]
-    inside = {"{run}/s": True, "{run}": False, "{sweep}": False, "{sweep}/steps/x": False, "/tmp": False}
-    for out, expected in inside.items():
-        (words,) = job.filled([out])
-        assert (job.inside(Path(words)) is not None) is expected, out
-    assert not job.inside(job.run / ".." / ".." / "x")
-
-
-def test_a_recipe_that_cannot_be_written_is_said_before(tmp_path):
-    with pytest.raises(UserError, match="folder"):
-        record.check(tmp_path)
-
-
-def test_shipped_recipes_are_right():
-    for name, path in command.shipped().items():
-        recipe = read_recipe(path)
-        runs = jobs.of_runs(recipe, Path("runs", name), path.parent)
-        check(recipe, runs, jobs.of_all(recipe, Path("runs", name), path.parent))
-        if recipe.result is not None:
-            command.measured.read(recipe, recipe.result)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_commands_end_with_the_sweep(number, place):
+    Path("pretended.py").write_text("import os, time; print(os.getpid(), flush=True); time.sleep(60)")
+    code = (
+        "import sys; from inclined_landing.train import cli; from inclined_landing.train.sweep import jobs\n"
+        "jobs.PROGRAMS = dict.fromkeys(jobs.PROGRAMS, 'pretended')\n"
+        "sys.exit(cli.main(['sweep', 'pretended.toml', '--jobs', '2']))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code])
+    logs = [Path("runs/pretended/steps", name) for name in ("a-5.log", "b-5.log")]
+    until = time.monotonic() + 60
+    while not all(log.exists() and log.read_text() for log in logs):
+        assert time.monotonic() < until and process.poll() is None
+        time.sleep(0.05)
+    begun = [psutil.Process(int(log.read_text())) for log in logs]
+    process.send_signal(number)
+    assert process.wait(20) == (128 + number if number != signal.SIGKILL else -number)
+    assert psutil.wait_procs(begun, timeout=10)[1] == []
+    assert not Path("runs/pretended/steps/a-6.log").exists()
 
 
 @pytest.mark.slow
 def test_a_real_sweep_interrupted_and_resumed_ends_as_one_left_alone(tmp_path):
-    small = ["--environments", "8", "--rollout", "64", "--batch-size", "256", "--checkpoint-every", "2"]
+    small = "--environments 8 --rollout 64 --batch-size 256 --checkpoint-every 2"
+    strict = {"title": "strict", "file": "s/success.json", "path": "conditions.0.grid.strict"}
     data = {
         "title": "Tiny",
         "question": "Does it run?",
-        "train": ["landing", "--steps", "16384", *small],
         "seeds": [1, 2],
-        "evaluate": [["success", "{run}/final.zip", "--plant", "analytic", "--out", "{run}/s"]],
-        "numbers": {
-            "strict": {
-                **{"file": "s/success.json", "path": "conditions.0.grid.strict"},
-                **{"unit": "%", "factor": 100, "better": "higher"},
-            }
-        },
+        "commands": [
+            f"landing-train landing --steps 16384 {small} --seed {{seed}} --out {{out}} --no-report",
+            "landing-eval success {out}/final.zip --plant analytic --out {out}/s",
+        ],
+        "numbers": {"strict": strict},
     }
-    write(data, tmp_path / "tiny.toml")
+    (tmp_path / "tiny.toml").write_text(tomlkit.dumps(data))
 
     def begin(out):
         words = ["-m", "inclined_landing.train", "sweep", "tiny.toml", "--out", out, "--jobs", "2"]
         return subprocess.Popen([sys.executable, *words], cwd=tmp_path)
 
-    alone = begin("alone")
-    assert alone.wait() == 0
+    assert begin("alone").wait() == 0
     first = begin("again")
     until = time.monotonic() + 120
     while not (tmp_path / "again" / "seed-1" / "checkpoint.pt").exists():
         assert time.monotonic() < until
         time.sleep(0.05)
-    own = psutil.Process(first.pid).children(recursive=True)
     first.send_signal(signal.SIGINT)
     assert first.wait(60) == 130
-    assert not [p for p in own if p.is_running()]
     assert begin("again").wait() == 0
     results = [json.loads((tmp_path / out / "result.json").read_text()) for out in ("alone", "again")]
     assert results[0]["measured"] == results[1]["measured"]
     for run in ("seed-1", "seed-2"):
         assert_same_policy(*(tmp_path / out / run / "final.zip" for out in ("alone", "again")))
+
+
+# ---- numbers over seeds
+
+
+def number(**changed) -> Number:
+    return Number(**{"title": "n", "file": "m.json", "path": "n", "unit": "%"} | changed)
+
+
+def summed(*values, kind="number", **changed):
+    return sum_up("", "n", number(**changed), [(kind, value) for value in values])
+
+
+def test_flights_of_all_seeds_are_one_share_with_wilsons_interval():
+    found = summed((9, 10), (30, 30), (5, 10), kind="flights", factor=100.0)
+    interval = binomtest(44, 50).proportion_ci(method="wilson")
+    assert found.values == (90.0, 100.0, 50.0) and found.median == 90.0 and found.mean == pytest.approx(88.0)
+    assert found.interval == pytest.approx((100 * interval.low, 100 * interval.high))
+    assert found.range_words(number()) == "90 (50 to 100) %"
+
+
+def test_true_and_false_are_a_share_of_the_seeds():
+    found = summed(True, False, True, kind="share")
+    interval = binomtest(2, 3).proportion_ci(method="wilson")
+    assert found.mean == pytest.approx(2 / 3) and found.range_words(number()) == "0.667 %"
+    assert found.interval == pytest.approx((interval.low, interval.high))
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=8))
+@settings(max_examples=30, deadline=None)
+def test_the_bootstrap_lies_within_the_values_and_around_their_mean(values):
+    found = summed(*values)
+    low, high = found.interval
+    room = 1e-9 * (1 + max(map(abs, values)))  # rounding of the mean of eight numbers
+    assert min(values) - room <= low <= found.mean + room and found.mean - room <= high <= max(values) + room
+
+
+def test_a_seed_that_never_got_there_counts_as_larger_than_all():
+    found = summed(None, 5, 7, unit="steps")
+    assert found.median == 7 and found.mean is None and found.interval is None
+    assert found.range_words(number(unit="steps")) == "7 (5 to 7) steps, never in 1 of 3"
+    assert summed(None, None).range_words(number()) == "–, never in 2 of 2"
+    with pytest.raises(UserError, match="number in one run and share in another"):
+        sum_up("", "n", number(), [("number", 1), ("share", True)])
+
+
+def test_numbers_are_taken_from_where_they_stand(tmp_path):
+    text = '{"n": 3, "t": true, "p": {"count": 2, "of": 4}, "no": null, "l": [1, 2.5], "w": "x"}'
+    (tmp_path / "m.json").write_text(text)
+
+    def of(path):
+        return take("n", number(path=path), tmp_path)
+
+    assert (of("n"), of("t"), of("p")) == (("number", 3), ("share", True), ("flights", (2, 4)))
+    assert of("l.1") == ("number", 2.5) and of("no") == of("no.steps") == ("number", None)
+    for path in ("x", "l.2", "l.y", "n.x", "w", "p.x"):
+        with pytest.raises(UserError, match="number n"):
+            of(path)
+    (tmp_path / "m.json").unlink()
+    with pytest.raises(UserError, match=r"m\.json does not exist"):
+        of("n")
+
+
+def test_names_are_filled_in():
+    assert filled("{runs} {x} {", {"runs": "a b"}) == "a b {x} {"

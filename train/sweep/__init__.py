@@ -1,6 +1,4 @@
-"""`landing-train sweep`: a recipe's trainings for every seed, their evaluation, and what came out.
+"""`landing-train sweep`: command lines for every seed, side by side, and the numbers that come out.
 
-`command` < `spread` < `jobs` < `children` < `child`: the options, the runs side by side, the steps of one of
-them, its processes, one process. `check.py` looks at a recipe before it is run, `record.py` writes the result
-into it.
+`command` runs what `recipe` reads: each seed is a job (`jobs`), the numbers are summed up in `result`.
 """

@@ -1,94 +1,47 @@
-"""One run of a sweep: its training and its evaluate commands, each done once.
+"""One run of a sweep: its command lines, each done once whatever happens on the way.
 
-SWEEP/steps/RUN.json says what was begun and how it ended, RUN.log beside it what the commands printed. A step
-that is done is not done again, a training that was interrupted is resumed, what else was is begun again.
+SWEEP/steps/RUN.json says how they ended, RUN.log beside it what they printed. A command that is done is not
+done again; a training that was interrupted is resumed, everything else is begun again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import itertools
+import os
+import runpy
+import shlex
 import shutil
-from collections.abc import Sequence
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
-from msgspec import Meta, structs
+from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.recipe import Recipe, filled, run_name
-from inclined_landing.models import storage
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.train.sweep.children import Children
+from inclined_landing.train.sweep.recipe import Recipe, filled
 
+PROGRAMS = {"landing-train": "inclined_landing.train", "landing-eval": "inclined_landing.eval"}
 STEPS = "steps"  # folder of the records in that of the sweep
-RESULT = "result.json"  # of a sweep that is finished, beside a copy of its recipe
-TOGETHER = "together"  # the job that is not a run
-# What a training writes into its run folder: the files with numbers, and the others (see `train.run`).
-NUMBERS = ("metrics.json", "run.json")
-OTHERS = (
-    *("vehicle.toml", "randomise.toml", "learning.csv", "evaluations.csv", "tensorboard", "videos"),
-    *("checkpoint.pt", "best.zip", "final.zip"),
-)
-Amount = Annotated[float, Meta(ge=0)]
+TOGETHER = "together"  # the job that is done once, after all runs
 DONE = (0, 3)  # exit codes of a command with a result: 3 says that it is not the one that was hoped for
+# Libraries that otherwise start a thread for each core.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-@dataclasses.dataclass(frozen=True)
-class Job:
-    """A run, or what is made of all runs together.
+class Step(msgspec.Struct):
+    """A command line of a job as the record has it."""
 
-    In its commands {run}, {sweep} and {here} still stand, so that a sweep that has been moved goes on.
-    """
-
-    name: str
-    commands: tuple[tuple[str, ...], ...]  # landing-train ... or landing-eval ..., in their order
-    run: Path
-    sweep: Path
-    here: Path  # the folder of the recipe
-    taken: frozenset[str]  # what stands in its folder that is not its commands' to write
-
-    @property
-    def folder(self) -> Path:
-        """Return where its commands write: the run folder, or that of the sweep."""
-        return self.sweep if self.name == TOGETHER else self.run
-
-    @property
-    def record(self) -> Path:
-        """Return the file that says what is done."""
-        return self.sweep / STEPS / f"{self.name}.json"
-
-    @property
-    def log(self) -> Path:
-        """Return the file of what its commands printed."""
-        return self.record.with_suffix(".log")
-
-    def filled(self, words: Sequence[str]) -> list[str]:
-        """Return a command as it is run."""
-        return filled(words, {"run": str(self.run), "sweep": str(self.sweep), "here": str(self.here)})
-
-    def inside(self, out: Path) -> Path | None:
-        """Return `out` from the folder of the job on; None where its commands may not write."""
-        root = self.sweep.resolve() / self.folder.relative_to(self.sweep)
-        try:
-            below = out.resolve().relative_to(root)
-        except (ValueError, OSError, RuntimeError):  # elsewhere, or links in a circle
-            return None
-        return below if below.parts and below.parts[0] not in self.taken else None
-
-
-class Step(msgspec.Struct, forbid_unknown_fields=True):
-    """A command of a job as the record has it."""
-
-    words: Annotated[list[str], Meta(min_length=1)]
-    attempts: Annotated[int, Meta(ge=0)] = 0
+    line: str
     code: int | None = None  # None: it has not ended
-    cpu_seconds: Amount = 0.0  # of all attempts that ended
-    wall_seconds: Amount = 0.0
-    load: Amount = 0.0  # of the machine when it ended
-    versions: dict[str, str] = {}  # and what it ran with, and on
+    cpu_seconds: Annotated[float, Meta(ge=0)] = 0.0  # of all attempts that ended
 
     @property
     def done(self) -> bool:
@@ -96,73 +49,94 @@ class Step(msgspec.Struct, forbid_unknown_fields=True):
         return self.code in DONE
 
 
-def of_runs(recipe: Recipe, sweep: Path, here: Path) -> dict[tuple[str, int], Job]:
+class Job(msgspec.Struct, frozen=True):
+    """A run, or what is made of all runs together."""
+
+    name: str
+    lines: tuple[
+        str, ...
+    ]  # in which {out} and {sweep} still stand, so that a sweep that has been moved goes on
+    sweep: str  # folder
+    directory: str  # from which relative names in the command lines are read
+
+    @property
+    def folder(self) -> Path:
+        """Return where its commands write, {out}."""
+        return Path(self.sweep, self.name)
+
+    @property
+    def record(self) -> Path:
+        """Return the file that says what is done."""
+        return Path(self.sweep, STEPS, f"{self.name}.json")
+
+    @property
+    def log(self) -> Path:
+        """Return the file of what its commands printed."""
+        return self.record.with_suffix(".log")
+
+    def words(self, line: str) -> list[str]:
+        """Return the words of a command line; raises UserError where the shell would not take it."""
+        places = {"out": str(self.folder), "sweep": self.sweep}
+        try:
+            words = shlex.split(filled(line, {name: shlex.quote(path) for name, path in places.items()}))
+        except ValueError as error:
+            raise UserError(f"{shown(line, 100)}: {error}") from error
+        if len(words) < 2 or words[0] not in PROGRAMS:
+            raise UserError(f"{shown(line, 100)}: a command line begins with {' or '.join(PROGRAMS)}")
+        return words
+
+
+def jobs_of(recipe: Recipe, sweep: Path) -> dict[tuple[str, int], Job]:
     """Return the runs of a recipe by variant and seed."""
     made = {}
     for variant, seed in recipe.runs():
-        names = {"run": "{run}", "sweep": "{sweep}", "here": "{here}", "seed": str(seed), "variant": variant}
-        more, commands = recipe.variants[variant], []
-        if recipe.train is not None:
-            words = ("landing-train", *recipe.train, *more)
-            commands.append((*words, "--seed", str(seed), "--out", "{run}", "--no-report"))
-        own = () if recipe.train is not None else more
-        commands += [("landing-eval", *filled((*words, *own), names)) for words in recipe.evaluate]
-        name = run_name(variant, seed)
-        taken = frozenset(() if recipe.train is None else (*NUMBERS, *OTHERS))
-        made[variant, seed] = Job(name, tuple(commands), sweep / name, sweep, here, taken)
+        values = {"seed": str(seed), "variant": shlex.quote(variant), "options": recipe.variants[variant]}
+        lines = tuple(filled(line, values) for line in recipe.commands)
+        made[variant, seed] = Job(f"{variant or 'seed'}-{seed}", lines, str(sweep), os.getcwd())
     return made
 
 
-def of_all(recipe: Recipe, sweep: Path, here: Path) -> Job:
-    """Return the job that is done once of all runs; {run} is the first one."""
-    runs = [run_name(variant, seed) for variant, seed in recipe.runs()]
-    names: dict[str, str | list[str]] = {name: f"{{{name}}}" for name in ("run", "sweep", "here")}
-    names["runs"] = [f"{{sweep}}/{run}" for run in runs]
-    commands = tuple(("landing-eval", *filled(words, names)) for words in recipe.together)
-    taken = frozenset((*runs, STEPS, RESULT, f"{recipe.name}.toml"))
-    return Job(TOGETHER, commands, sweep / runs[0], sweep, here, taken)
+def job_of_all(recipe: Recipe, sweep: Path, jobs: Iterable[Job]) -> Job:
+    """Return the job that is done once of all runs."""
+    folders = {"runs": " ".join(f"{{sweep}}/{job.name}" for job in jobs)}
+    return Job(TOGETHER, tuple(filled(line, folders) for line in recipe.together), str(sweep), os.getcwd())
 
 
 def read(job: Job) -> list[Step]:
-    """Return the steps of a job as they stand, one for each command.
+    """Return the steps of a job as they stand, one for each command line.
 
-    Raises UserError for a damaged record, and for a training that was begun with other words.
+    What was done with another command line, and what came after it, is not done. Raises UserError for a
+    damaged record.
     """
-    found = _recorded(job.record)
-    steps = []
-    for k, words in enumerate(job.commands):
-        before = found[k] if k < len(found) else None
-        same = next((step for step in found if step.words == list(words)), None)
-        if same is None and before is not None and words[0] == before.words[0] == "landing-train":
-            raise UserError(
-                f"{job.run} was begun as {shown(' '.join(before.words), 150)}, and the recipe says "
-                "otherwise now; choose another --out"
-            )
-        attempts = 0 if before is None else before.attempts  # what was written has to make room
-        steps.append(same or Step(list(words), attempts))
-    return steps
+    found = []
+    if job.record.exists():
+        found = schema.parse(storage.read_json(job.record, "record"), list[Step], f"record {job.record}: ")
+    same = itertools.takewhile(lambda pair: pair[0].line == pair[1], zip(found, job.lines))
+    steps = [step for step, _ in same]
+    return steps + [Step(line) for line in job.lines[len(steps) :]]
 
 
-def work(job: Job, children: Children, threads: int, patience: float = 0.0) -> list[Step]:
+def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Step]:
     """Do what is left of a job, until a command fails, and return its steps.
 
-    patience: for how long [s] another process that does the same job is waited for. Raises UserError when it
-    still does.
+    threads: of each command. patience: for how long [s] another process that does the same job is waited for.
+    leash: see `leashed`; None: one for this job. Raises UserError where another process still does the job, or
+    the folder of the sweep is not there.
     """
-    job.log.parent.mkdir(parents=True, exist_ok=True)
-    with runs.held(job.run, job.log, patience) as log:
+    if leash is None:
+        with leashed() as leash:
+            return work(threads, patience, leash, job)
+    if not job.record.parent.is_dir():
+        raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
+    with runs.held(job.folder, job.log, patience) as log:
         steps = read(job)
         for step in steps:
             if step.done:
                 continue
-            words = _prepared(job, step, threads)
-            step.attempts += 1
-            _write(job, steps)
-            ended = children.run(words, log, threads)
-            step.code, step.load, step.versions = ended.code, ended.load, _versions()
-            step.cpu_seconds += ended.cpu_seconds
-            step.wall_seconds += ended.wall_seconds
-            _write(job, steps)
+            words = _prepared(job, job.words(step.line), threads)
+            step.code, seconds = _run(words, job.directory, log, threads, leash)
+            step.cpu_seconds += seconds
+            storage.write_json(job.record, msgspec.to_builtins(steps))
             if not step.done:
                 break
     return steps
@@ -173,56 +147,67 @@ def failure(job: Job, steps: Sequence[Step]) -> str | None:
     wrong = next((step for step in steps if not step.done), None)
     if wrong is None:
         return None
-    lines: list[str] = []
-    with contextlib.suppress(OSError):
-        lines = job.log.read_text("utf-8", "replace").strip().splitlines()
-    said = shown(lines[-1], 150) if lines else "it printed nothing"
-    return f"{job.name}: {wrong.words[0]} {wrong.words[1]} ended with {wrong.code}: {said} ({job.log})"
+    printed = job.log.read_text("utf-8", "replace").strip().splitlines() or ["it printed nothing"]
+    return (
+        f"{job.name}: {shown(wrong.line, 60)} ended with {wrong.code}: {shown(printed[-1], 150)} ({job.log})"
+    )
 
 
-def _prepared(job: Job, step: Step, threads: int) -> list[str]:
-    """Return the command of a step as it is run now: resumed, or with room made for what it writes."""
-    words = job.filled(step.words)
-    if step.words[0] == "landing-train":
-        if not _keeps_checkpoints(job.run):
-            shutil.rmtree(job.run, ignore_errors=True)
-        resumed = ["--resume"] if (job.run / "run.json").is_file() else []
-        return [*words, *resumed, "--threads", str(threads)]
-    job.run.mkdir(parents=True, exist_ok=True)
-    out = _out(words)
-    if step.attempts and out is not None and job.inside(Path(out)) is not None:
+@contextlib.contextmanager
+def leashed() -> Iterator[int]:
+    """Yield a pipe to be read; commands that are given it end with the context, or with this process."""
+    leash, end = os.pipe()
+    try:
+        yield leash  # it stays open for what begins a command in the very end
+    finally:
+        os.close(end)
+
+
+def _prepared(job: Job, words: list[str], threads: int) -> list[str]:
+    """Return a command as it is run now: resumed, or with room made for what it writes below the folder."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    training = words[0] == "landing-train"
+    out = Path(next((value for word, value in itertools.pairwise(words) if word == "--out"), os.devnull))
+    if training and (out / "run.json").is_file():
+        words = [*words, "--resume"]
+    elif out.resolve().is_relative_to(job.folder.resolve()) and (training or out != job.folder):
         shutil.rmtree(out, ignore_errors=True)
-    return words
+    return [*words, "--threads", str(threads)] if training else words
 
 
-def _out(words: Sequence[str]) -> str | None:
-    """Return the last --out of a command."""
-    found = [word.partition("=")[2] for word in words if word.startswith("--out=")]
-    found += [value for word, value in itertools.pairwise(words) if word == "--out"]
-    return found[-1] if found else None
+def _run(words: list[str], directory: str, log: int, threads: int, leash: int) -> tuple[int, float]:
+    """Run a command to its end and return its exit code and CPU time [s], with that of what it waited for."""
+    # Unbuffered, so that the last line of the log is the last that was said; without the present folder among
+    # those that are imported from, as the programs themselves are started.
+    command = [sys.executable, "-u", "-P", "-m", __spec__.name, PROGRAMS[words[0]], *words[1:]]
+    process = subprocess.Popen(
+        command,
+        cwd=directory if os.path.isdir(directory) else None,
+        stdin=leash,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        env=os.environ | dict.fromkeys(_THREADS, str(threads)),
+        start_new_session=True,  # Ctrl-C reaches the sweep alone, which ends its commands
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, used.ru_utime + used.ru_stime
 
 
-def _keeps_checkpoints(run: Path) -> bool:
-    """Return whether a training can be resumed: one with a replay buffer is begun again."""
-    try:
-        return storage.read_json(run / "run.json", "run record")["config"]["algorithm"] == "ppo"
-    except (UserError, KeyError, TypeError):
-        return True  # --resume says what is wrong
+def _main() -> None:
+    """Run the module that the words name as `python -m` does, and end it with the pipe on standard input."""
+    pipe = os.dup(0)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
+    module, *sys.argv[1:] = sys.argv[1:]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
 
 
-def _versions() -> dict[str, str]:
-    return {name: str(text) for name, text in runs.versions().items() if text is not None}
+def _end_with(pipe: int) -> None:
+    """Wait for the end of a pipe to which nobody writes, then kill this program and what it has begun."""
+    os.read(pipe, 1)
+    os.killpg(0, signal.SIGKILL)
 
 
-def _write(job: Job, steps: Sequence[Step]) -> None:
-    storage.write_json(job.record, [structs.asdict(step) for step in steps])
-
-
-def _recorded(path: Path) -> list[Step]:
-    """Return the steps of a record; raises UserError for a damaged one."""
-    if not path.exists():
-        return []
-    try:
-        return msgspec.convert(storage.read_json(path, "record", storage.LARGEST), list[Step])
-    except msgspec.ValidationError as error:
-        raise UserError(f"record {path} is damaged; choose another --out") from error
+if __name__ == "__main__":
+    _main()

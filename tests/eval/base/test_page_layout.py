@@ -87,7 +87,6 @@ def _landings(folder: Path) -> str:
 
 
 PAGES = {
-    "beyond": _command("beyond.html", "sweep", "landing", "moving", "vehicles", "--page", "{out}"),
     "causes": _causes,
     "gap": lambda _: gap_page(example("unknown"), None, versions={"python": "3"}),
     "gap_blind": lambda _: page_of_cases(),

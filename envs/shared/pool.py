@@ -1,4 +1,4 @@
-"""A Ray cluster as an executor of `concurrent.futures`."""
+"""Calls side by side: in threads of this process, or as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -7,30 +7,64 @@ import logging
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
+PLACES = ("local", "ray")
+Item = TypeVar("Item")
 _PATIENCE = 5.0  # s to wait for a connection
 _RETRIES = 3  # of a call whose process or machine was lost
 
 
-def check(address: str | None, option: str) -> None:
-    """Raise UserError unless Ray is installed and, where an address HOST:PORT is given, a cluster answers.
+def check(on: str, address: str | None, option: str) -> None:
+    """Raise UserError for a place that is unknown, not installed or cannot be reached.
 
-    option: the one that asks for Ray, as sentences name it.
+    on: one of PLACES. address: HOST:PORT of a running Ray cluster. option: the one that names the place.
     """
+    if on not in PLACES:
+        raise UserError(f"{option} must be {' or '.join(PLACES)}, not {shown(repr(on), 40)}")
+    if on == "local":
+        if address is not None:
+            raise UserError(f"--address belongs to {option} ray")
+        return
     _prepare(address)
-    import_ray(option)
+    import_ray(f"{option} ray")
     if address is not None:
         _knock(address)
-        with connected(address):
+        with _connected(address):
             pass
+
+
+def completed(
+    function: Callable,
+    shared: Sequence[Any],
+    items: Iterable[Item],
+    on: str = "local",
+    address: str | None = None,
+    at_once: int = 1,
+) -> Generator[tuple[Item, Any]]:
+    """Yield every item with what `function(*shared, item)` returns, as the calls finish.
+
+    at_once: calls side by side on this machine. On Ray everything has to be picklable, `shared` is sent to a
+    machine once, each call takes one core, and one whose process or machine is lost is made again on another:
+    it has to bear that.
+    """
+    threads = contextlib.nullcontext(ThreadPoolExecutor(at_once))
+    with threads if on == "local" else _connected(address) as pool:
+        try:
+            if isinstance(pool, _Cluster):
+                shared = [pool.ray.put(value) for value in shared]
+            pending = {pool.submit(function, *shared, item): item for item in items}
+            for future in as_completed(pending):
+                yield pending.pop(future), future.result()
+        finally:  # without waiting for what is under way
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _prepare(address: str | None) -> None:
@@ -61,45 +95,41 @@ def import_ray(option: str = "Ray"):
     return ray
 
 
-class Cluster(Executor):
+class _Cluster(Executor):
     """Calls functions on the machines of a Ray cluster, each call on one core.
 
-    A call whose process or machine is lost is made again, on another machine, up to three times: what is
-    called has to bear that. What it raises comes back as a subclass of its exception and of Ray's.
+    What a call raises comes back as a subclass of its exception and of Ray's.
     """
 
     def __init__(self, ray):
-        self._ray = ray
+        self.ray = ray
         self._remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(_called)
         self._versions = runs.packages()
 
     def submit(self, function: Callable, /, *arguments: Any) -> Future:  # type: ignore[override]
-        """Return the future result of a call; functions and arguments have to be picklable."""
+        """Return the future result of a call."""
         remote = self._remote.options(name=function.__name__)
         return remote.remote(self._versions, function, *arguments).future()
 
-    def share(self, value: Any) -> Any:
-        """Return what stands for `value` among arguments, so that it is sent to a machine once."""
-        return self._ray.put(value)
-
 
 @contextlib.contextmanager
-def connected(address: str | None) -> Iterator[Cluster]:
+def _connected(address: str | None) -> Iterator[_Cluster]:
     """Yield the cluster at the address HOST:PORT; without one, Ray is started for this machine alone.
 
     Raises UserError where it cannot be reached, and for calls that it could not carry out. Calls under way
     end with the context.
     """
     ray = import_ray()
+    quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
     try:
-        with _own_signals():
-            _connect(ray, address)
+        with _signals_kept():
+            ray.init(address or "local", **quiet)
     except (OSError, ValueError, RuntimeError, ImportError) as error:
         where = f"at {shown(address)}" if address else "on this machine"
         hint = "; is this machine one of its nodes, with its token?" if address else ""
         raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}{hint}") from error
     try:
-        yield Cluster(ray)
+        yield _Cluster(ray)
     except ray.exceptions.RayError as error:
         if isinstance(cause := getattr(error, "cause", None), UserError):
             raise cause from error
@@ -109,13 +139,8 @@ def connected(address: str | None) -> Iterator[Cluster]:
         ray.shutdown()
 
 
-def _connect(ray, address: str | None) -> None:
-    quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
-    ray.init(address or "local", **quiet)
-
-
 @contextlib.contextmanager
-def _own_signals() -> Iterator[None]:
+def _signals_kept() -> Iterator[None]:
     """Keep the answer to SIGTERM, which Ray replaces."""
     before = signal.getsignal(signal.SIGTERM)
     try:
@@ -127,11 +152,12 @@ def _own_signals() -> Iterator[None]:
 
 def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
     """Return what a call returns, on a machine of the cluster."""
-    for name, own in runs.packages().items():
-        if own != versions[name]:
+    node = os.uname().nodename
+    for name, version in runs.packages().items():
+        if version != versions[name]:
             raise UserError(
-                f"{os.uname().nodename} has {name} {own}, and this machine {versions[name]}: the machines of "
-                "a cluster need the same packages"
+                f"{node} has {name} {version}, and this machine {versions[name]}: the machines of a cluster "
+                "need the same packages"
             )
     return function(*arguments)
 

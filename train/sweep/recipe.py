@@ -1,0 +1,90 @@
+"""Reader of recipes (TOML): command lines, their seeds, and the numbers to read from what they write.
+
+train/recipes/README.md is their manual.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, field
+
+from inclined_landing.envs.shared.options import Seed
+from inclined_landing.models import schema, storage
+from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.schema import Real, Table
+
+Text = Annotated[str, Meta(min_length=1, max_length=1000)]
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
+
+
+class Number(Table, frozen=True, kw_only=True):
+    """A number that every run has: in a JSON file below its folder, at a path of keys with dots between."""
+
+    title: Text
+    file: Text
+    path: Text
+    unit: Text = "1"
+    factor: Annotated[float, Meta(gt=0, le=1e300)] = 1.0  # times what the file says
+    at_least: Real | None = None  # what every seed has to reach, in the unit
+
+
+class Recipe(Table, frozen=True, kw_only=True):
+    """A recipe: `commands` run for every seed and variant, then those of `together` once."""
+
+    title: Text
+    question: Text
+    answer: Text = ""  # with {number}, or {variant.number}
+    seeds: Annotated[tuple[Seed, ...], Meta(min_length=1, max_length=100)]
+    variants: Annotated[dict[Name, str], Meta(min_length=1)] = field(default_factory=lambda: {"": ""})
+    commands: Annotated[tuple[Text, ...], Meta(min_length=1)]
+    together: tuple[Text, ...] = ()
+    numbers: Annotated[dict[Name, Number], Meta(min_length=1)]
+
+    def runs(self) -> list[tuple[str, int]]:
+        """Return variant and seed of every run, all variants of a seed after each other."""
+        return [(variant, seed) for seed in self.seeds for variant in self.variants]
+
+
+def shipped() -> dict[str, Path]:
+    """Return the recipes that come with the package, by name."""
+    folder = Path(str(resources.files("inclined_landing.train") / "recipes"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe; raises UserError, one sentence naming the file and the entry, for whatever is wrong."""
+    data = storage.read_toml(path, "recipe")
+    try:
+        recipe = schema.parse(data, Recipe)
+        if len(set(recipe.seeds)) < len(recipe.seeds):
+            raise UserError("a seed is listed twice")
+        numbers = [f"{variant}.{name}".lstrip(".") for variant in recipe.variants for name in recipe.numbers]
+        for texts, known in (
+            (recipe.commands, ("seed", "variant", "options", "out")),
+            (recipe.together, ("runs", "sweep", "out")),
+            ((recipe.answer,), numbers),
+        ):
+            _check_names(texts, known)
+    except UserError as error:
+        raise UserError(f"recipe {shown(path, 200)}: {error}") from error
+    return recipe
+
+
+def filled(text: str, values: Mapping[str, str]) -> str:
+    """Return a text with the names in braces that have a value filled in."""
+    return re.sub(r"\{([^{}]*)\}", lambda found: values.get(found[1], found[0]), text)
+
+
+def _check_names(texts: Iterable[str], known: Iterable[str]) -> None:
+    """Raise UserError for braces around anything but a known name."""
+    for text in texts:
+        for name in re.findall(r"\{([^{}]*)\}", text):
+            if name not in known:
+                raise UserError(
+                    f"{{{shown(name, 40)}}} is no name of {shown(text, 80)}; {choices(known, name)}"
+                )

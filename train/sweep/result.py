@@ -1,0 +1,147 @@
+"""The numbers of a recipe over its seeds: read from the runs' files, summed up.
+
+A number is found as
+
+- a number: mean with its bootstrap interval over the seeds;
+- true or false: the share of the seeds, with its Wilson interval;
+- a share as `statistics.proportion` writes it (`count` and `of`): the share of all flights of all seeds, with
+  its Wilson interval;
+- null: this run never got there. It counts as larger than every number.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from inclined_landing.envs.shared.statistics import bootstrap, proportion
+from inclined_landing.envs.shared.statistics import number as rounded
+from inclined_landing.models import schema, storage
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.schema import Table
+from inclined_landing.train.sweep.recipe import Number, Recipe, filled
+
+Kind = Literal["number", "share", "flights"]  # what a value is: see above
+
+
+class Measured(Table, frozen=True, kw_only=True):
+    """One number of one variant over the seeds, in the unit of the recipe."""
+
+    variant: str
+    number: str
+    kind: Kind
+    values: tuple[float | None, ...]  # by seed; None: never
+    median: float | None  # None: never
+    mean: float | None  # of share and flights: the share of all; None where a value is missing
+    interval: tuple[float, float] | None  # 95 %, of the mean
+
+    def range_words(self, number: Number) -> str:
+        """Return median and range with the unit, "99.6 (99.2 to 100) %"; of true and false the share."""
+        there = [value for value in self.values if value is not None]
+        never = len(self.values) - len(there)
+        text = "–"
+        if self.kind == "share" and self.mean is not None:
+            text = rounded(self.mean)
+        elif there and self.kind != "share":
+            low, high = rounded(min(there)), rounded(max(there))
+            ends = low if low == high else f"{low} to {high}"
+            text = "never" if self.median is None else rounded(self.median)
+            text = text if text == ends else f"{text} ({ends})"
+        unit = f" {number.unit}" if number.unit != "1" and there else ""
+        return f"{text}{unit}" + f", never in {never} of {len(self.values)}" * (never > 0)
+
+    def mean_words(self) -> str:
+        """Return mean and interval: "99.5 [98.9, 99.9]"."""
+        if self.mean is None:
+            return "–"
+        return rounded(self.mean) + (
+            "" if self.interval is None else " [{}, {}]".format(*map(rounded, self.interval))
+        )
+
+
+class Result(Table, frozen=True, kw_only=True):
+    """What a sweep found, as result.json has it."""
+
+    command: str  # that runs it again
+    versions: dict[str, Any]  # of packages and machine, as `runs.versions` gives them
+    cpu_seconds: tuple[float, ...]  # of every run
+    measured: tuple[Measured, ...]
+
+    def cost(self) -> str:
+        """Return what the runs took, and on which machine, in one sentence."""
+        least, most = (f"{end(self.cpu_seconds):.0f}" for end in (min, max))
+        seconds = least if least == most else f"{least} to {most}"
+        return f"A run took {seconds} s of CPU on {self.versions['cpu']}."
+
+    def rows(self, recipe: Recipe) -> list[tuple[str, ...]]:
+        """Return the cells under HEADS of every number of every variant."""
+        rows = []
+        for one in self.measured:
+            number = recipe.numbers[one.number]
+            cells = (one.variant, number.title, one.range_words(number), one.mean_words())
+            bar = number.at_least
+            met = bar is not None and all(value is not None and value >= bar for value in one.values)
+            rows.append((*cells, "" if bar is None else f"{rounded(bar)}: {'met' if met else 'missed'}"))
+        return rows
+
+    def answer(self, recipe: Recipe) -> str:
+        """Return the answer of the recipe with its numbers filled in."""
+        words = ((one, one.range_words(recipe.numbers[one.number])) for one in self.measured)
+        return filled(recipe.answer, {f"{one.variant}.{one.number}".lstrip("."): text for one, text in words})
+
+
+HEADS = ("variant", "number", "median (range)", "mean [95 %]", "each at least")
+
+
+def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
+    """Return kind and raw value of a number of one run; raises UserError where its file does not have it."""
+    path = folder / number.file
+    value = storage.read_json(path, f"number {name}: file")
+    for key in number.path.split("."):
+        if value is None:  # what holds the number is null: it is not there either
+            break
+        try:
+            value = value[int(key) if isinstance(value, list) else key]
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            raise UserError(f"number {name}: {path} has no {shown(number.path, 80)}") from error
+    if isinstance(value, dict) and {"count", "of"} <= set(value):
+        return "flights", (value["count"], value["of"])
+    if isinstance(value, bool):
+        return "share", value
+    if value is None or schema.is_finite(value):
+        return "number", value
+    raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is no number")
+
+
+def sum_up(variant: str, name: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
+    """Return a number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
+    kinds: set[Kind] = {kind for kind, value in taken if value is not None} or {"number"}
+    if len(kinds) > 1:
+        raise UserError(f"number {name} is {' in one run and '.join(sorted(kinds))} in another")
+    (kind,) = kinds
+    values = [value for _, value in taken]
+    there = [value for value in values if value is not None]
+    if kind == "flights":
+        found = proportion(sum(count for count, _ in there), sum(of for _, of in there))
+        values = [None if value is None else value[0] / value[1] for value in values]
+    elif kind == "share":
+        found = proportion(sum(there), len(there))
+    else:
+        found = bootstrap(there) if there else {}
+    mean, interval = found.get("mean", found.get("share")), found.get("interval")
+    if len(there) < len(values):
+        mean = interval = None
+    median = float(np.median([math.inf if value is None else value for value in values]))
+    factor = number.factor
+    return Measured(
+        variant=variant,
+        number=name,
+        kind=kind,
+        values=tuple(None if value is None else factor * value for value in values),
+        median=factor * median if math.isfinite(median) else None,
+        mean=None if mean is None else factor * mean,
+        interval=None if interval is None else (factor * interval[0], factor * interval[1]),
+    )
