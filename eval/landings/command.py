@@ -23,10 +23,10 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
-from inclined_landing.eval.landings import design, engines, landing
+from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, known_parameters, read_study
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -56,7 +56,7 @@ def command(
         resume: go on with the study that was interrupted in this folder.
         chunk: landings that are simulated and written together.
     """
-    engines.check(engine, address)
+    pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
     if resume and _begun(out):
         wanted, chunk = _resumed(wanted, out)
@@ -197,7 +197,8 @@ def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: li
         missing = sum(min(size, n - k * size) for k in todo)
         task = progress.add_task("", total=n, completed=n - missing, rate="")
         began, done = time.monotonic(), 0
-        for chunk, table in engines.chunks_of(engine, study, todo, size, address):
+        threads = 0 if engine == "local" else 1  # 0: all
+        for chunk, table in pool.completed(design.run_chunk, (study, size, threads), todo, engine, address):
             try:
                 _write(table, _part(out, chunk))
             except UserError as error:

@@ -66,7 +66,7 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     return p.low + (p.high - p.low) * u
 
 
-def run_chunk(study: Study, chunk: int, size: int = CHUNK, threads: int = 0) -> pa.Table:
+def run_chunk(study: Study, size: int, threads: int, chunk: int) -> pa.Table:
     """Return the landings of a chunk of the study, a function of the arguments alone.
 
     The number of threads changes nothing; nor does `size`, for the landings that are in it.

@@ -120,8 +120,8 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
     """Do what is left of a job, until a command fails, and return its steps.
 
     threads: of each command. patience: for how long [s] another process that does the same job is waited for.
-    leash: see `leashed`; None: one for this job. Raises UserError where another process still does the job, or
-    the folder of the sweep is not there.
+    leash: see `leashed`; None: one for this job. Raises UserError where another process still does the job,
+    or the folder of the sweep is not there.
     """
     if leash is None:
         with leashed() as leash:

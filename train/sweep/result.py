@@ -19,7 +19,7 @@ import numpy as np
 
 from inclined_landing.envs.shared.statistics import bootstrap, proportion
 from inclined_landing.envs.shared.statistics import number as rounded
-from inclined_landing.models import schema, storage
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.schema import Table
 from inclined_landing.train.sweep.recipe import Number, Recipe, filled
@@ -111,7 +111,7 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
         return "flights", (value["count"], value["of"])
     if isinstance(value, bool):
         return "share", value
-    if value is None or schema.is_finite(value):
+    if value is None or (isinstance(value, (int, float)) and math.isfinite(value)):
         return "number", value
     raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is no number")
 

@@ -1,4 +1,4 @@
-"""`landing-eval contact`: folders, bits, interruptions, engines, and one sentence for whatever is wrong."""
+"""`landing-eval landings`: folders, bits, interruptions, engines, and one sentence for whatever is wrong."""
 
 import errno
 import json
@@ -12,9 +12,9 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from inclined_landing.envs.shared import cluster, runs
+from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.landings import command, design, engines, landing
+from inclined_landing.eval.landings import command, design, landing
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from tests.pages import EVIL, check_page
@@ -83,18 +83,18 @@ def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
     command.command(study, tmp_path / "other", chunk=24)
     assert bits(tmp_path / "other") == bits(reference)
     read = command.read_study(study)
-    assert design.run_chunk(read, 1, 5, threads=1).equals(design.run_chunk(read, 1, 5, threads=2))
+    assert design.run_chunk(read, 5, 1, 1).equals(design.run_chunk(read, 5, 2, 1))
 
 
 def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
-    real = engines.local
+    real = pool.completed
 
     def interrupted(*arguments):
         yield next(real(*arguments))
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(engines, "local", interrupted)
+        patch.setattr(pool, "completed", interrupted)
         with pytest.raises(KeyboardInterrupt):
             command.command(study, tmp_path / "run", chunk=10)
     part = tmp_path / "run" / "parts" / "00000.parquet"
@@ -104,7 +104,7 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     os.mkfifo(part.parent / "00001.parquet")  # in place of a part: it is made again
     flown = []
     monkeypatch.setattr(
-        engines, "local", lambda s, chunks, size: flown.extend(chunks) or real(s, chunks, size)
+        pool, "completed", lambda f, shared, chunks, *on: flown.extend(chunks) or real(f, shared, chunks, *on)
     )
     monkeypatch.setattr(
         command, "_merge", lambda out, n, merge=command._merge: check(part, written) or merge(out, n)
@@ -124,11 +124,11 @@ def check(part, written):
 @pytest.mark.slow
 def test_kill_9_and_resume(study, tmp_path, reference):
     code = (
-        "import sys; from inclined_landing.eval.landings import command, engines; import pathlib, time\n"
-        "real = engines.local\n"
+        "import sys; from inclined_landing.eval.landings import command; import pathlib, time\n"
+        "real = command.pool.completed\n"
         "def slow(*a):\n"
         "    for item in real(*a): yield item; time.sleep(1)\n"
-        "engines.local = slow\n"
+        "command.pool.completed = slow\n"
         "command.command(sys.argv[1], pathlib.Path(sys.argv[2]), chunk=10)"
     )
     out = tmp_path / "run"
@@ -190,7 +190,7 @@ WRONG = [
     (["none.toml", "--out", "{out}"], "study none.toml does not exist (shipped ones: paper_landing"),
     (["{study}", "--out", "{full}"], "exists and is not empty"),
     (["{study}", "--out", "{full}", "--resume"], "holds no study that could be resumed"),
-    (["{study}", "--out", "{out}", "--engine", "moon"], "unknown engine 'moon'; known are local and ray"),
+    (["{study}", "--out", "{out}", "--engine", "moon"], "--engine must be local or ray, not 'moon'"),
     (["{study}", "--out", "{out}", "--address", "a:1"], "--address belongs to --engine ray"),
 ]
 
@@ -223,7 +223,7 @@ def test_without_ray_there_is_a_remedy(study, tmp_path, capsys, monkeypatch):
     [("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1: connection refused"), ("here", "HOST:PORT")],
 )
 def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, address, sentence):
-    monkeypatch.setattr(cluster, "import_ray", lambda option: None)
+    monkeypatch.setattr(pool, "import_ray", lambda option: None)
     words = ["--out", str(tmp_path / "out"), "--engine", "ray", "--address", address]
     assert cli.main(["landings", str(study), *words]) == 2
     refused(capsys, tmp_path, sentence, ["small.toml"])
@@ -231,9 +231,9 @@ def test_a_cluster_that_is_not_there(study, tmp_path, capsys, monkeypatch, addre
 
 def test_a_machine_with_other_packages_is_refused():
     versions = runs.packages()
-    assert cluster._called(versions, max, 1, 2) == 2
+    assert pool._called(versions, max, 1, 2) == 2
     with pytest.raises(UserError, match=rf"has mujoco {versions['mujoco']}, and this machine 1\.0: "):
-        cluster._called(versions | {"mujoco": "1.0"}, max, 1, 2)
+        pool._called(versions | {"mujoco": "1.0"}, max, 1, 2)
 
 
 def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkeypatch):
