@@ -13,6 +13,7 @@ import numpy as np
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext, joined
+from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
@@ -309,6 +310,8 @@ class BatchEnv:
         if verdict.holding is not None:
             self.held = np.where(verdict.holding, self.held + 1, 0)
         reward = verdict.reward
+        if not np.isfinite(reward).all():
+            raise TaskError(f"task {self.task.name}: the reward of a step is NaN or infinite")
         self.total += reward
         terminated = verdict.terminated
         truncated = ((self.length >= self.task.max_steps) | verdict.cut) & ~terminated

@@ -14,7 +14,7 @@ from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding
-from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.moving import controllers
 from inclined_landing.eval.moving import report as moving
 from inclined_landing.eval.moving.scenario import read_scenario, shipped
@@ -34,7 +34,7 @@ from inclined_landing.eval.policies.evaluators import evaluator_of
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
-Stages = Sequence[tuple[str, Conditions]]  # titles and conditions
+Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 

@@ -12,7 +12,7 @@ import torch
 from stable_baselines3 import SAC
 
 from inclined_landing.envs import BatchVecEnv, make_batch, save_policy
-from inclined_landing.envs.tasks.setpoint import Conditions
+from inclined_landing.envs.tasks.setpoint import SetpointConditions
 from inclined_landing.train import scaled_observation
 
 seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "150_000"][len(sys.argv[1:3]) :]))
@@ -21,7 +21,7 @@ torch.set_num_threads(1)
 
 batch = make_batch("setpoint", 32, seed=seed, plant="analytic")
 # Near the goal the task's price of effort punishes exploration a hundredfold: here it is limited.
-batch.task.conditions = Conditions(effort_floor=0.5, episode_limit=150)
+batch.task.conditions = SetpointConditions(effort_floor=0.5, episode_limit=150)
 env = BatchVecEnv(batch)
 
 model = SAC(

@@ -61,7 +61,7 @@ def check(options: Any, kinds: Mapping[str, Any] | None = None, label: Callable[
                 raise UserError(_sentence(plain, kinds[name], [label(name)]))
             for number in _floats(plain):
                 if not math.isfinite(number):
-                    raise UserError(f"{label(name)} takes finite numbers, not {number}")
+                    raise UserError(f"{label(name)} must be {expected(kinds[name])}, not {number}")
 
 
 def kinds_of(options: Any) -> dict[str, Any]:

@@ -15,14 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from inclined_landing.envs.tasks import setpoint, task_class, touchdown
-from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, Conditions
+from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, LandingConditions
 from inclined_landing.models.errors import UserError, shown
 
 SETTLING = 400_000  # environment steps
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
-# Parts of a landing's curriculum that `--without` leaves out, and their fields of `Conditions`.
+# Parts of a landing's curriculum that `--without` leaves out, and their fields of `LandingConditions`.
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
     "tilt": ("tilt",),
@@ -128,7 +128,7 @@ class NoCurriculum:
         return
 
 
-def _stage(c: Conditions) -> dict[str, float]:
+def _stage(c: LandingConditions) -> dict[str, float]:
     """Return what the learning curves show of landing conditions."""
     return {name: getattr(c, name) for name in ("start_reach", "tilt", "goal_size", "platform")}
 
@@ -168,7 +168,7 @@ class AdaptiveCurriculum:
         self._recent: deque[bool] = deque(maxlen=window)
         self._full_at: int | None = None
 
-    def conditions(self) -> Conditions:
+    def conditions(self) -> LandingConditions:
         l = self.level  # noqa: E741
         shrink = np.clip((l - 0.4) / 0.6, 0.0, 1.0)
         return dataclasses.replace(
@@ -180,7 +180,7 @@ class AdaptiveCurriculum:
             platform=float(np.clip((l - 0.25) / 0.2, 0.0, 1.0)),
         )
 
-    def stages(self) -> list[tuple[str, Conditions]]:
+    def stages(self) -> list[tuple[str, LandingConditions]]:
         """Return four levels of a curriculum of this kind."""
         other, moments = AdaptiveCurriculum(), []
         for level in (0.0, 0.25, 0.6, 1.0):
@@ -276,10 +276,10 @@ class PaperCurriculum:
         shrink = (EASIEST_GOAL_SIZE - c.goal_size) / (EASIEST_GOAL_SIZE - GOAL_SIZE)
         return float(np.mean([min(1.0, c.start_reach / 3.3), c.tilt, shrink, c.platform]))
 
-    def conditions(self) -> Conditions:
+    def conditions(self) -> LandingConditions:
         shrink = np.clip((self.episodes - 2500) / 5000, 0.0, 1.0)
         reach = 0.2 + self.episodes / 6000
-        return Conditions(
+        return LandingConditions(
             start_reach=min(3.3, reach),
             start_reach_z=min(1.2, 0.2 + 0.75 * self.episodes / 6000),
             tilt=min(1.0, self.tilting_episodes / 6000),
@@ -288,7 +288,7 @@ class PaperCurriculum:
             lowest_start=1.0,
         )
 
-    def stages(self) -> list[tuple[str, Conditions]]:
+    def stages(self) -> list[tuple[str, LandingConditions]]:
         """Return four moments of the schedule at the usual length of episodes."""
         other, moments = PaperCurriculum(), []
         for episodes, tilting, steps, title in (
@@ -343,8 +343,8 @@ class EffortCurriculum(NoCurriculum):
 
     name = "effort"
 
-    def conditions(self) -> setpoint.Conditions:
-        return setpoint.Conditions(effort_floor=0.5, episode_limit=150)
+    def conditions(self) -> setpoint.SetpointConditions:
+        return setpoint.SetpointConditions(effort_floor=0.5, episode_limit=150)
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return min(1.0, super().learning_rate_share(steps, total) / 0.4)
@@ -371,15 +371,15 @@ class TouchdownCurriculum(NoCurriculum):
         super().__init__(gamma)
         self.level = 0.0
 
-    def conditions(self) -> touchdown.Conditions:
-        return touchdown.Conditions(
+    def conditions(self) -> touchdown.TouchdownConditions:
+        return touchdown.TouchdownConditions(
             contact_limit=8,
             leave_limit=0.3,
             out_of_bounds_penalty=150.0,
             steep=0.3,
             beside=0.3,
             close=0.2 * (1.0 - self.level),
-            impact=touchdown.IMPACT * min(1.0, 2.0 * self.level),
+            impact_share=min(1.0, 2.0 * self.level),
             friction=touchdown.FRICTION,
             restitution=touchdown.RESTITUTION,
         )

@@ -28,8 +28,8 @@ from inclined_landing.envs.tasks.touchdown import (
     FRICTION,
     IDLE_ACTION,
     RESTITUTION,
-    Conditions,
     InclinedTouchdown,
+    TouchdownConditions,
 )
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
@@ -188,7 +188,7 @@ def teach_law(
     rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     actor = model.policy
     before = env.task.conditions
-    env.task.conditions = Conditions(
+    env.task.conditions = TouchdownConditions(
         contact_limit=8, leave_limit=0.3, steep=0.3, close=0.3, friction=FRICTION, restitution=RESTITUTION
     )
     learned = [p for name, p in actor.named_parameters() if "policy_net" in name or "action_net" in name]

@@ -246,6 +246,12 @@ def exit_code(
             elif error.errno in _UNWRITABLE:
                 sentence = f"the output cannot be written: {sentence}"
                 _drop_output()
+        except Exception as error:
+            from inclined_landing.envs.tasks.own import blame
+
+            sentence = blame(error) or ""
+            if not sentence:
+                raise
         print(f"{prog}: {UserError(sentence)}", file=sys.stderr)  # one line, of bounded length
         return code
 

@@ -1,29 +1,42 @@
 """The tasks, by name, as `ids.py` lists them. Their environments follow."""
 
 import sys
+from collections.abc import Mapping
 from importlib import import_module
+from typing import Any
 
 from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.tasks.base import (
     Evaluation,
-    Judgement,
-    Moment,
     Start,
     StepContext,
     Task,
     Training,
     hover_states,
 )
+from inclined_landing.envs.tasks.guard import check_step
 from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.moving import MovingLanding
 from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.envs.tasks.own import import_class, is_path
 from inclined_landing.envs.tasks.setpoint import Setpoint
-from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
-from inclined_landing.envs.tasks.variants import VARIANTS, variant
+from inclined_landing.envs.tasks.slopes import SlopeLanding
+from inclined_landing.envs.tasks.space import SpaceLanding
+from inclined_landing.envs.tasks.touchdown import (
+    InclinedTouchdown,
+    MovingTouchdown,
+    SlopeTouchdown,
+    SpaceTouchdown,
+)
 from inclined_landing.models.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {
     name: getattr(import_module(f"{__name__}.{name}"), kind) for name, kind in TASK_CLASSES.items()
+}
+# Of a planar task: its classes on slopes, in space and over moving platforms.
+FURTHER: dict[type[Task], tuple[type[Task], type[Task], type[Task]]] = {
+    InclinedLanding: (SlopeLanding, SpaceLanding, MovingLanding),
+    InclinedTouchdown: (SlopeTouchdown, SpaceTouchdown, MovingTouchdown),
 }
 _OWN: dict[str, type[Task]] = {}  # imported with `import_task`, by path and by name
 
@@ -32,9 +45,13 @@ __all__ = [
     "Evaluation",
     "InclinedLanding",
     "InclinedTouchdown",
-    "Judgement",
-    "Moment",
+    "MovingLanding",
+    "MovingTouchdown",
     "Setpoint",
+    "SlopeLanding",
+    "SlopeTouchdown",
+    "SpaceLanding",
+    "SpaceTouchdown",
     "Start",
     "StepContext",
     "Task",
@@ -83,12 +100,25 @@ def make_task(name: str, vehicle=None, **options) -> Task:
             known_words = ", ".join(known)
             raise UserError(f"the task {name} has no option {shown(repr(given), 40)}; it has {known_words}")
     try:
-        return variant(kind, options)(vehicle, **options)
+        task = class_for(kind, options)(vehicle, **options)
     except TypeError as error:
         raise UserError(f"task {name}: {error}") from error
+    if name in _OWN:
+        check_step(task)
+    return task
+
+
+def class_for(kind: type[Task], options: Mapping[str, Any]) -> type[Task]:
+    """Return the class of a task with these options; one of a person's own is as it was named."""
+    if kind not in FURTHER:
+        return kind
+    on_slopes, in_space, over_moving = FURTHER[kind]
+    if options.get("dimensions") == 3:
+        return in_space if options.get("fastest") is None else over_moving
+    return kind if options.get("steepest") is None else on_slopes
 
 
 def manual(kind: type[Task]) -> str:
     """Return the manual of a task: the docstring of its module, and of those of its variants."""
-    kinds = (kind, *VARIANTS) if kind is InclinedLanding else (kind,)
+    kinds = (kind, *FURTHER[InclinedLanding]) if kind is InclinedLanding else (kind,)
     return "\n".join(sys.modules[part.__module__].__doc__ or "" for part in kinds)

@@ -122,11 +122,6 @@ class StepContext:
     held: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
     platform: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
 
-    @property
-    def deck(self) -> np.ndarray:
-        """Return the platforms' states by their old name, for tasks of one's own."""
-        return self.platform
-
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
@@ -147,9 +142,13 @@ class Evaluation:
 
     terms: dict[str, np.ndarray]  # name -> (n,)
     success: np.ndarray  # (n,) bool
-    terminated: np.ndarray  # (n,) bool
-    cut: np.ndarray  # (n,) bool: a training aid truncates the episode
+    terminated: np.ndarray = _UNKNOWN  # (n,) bool; by default with success
+    cut: np.ndarray = _UNKNOWN  # (n,) bool: does training truncate the episode; by default never
     holding: np.ndarray | None = None  # (n,) bool: does this step count as held; None: the task has no hold
+
+    def __post_init__(self):
+        self.terminated = self.success if self.terminated is None else self.terminated
+        self.cut = np.zeros(len(self.success), bool) if self.cut is None else self.cut
 
     @property
     def reward(self) -> np.ndarray:
@@ -169,10 +168,6 @@ class ScoreCurve:
     logarithmic: bool = False
 
 
-# The old names, which tasks of one's own may import.
-Moment, Judgement = StepContext, Evaluation
-
-
 class Task(abc.ABC):
     """A task for vehicles of one kind. Everything but the first four and the two methods has a default.
 
@@ -183,6 +178,7 @@ class Task(abc.ABC):
     """
 
     name: str
+    reward_weights: Mapping[str, float] = MappingProxyType({})  # of the terms, where a task names them
     observation_names: tuple[str, ...]
     observation_scale: np.ndarray  # typical size of each observation
     action_names: tuple[str, ...]  # of: thrust, roll, pitch, yaw rate
@@ -221,15 +217,6 @@ class Task(abc.ABC):
         keywords = inspect.signature(cls).parameters.values()
         added = [parameter.name for parameter in keywords if parameter.kind is parameter.KEYWORD_ONLY]
         return [*added, *(field.name for field in dataclasses.fields(cls.options_type))]
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Let tasks that call `evaluate` by its old name, `judge`, go on working."""
-        super().__init_subclass__(**options)
-        own = vars(cls)
-        if "judge" in own and "evaluate" not in own:
-            cls.evaluate = own["judge"]  # type: ignore[method-assign]
-        elif "evaluate" in own:
-            cls.judge = own["evaluate"]  # type: ignore[attr-defined]
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         given = self.options_type(**options)

@@ -1,27 +1,20 @@
-"""Tasks of one's own, guarded: what their code does wrong is one sentence that names the method.
+"""Checks of a task of one's own: of its class when it is imported, and of one step when it is made.
 
-`guarded` derives a class whose methods call those of the task. Whatever one of them raises becomes a sentence
-with its line; what `sample`, `observe` and `evaluate` return is checked for shapes, types and NaN. The
-package's own tasks have tests instead.
+The package's own tasks have tests instead. What their code raises later is put into words where a command
+line ends (`envs.tasks.own.blame`); a reward that is not finite `BatchEnv` refuses.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-import inspect
 import re
-import sys
-import traceback
-import types
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Evaluation, Start, StepContext, Task, Training
-from inclined_landing.models.attitude import STATE_NAMES, STATE_SIZE
+from inclined_landing.models.attitude import STATE_SIZE
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.plants import Contacts
 
 _NAME = re.compile("[a-z][a-z0-9_-]{0,40}")
 _NEEDED = ("name", "observation_names", "observation_scale", "action_names")
@@ -31,137 +24,66 @@ class TaskError(UserError):
     """The code of a task of one's own is wrong."""
 
 
-class _Wrong(Exception):
-    """What a method returned; the words after "TASK: METHOD"."""
-
-
-def guarded(kind: type[Task], path: str) -> type[Task]:
-    """Return the task class with methods that raise TaskError for what goes wrong in them.
-
-    path: how sentences call it. Raises UserError for a class that lacks what every task must have.
-    """
-    what = f"task {shown(path, 60)}"
-    if complaint := _complaint(kind):
-        raise UserError(f"{what} {complaint}")
-    made = types.new_class(kind.__name__, (kind,))
-    made.__module__, made.__qualname__, made.__doc__ = kind.__module__, kind.__qualname__, kind.__doc__
-    for name, default in vars(Task).items():
-        found = inspect.getattr_static(kind, name)
-        if inspect.isfunction(default) and (name == "__init__" or not name.startswith("_")):
-            like = found if inspect.isfunction(found) else default
-            setattr(made, name, _method(made, kind, name, like, what))
-    return made
-
-
-def _complaint(kind: type[Task]) -> str | None:
-    """Return what a class lacks, in words after its name; None: nothing."""
+def check_class(kind: type[Task], what: str) -> None:
+    """Raise TaskError for a class that lacks what every task must have. what: how the sentence calls it."""
     lacking = sorted(getattr(kind, "__abstractmethods__", ()))
     if lacking := lacking or [name for name in _NEEDED if not hasattr(kind, name)]:
-        return f"lacks {' and '.join(lacking)}"
+        raise TaskError(f"{what} lacks {' and '.join(lacking)}")
     if not (isinstance(kind.name, str) and _NAME.fullmatch(kind.name)):
-        return f"has name {shown(repr(kind.name), 40)}; it takes small letters and digits"
+        raise TaskError(f"{what} has name {shown(repr(kind.name), 40)}; it takes small letters and digits")
     names: Any
-    for what, names in (("observation_names", kind.observation_names), ("action_names", kind.action_names)):
+    for title, names in (("observation_names", kind.observation_names), ("action_names", kind.action_names)):
         listed = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
         if not listed or not 0 < len(names) == len(set(names)):
-            return f"has {what} {shown(repr(names), 40)}; it takes a tuple of different names"
+            wrong = shown(repr(names), 40)
+            raise TaskError(f"{what} has {title} {wrong}; it takes a tuple of different names")
     if not set(kind.action_names) <= set(ACTIONS):
-        return f"has action_names {shown(repr(kind.action_names), 40)}; it takes some of {', '.join(ACTIONS)}"
+        raise TaskError(f"{what} has action_names {kind.action_names}; it takes some of {', '.join(ACTIONS)}")
     if not isinstance(kind.training, Training):
-        return f"has training {shown(repr(kind.training), 40)}; it takes a Training"
-    if isinstance(kind.observation_scale, property):
-        return None
-    scale = np.asarray(kind.observation_scale)
-    if scale.shape != (len(kind.observation_names),) or scale.dtype.kind not in "fiu":
-        return "has not one observation_scale for each of its observation_names"
-    if not (np.isfinite(scale) & (scale > 0.0)).all():
-        return "has an observation_scale that is not a finite number above 0"
-    return None
+        raise TaskError(f"{what} has training {shown(repr(kind.training), 40)}; it takes a Training")
+    if not isinstance(kind.observation_scale, property):
+        scale = _numbers(kind.observation_scale, (len(kind.observation_names),), f"{what}: observation_scale")
+        if not (scale > 0.0).all():
+            raise TaskError(f"{what} has an observation_scale that is not above 0")
 
 
-def _method(made: type, kind: type, name: str, like: Callable, what: str) -> Callable:
-    """Return the method `name` of the task as the guarded class has it."""
-    check = _CHECKS.get(name)
+def check_step(task: Task) -> None:
+    """Raise TaskError unless two starts, their observations and the evaluation of a step have their form."""
+    what, n = f"task {task.name}", 2
+    start = task.sample(np.random.default_rng(0), n)
+    if not isinstance(start, Start):
+        raise TaskError(f"{what}: sample returned {shown(repr(start), 40)}, not a Start")
+    state = _numbers(start.state, (n, STATE_SIZE), f"{what}: sample's states")
+    if (np.abs(state) > FARTHEST).any():
+        raise TaskError(f"{what}: sample's states are beyond {FARTHEST:g}")
+    for name in ("inclination", "present"):
+        _numbers(getattr(start, name), (n,), f"{what}: sample's {name}")
+    nowhere = np.zeros((n, 3, 3), bool)
+    untouched = Contacts(nowhere, nowhere, np.zeros((n, 3, 3)))
+    context = StepContext(
+        *(state, untouched, np.zeros((n, len(task.action_names))), start),
+        *(np.ones(n, int), np.zeros(n, int), np.zeros(n, int), start.platforms(task.vehicle)),
+    )
+    _numbers(task.observe(context), (n, len(task.observation_names)), f"{what}: what observe returned")
+    found = task.evaluate(context)
+    if not (isinstance(found, Evaluation) and isinstance(found.terms, dict)):
+        raise TaskError(f"{what}: evaluate returned {shown(repr(found), 40)}, not an Evaluation of terms")
+    for name, term in found.terms.items():
+        _numbers(term, (n,), f"{what}: evaluate's term {shown(name, 40)}")
+    for name in ("success", "terminated", "cut", *(["holding"] if found.holding is not None else [])):
+        if _numbers(getattr(found, name), (n,), f"{what}: evaluate's {name}").dtype != bool:
+            raise TaskError(f"{what}: evaluate's {name} must be of true and false")
 
-    @functools.wraps(like)
-    def method(self, *given, **named):
-        try:
-            value = getattr(super(made, self), name)(*given, **named)
-            return value if check is None else check(self, value, *given, **named)
-        except (UserError, MemoryError):
-            raise
-        except _Wrong as error:
-            raise TaskError(f"{what}: {name} {error}") from None
-        except (Exception, SystemExit) as error:  # whatever the code does
-            raise TaskError(f"{what}: {name} {_raised(error, kind)}") from error
 
-    return method
-
-
-def _raised(error: BaseException, kind: type) -> str:
-    """Return what was raised, and in which line of the task's file."""
-    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    words = f": {shown(str(error), 120)}" if str(error) else ""
-    return f"raised {type(error).__name__}{words}{f' (line {lines[-1]})' if lines else ''}"
-
-
-def _numbers(value, shape: tuple[int, ...], what: str, names=(), kind=float, most=np.inf, nan=False):
-    """Return an array of finite numbers up to `most`, or, where they may be, NaN; names: of its columns."""
+def _numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
+    """Return an array; raises TaskError unless it has this shape and finite numbers."""
     try:
         array = np.asarray(value)
+        wrong = array.dtype.kind not in "fiub" or not np.isfinite(array).all()
     except ValueError:  # rows of several lengths
-        raise _Wrong(f"returned {what} that is no array") from None
+        raise TaskError(f"{what} is no array") from None
     if array.shape != shape:
-        raise _Wrong(f"returned {what} of shape {array.shape}, not {shape}")
-    if array.dtype.kind not in ("b" if kind is bool else "fiub"):
-        wanted = "true and false" if kind is bool else "numbers"
-        raise _Wrong(f"returned {what} of {array.dtype}, not of {wanted}")
-    if kind is bool:
-        return array
-    with np.errstate(over="ignore"):
-        array = array.astype(kind, copy=False)
-    wrong = ~(np.abs(array) <= min(most, np.finfo(kind).max)) & ~(nan & np.isnan(array))
-    if wrong.any():
-        where = tuple(np.argwhere(wrong)[0])
-        column = f" for {names[where[1]]}" if len(names) and len(where) == 2 else ""
-        number = "NaN" if np.isnan(array[where]) else f"{array[where]:g}"
-        raise _Wrong(f"returned {number} in {what}{column}")
+        raise TaskError(f"{what} must have shape {shape}, not {array.shape}")
+    if wrong:
+        raise TaskError(f"{what} must be of finite numbers")
     return array
-
-
-def _is(value: Any, kind: type, hint: str = "") -> None:
-    if not isinstance(value, kind):
-        said = "nothing" if value is None else shown(repr(value), 40)
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise _Wrong(f"returned {said}, not {article} {kind.__name__}{hint}")
-
-
-def _start(task: Task, value: Any, rng: np.random.Generator, k: int) -> Start:
-    _is(value, Start, "; self.start(states) makes one")
-    return dataclasses.replace(
-        value,
-        state=_numbers(value.state, (k, STATE_SIZE), "states", STATE_NAMES, most=FARTHEST),
-        inclination=_numbers(value.inclination, (k,), "inclinations", most=np.pi),
-        present=_numbers(value.present, (k,), "present", kind=bool),
-        goal_size=_numbers(value.goal_size, (k,), "goal sizes", nan=True),
-    )
-
-
-def _observation(task: Task, value: Any, context: StepContext) -> np.ndarray:
-    names = task.observation_names
-    return _numbers(value, (len(context.state), len(names)), "observations", names, np.float32)
-
-
-def _evaluation(task: Task, value: Any, context: StepContext) -> Evaluation:
-    _is(value, Evaluation)
-    _is(value.terms, dict, " of terms")
-    shape = (len(context.state),)
-    terms = {name: _numbers(term, shape, f"the term {shown(name, 40)}") for name, term in value.terms.items()}
-    flags = ("success", "terminated", "cut", *(["holding"] if value.holding is not None else []))
-    return dataclasses.replace(
-        value, terms=terms, **{name: _numbers(getattr(value, name), shape, name, kind=bool) for name in flags}
-    )
-
-
-_CHECKS: dict[str, Callable] = {"sample": _start, "observe": _observation, "evaluate": _evaluation}

@@ -58,7 +58,7 @@ from inclined_landing.envs.tasks.base import (
 )
 from inclined_landing.envs.tasks.platform import LandingOptions, in_platform
 from inclined_landing.models import geometry
-from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
+from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
@@ -78,7 +78,7 @@ PAPER_RESULTS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Conditions:
+class LandingConditions:
     """Under which conditions episodes begin. The defaults are the task; a curriculum passes easier ones.
 
     The last five fields are training aids: the task itself never uses them.
@@ -102,7 +102,9 @@ class Conditions:
 # rarely comes back; neither teaches anything, so the episode ends. A truncation would bootstrap from the
 # critic's value of states whose successors it never saw, and a policy may then go on falling past the goal
 # from half of the starts. So it terminates, with the return of staying there: 2 a step, discounted by 0.98.
-AIDED = Conditions(contact_limit=8, leave_limit=0.3, out_of_bounds_penalty=100.0, goal_while_touching=False)
+AIDED = LandingConditions(
+    contact_limit=8, leave_limit=0.3, out_of_bounds_penalty=100.0, goal_while_touching=False
+)
 
 
 @numba.njit(cache=True, inline="always")
@@ -149,6 +151,7 @@ class InclinedLanding(Task):
     has_platform = True
     is_planar = True
     goal_size: float | None = GOAL_SIZE
+    reward_weights: Mapping[str, float] = MappingProxyType({"time": -1.0, "bounds": -1.0, "obstacle": -6.0})
     cut_at_success = True
     shipped = True
     table = "goal_box"
@@ -186,12 +189,13 @@ class InclinedLanding(Task):
         )
         if asked != (self.is_planar, self.observes_slope, self.platform_moves):
             raise UserError(
-                f"{type(self).__name__} is of other options; make_task({self.name!r}, ...) has the class"
+                f"{type(self).__name__} is of other options; make_task({self.name!r}, ...) takes the class "
+                "for them, from which one of your own is derived"
             )
         usual = self._usual_inclination()
         self.inclination = v.check_inclination(usual if given.inclination is None else given.inclination)
         self._resolve(inclination=self.inclination)
-        self.conditions = Conditions()
+        self.conditions = LandingConditions()
         self._shapes = geometry.shapes_of(compile_scene(v))
         self._fleet = geometry.Fleet.of([self._shapes])
         self._axes = np.array([COLUMNS[name] for name in self.start_axes])
@@ -296,43 +300,54 @@ class InclinedLanding(Task):
 
     # --- reward and end ----------------------------------------------------------------------------
 
-    def near_bounds(self, state: np.ndarray, m: float = BOUND_MARGIN) -> np.ndarray:
-        """Return (n,) bool: which states (n, 13) are within m [m] of the arena's bounds, or beyond.
+    def near_bounds(self, context: StepContext, m: float = BOUND_MARGIN) -> np.ndarray:
+        """Return (n,) bool: which vehicles are within m [m] of the arena's bounds, or beyond.
 
-        The bounds are those of the axes that the vehicle moves along; for an arena that moves see `in_arena`.
+        The bounds are those of the axes that the vehicle moves along, carried along with a moving platform.
         """
+        state = context.state
+        if self.platform_moves:
+            state = state.copy()
+            state[:, : Y + 1] -= context.platform[:, : Y + 1]
         return _near_bounds(
             state, self._axes, self._arena, float(m), self.extra_room, np.zeros(len(state), bool)
         )
 
-    def in_arena(self, context: StepContext) -> np.ndarray:
-        """Return states (n, 13) relative to the arena, which here stands still."""
-        return context.state
+    def reached(self, context: StepContext) -> np.ndarray:
+        """Return (n,) bool: which vehicles are in the goal box of their episode."""
+        start = context.start
+        goal = self.in_goal(context.state, start.goal_size, context.platform, start.inclination)
+        if not self.conditions.goal_while_touching:
+            goal &= ~context.contacts.platform_near
+        return goal
 
     def evaluate(self, context: StepContext) -> Evaluation:
-        """See the module's docstring."""
-        c, start = self.conditions, context.start
-        state = self.in_arena(context)
-        goal = self.in_goal(context.state, start.goal_size, context.platform, start.inclination)
-        obstacle = context.contacts.platform_near
-        if not c.goal_while_touching:
-            goal &= ~obstacle
-        paid = ~goal
+        """Return the paper's reward, see the module's docstring."""
+        weight, goal, obstacle = self.reward_weights, self.reached(context), context.contacts.platform_near
         terms = {
-            "time": -1.0 * paid,
-            "bounds": -1.0 * (paid & ~obstacle & self.near_bounds(state)),
-            "obstacle": -6.0 * (paid & obstacle),
+            "time": weight["time"] * ~goal,
+            "bounds": weight["bounds"] * (~goal & ~obstacle & self.near_bounds(context)),
+            "obstacle": weight["obstacle"] * (~goal & obstacle),
         }
-        outside, cut = np.zeros_like(goal), np.zeros_like(goal)
-        if c.leave_limit < math.inf:
-            outside = self.near_bounds(state, -c.leave_limit) | context.contacts.touch[:, 2].any(axis=1)
-            outside &= paid
+        return self.end_in_training(context, Evaluation(terms, goal))
+
+    def end_in_training(self, context: StepContext, evaluation: Evaluation) -> Evaluation:
+        """Return an evaluation with the ends that training alone has, of `LandingConditions`."""
+        c, goal = self.conditions, evaluation.success
+        outside, stuck = self.has_left(context) & ~goal, np.zeros_like(goal)
         if c.contact_limit:
-            cut = context.in_contact >= c.contact_limit
-        if c.out_of_bounds_penalty:
-            terms["out_of_bounds"] = -c.out_of_bounds_penalty * outside
-            return Evaluation(terms, goal, goal | outside, cut & paid & ~outside)
-        return Evaluation(terms, goal, goal, (cut | outside) & paid)
+            stuck = (context.in_contact >= c.contact_limit) & ~goal
+        if not c.out_of_bounds_penalty:
+            return dataclasses.replace(evaluation, cut=outside | stuck)
+        evaluation.terms["out_of_bounds"] = -c.out_of_bounds_penalty * outside
+        return dataclasses.replace(evaluation, terminated=goal | outside, cut=stuck & ~outside)
+
+    def has_left(self, context: StepContext) -> np.ndarray:
+        """Return (n,) bool: which vehicles are beyond the conditions' `leave_limit`, or on the floor."""
+        if self.conditions.leave_limit == math.inf:
+            return np.zeros(len(context.state), bool)
+        far = self.near_bounds(context, -self.conditions.leave_limit)
+        return far | context.contacts.touch[:, 2].any(axis=1)
 
     def score(self, flights: Sequence) -> dict[str, float]:
         """Return the shares of the flights that reach the goal box without a touch before, and at all."""

@@ -20,7 +20,7 @@ from inclined_landing.envs.tasks.base import Start, StepContext
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE
 from inclined_landing.envs.tasks.space import SpaceLanding
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import Y, Z
+from inclined_landing.models.attitude import Z
 from inclined_landing.models.vehicle import Vehicle
 
 SEEN_MOVING = ("platform vx", "platform vy", "platform vz", "platform wx", "platform wy", "platform wz")
@@ -35,9 +35,10 @@ class MovingLanding(SpaceLanding):
     observation_scale = np.append(SEEN_SCALE, SEEN_MOVING_SCALE)
     platform_moves = True
 
+    table = "moving"
+
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
-        super().__init__(vehicle, **options)
-        self.table = "moving"
+        super().__init__(vehicle, **{"fastest": 0.0} | options)
         self.fastest = float(self.settings.fastest or 0.0)
         self._resolve(fastest=self.fastest, swell=float(self.settings.swell))
         self.extra_room = CATCHING_UP * self.fastest
@@ -54,12 +55,6 @@ class MovingLanding(SpaceLanding):
         seen[:, : over.shape[1]] = over
         surface.write_platform_motion(context.platform, seen[:, over.shape[1] :])
         return seen
-
-    def in_arena(self, context: StepContext) -> np.ndarray:
-        """Return states (n, 13) relative to an arena that is carried along with the platforms' centres."""
-        state = context.state.copy()
-        state[:, : Y + 1] -= context.platform[:, : Y + 1]
-        return state
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         super()._draw_platforms(rng, start)

@@ -9,14 +9,17 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+import traceback
 from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
 from inclined_landing.envs.tasks.base import Task
-from inclined_landing.envs.tasks.guard import guarded
+from inclined_landing.envs.tasks.guard import check_class
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
+
+_FILES: dict[str, str] = {}  # what was imported here: what people called it, by the file that it is in
 
 
 def is_path(name: object) -> TypeGuard[str]:
@@ -31,13 +34,14 @@ def would_import(text: object) -> TypeGuard[str]:
 
 
 def import_class(path: str) -> type[Task]:
-    """Return the class that `path` names, imported and guarded; raises UserError if it is no task."""
+    """Return the class that `path` names, imported; raises UserError if it is no task."""
     what = f"task {shown(path, 60)}"
     kind = import_named(path, "task", "Class")
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         source, _, name = path.rpartition(":")
         raise UserError(f"{what}: {source} has no class {name} derived from inclined_landing.envs.tasks.Task")
-    return guarded(kind, path)
+    check_class(kind, what)
+    return kind
 
 
 def import_named(path: str, what: str, kind: str):
@@ -57,7 +61,18 @@ def import_named(path: str, what: str, kind: str):
     except (Exception, SystemExit) as error:  # whatever the code does
         said = f"{type(error).__name__}: {shown(error, 120)}"
         raise UserError(f"{what} {shown(path, 60)} cannot be imported: {said}") from error
+    if file := getattr(module, "__file__", None):
+        _FILES[file] = f"{what} {shown(path, 60)}"
     return getattr(module, name, None)
+
+
+def blame(error: BaseException) -> str | None:
+    """Return which line of somebody's own code raised an error, as a sentence; None where none of it did."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in _FILES:
+            said = f"{type(error).__name__}{f': {shown(error, 120)}' if str(error) else ''}"
+            return f"{_FILES[frame.filename]}: {frame.name} raised {said} (line {frame.lineno})"
+    return None
 
 
 def _from_file(path: Path) -> ModuleType:

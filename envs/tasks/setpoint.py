@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ TOLERANCE = 0.05  # m
 
 
 @dataclasses.dataclass(frozen=True)
-class Conditions:
+class SetpointConditions:
     """What a curriculum may ease. The default is the task."""
 
     effort_floor: float = EFFORT_FLOOR  # smallest e_p in the effort term, m
@@ -67,6 +68,7 @@ class Setpoint(Task):
     judged_after = 3.0
     shipped = True
     table = "error"
+    reward_weights = MappingProxyType({"position": -1.0, "velocity": -0.2, "attitude": -0.1, "effort": -0.1})
     training = Training(
         steps=2_000_000,  # after one million, four of ten seeds leave some starts 7 to 9 cm off
         curriculum="effort",
@@ -87,7 +89,7 @@ class Setpoint(Task):
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         super().__init__(vehicle, **options)
-        self.conditions = Conditions()
+        self.conditions = SetpointConditions()
 
     @property
     def goal(self) -> np.ndarray:
@@ -126,15 +128,15 @@ class Setpoint(Task):
         return self.shifted(shown, goal)
 
     def evaluate(self, context: StepContext) -> Evaluation:
-        """See the module's docstring."""
-        state, c = context.state, self.conditions
+        """Return the paper's reward, see the module's docstring."""
+        state, c, weight = context.state, self.conditions, self.reward_weights
         e_p = self.position_error(state)
         effort = (context.actions[:, 1:] ** 2).sum(axis=1)
         terms = {
-            "position": -e_p,
-            "velocity": -0.2 * np.linalg.norm(state[:, VX : VZ + 1], axis=1),
-            "attitude": -0.1 * np.linalg.norm(state[:, [ROLL, PITCH]], axis=1),
-            "effort": -0.1 * effort / np.maximum(e_p, c.effort_floor),
+            "position": weight["position"] * e_p,
+            "velocity": weight["velocity"] * np.linalg.norm(state[:, VX : VZ + 1], axis=1),
+            "attitude": weight["attitude"] * np.linalg.norm(state[:, [ROLL, PITCH]], axis=1),
+            "effort": weight["effort"] * effort / np.maximum(e_p, c.effort_floor),
         }
         never = np.zeros(len(state), bool)
         return Evaluation(terms, e_p < TOLERANCE, never, context.length >= c.episode_limit)

@@ -63,7 +63,7 @@ def _in_goal(state, platform, goal_size, is_planar, out):
     return out
 
 
-NEARLY = (0.9, 1.0)  # of the steepest slope, what is drawn more often with `Conditions.steep`
+NEARLY = (0.9, 1.0)  # of the steepest slope, what is drawn more often with `LandingConditions.steep`
 
 
 class SlopeLanding(InclinedLanding):

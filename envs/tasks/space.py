@@ -34,6 +34,7 @@ class SpaceLanding(SlopeLanding):
     observation_scale = SEEN_SCALE
     action_names = ("thrust", "roll", "pitch")
     is_planar = False
+    drawn_vehicles = (3,)
     start_axes = ("x", "y", "z")
     film_starts = FILM_STARTS
     figure_starts = MappingProxyType({"trajectory": FILM_STARTS[0]})
@@ -41,7 +42,7 @@ class SpaceLanding(SlopeLanding):
     least = 0.0
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
-        super().__init__(vehicle, **options)
+        super().__init__(vehicle, **{"dimensions": 3} | options)
         self.azimuth = float(self.settings.azimuth)
         if self.steepest is not None and self.inclination < 0.0:  # as slopes are drawn
             self.inclination, self.azimuth = -self.inclination, self.azimuth + math.pi

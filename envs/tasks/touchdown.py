@@ -38,6 +38,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -52,10 +53,12 @@ from inclined_landing.envs.tasks.base import (
     Task,
     Training,
 )
-from inclined_landing.envs.tasks.landing import Conditions as LandingConditions
-from inclined_landing.envs.tasks.landing import InclinedLanding
+from inclined_landing.envs.tasks.landing import InclinedLanding, LandingConditions
+from inclined_landing.envs.tasks.moving import MovingLanding
 from inclined_landing.envs.tasks.options import option
 from inclined_landing.envs.tasks.platform import LandingOptions
+from inclined_landing.envs.tasks.slopes import SlopeLanding
+from inclined_landing.envs.tasks.space import SpaceLanding
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
@@ -65,14 +68,13 @@ REST_SPEED = 0.05  # m/s
 REST_RATE = 1.0  # rad/s: the feet are then slower than 0.05 m/s too; on springy contact it trembles with 0.5
 HOLD_STEPS = 15  # 0.3 s
 GENTLE_FORCE = 2.0  # force on the feet that costs nothing, in weights
-IMPACT = 0.5  # reward lost for each weight beyond it
 CONTACT_TIME = 0.02  # s, wherever a restitution is set
 FRICTION, RESTITUTION = (0.5, 1.2), (0.0, 0.5)  # spread of the contact in training and its evaluation
 HELD = (1.04, 1.5)  # least of both ends of that spread, in the friction that holds the slope at all
 
 
 @dataclasses.dataclass(frozen=True)
-class Conditions(LandingConditions):
+class TouchdownConditions(LandingConditions):
     """Under which conditions episodes begin. The defaults are the task; the rest are training aids.
 
     contact_limit ends episodes on the wrong parts. With an `out_of_bounds_penalty`, about the return of
@@ -81,7 +83,7 @@ class Conditions(LandingConditions):
 
     beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
-    impact: float = IMPACT  # reward lost for each weight of force beyond two
+    impact_share: float = 1.0  # of the price of a hard touchdown
     friction: tuple[float, float] | None = None  # drawn per episode, mostly low; None: the plant's own
     restitution: tuple[float, float] | None = None  # mostly high
 
@@ -100,6 +102,7 @@ class InclinedTouchdown(InclinedLanding):
     options_type = TouchdownOptions
     settings: TouchdownOptions
     goal_size = None
+    reward_weights = MappingProxyType({"time": -1.0, "bounds": -1.0, "obstacle": -6.0, "impact": -0.5})
     idle_action = IDLE_ACTION
     cut_at_success = False
     table = "touchdown"
@@ -123,7 +126,7 @@ class InclinedTouchdown(InclinedLanding):
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         super().__init__(vehicle, **options)
         self.observe_contact = self.settings.observe_contact
-        self.conditions = Conditions()
+        self.conditions = TouchdownConditions()
         if self.observe_contact:
             self.observation_names = (*self.observation_names, "feet")
             self.observation_scale = np.append(self.observation_scale, 1.0)
@@ -196,32 +199,38 @@ class InclinedTouchdown(InclinedLanding):
         return np.column_stack([observation, context.contacts.touch[:, 0, 0].astype(np.float32)])
 
     def evaluate(self, context: StepContext) -> Evaluation:
-        """See the module's docstring."""
-        c, state, contacts = self.conditions, context.state, context.contacts
-        wrong, in_arena = wrong_contact(contacts), self.in_arena(context)
-        holding = resting(state, context.platform, context.actions[:, 0] <= IDLE_ACTION, contacts)
+        """Return the reward of coming to rest gently, see the module's docstring."""
+        weight, contacts, wrong = self.reward_weights, context.contacts, wrong_contact(context.contacts)
+        idle = context.actions[:, 0] <= IDLE_ACTION
+        holding = resting(context.state, context.platform, idle, contacts)
         excess = np.maximum(contacts.force[:, 0, 0] / self._weight - GENTLE_FORCE, 0.0)
         terms = {
-            "time": -1.0 * ~holding,
-            "bounds": -1.0 * (~wrong & self.near_bounds(in_arena)),
-            "obstacle": -6.0 * wrong,
-            "impact": -c.impact * excess,
+            "time": weight["time"] * ~holding,
+            "bounds": weight["bounds"] * (~wrong & self.near_bounds(context)),
+            "obstacle": weight["obstacle"] * wrong,
+            "impact": weight["impact"] * self.conditions.impact_share * excess,
         }
         success = holding & (context.held + 1 >= HOLD_STEPS)
-        cut = np.zeros_like(success)
-        if c.leave_limit < math.inf:
-            cut |= self.near_bounds(in_arena, -c.leave_limit) | contacts.touch[:, 2].any(axis=1)
+        return self.end_in_training(context, Evaluation(terms, success, holding=holding))
+
+    def end_in_training(self, context: StepContext, evaluation: Evaluation) -> Evaluation:
+        """Return an evaluation with the ends that training alone has, of `TouchdownConditions`."""
+        c, success = self.conditions, evaluation.success
+        over = self.has_left(context)
         if c.contact_limit:
-            cut |= wrong & (context.in_contact >= c.contact_limit)
-        cut &= ~success
-        if c.out_of_bounds_penalty:
-            terms["out_of_bounds"] = -c.out_of_bounds_penalty * cut
-            return Evaluation(terms, success, success | cut, np.zeros_like(cut), holding)
-        return Evaluation(terms, success, success, cut, holding)
+            over |= wrong_contact(context.contacts) & (context.in_contact >= c.contact_limit)
+        over &= ~success
+        if not c.out_of_bounds_penalty:
+            return dataclasses.replace(evaluation, cut=over)
+        evaluation.terms["out_of_bounds"] = -c.out_of_bounds_penalty * over
+        return dataclasses.replace(evaluation, terminated=success | over)
 
     def evaluation_starts(self, rng: np.random.Generator, k: int) -> Start:
         """Return k random starts of the task itself, each with friction and restitution drawn."""
-        before, self.conditions = self.conditions, Conditions(friction=FRICTION, restitution=RESTITUTION)
+        before, self.conditions = (
+            self.conditions,
+            TouchdownConditions(friction=FRICTION, restitution=RESTITUTION),
+        )
         try:
             return self.sample(rng, k)
         finally:
@@ -235,6 +244,20 @@ class InclinedTouchdown(InclinedLanding):
     def flight_words(self, flight) -> str:
         """Return when a flight came to rest, if it did."""
         return f"at rest on the slope after {flight.duration:.2f} s" if flight.success else "not at rest"
+
+
+class SlopeTouchdown(InclinedTouchdown, SlopeLanding):
+    """The touchdown in the plane on slopes that differ from episode to episode."""
+
+
+class SpaceTouchdown(InclinedTouchdown, SpaceLanding):
+    """The touchdown in space, on slopes that face any way."""
+
+
+class MovingTouchdown(InclinedTouchdown, MovingLanding):
+    """The touchdown in space on platforms that move."""
+
+    table = "moving"
 
 
 def steepest_slopes(start: Start) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
@@ -162,7 +162,7 @@ def test_records_of_an_episode(plant):
 @pytest.mark.parametrize("plant", ["mujoco", "analytic"])
 def test_a_contact_limit_truncates(plant):
     env = build(1, plant=plant)
-    env.task.conditions = Conditions(contact_limit=8, goal_while_touching=False)
+    env.task.conditions = LandingConditions(contact_limit=8, goal_while_touching=False)
     env.reset(state=hovering((0.2, 0, 1.4)))
     for _ in range(100):
         step = env.step(np.array([[-1.0, 0]]))
@@ -174,9 +174,9 @@ def test_a_contact_limit_truncates(plant):
 def test_conditions_of_running_episodes_do_not_change():
     """A curriculum that moves on in the middle leaves platform and goal of begun episodes alone."""
     env = build(2)
-    env.task.conditions = Conditions(platform=False, goal_size=0.25, tilt=0.0)
+    env.task.conditions = LandingConditions(platform=False, goal_size=0.25, tilt=0.0)
     env.reset(state=hovering((0, 0, 1.25), (0, 0, 1.25)))
-    env.task.conditions = Conditions()
+    env.task.conditions = LandingConditions()
     env.reset([1], hovering((0, 0, 1.3)))
     assert env.plant.present.tolist() == [False, True]
     assert env.plant.inclination.tolist() == [0.0, V.platform_inclination]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from inclined_landing.envs.tasks import InclinedLanding, StepContext, landing, make_task
 from inclined_landing.envs.tasks.base import Start, hover_states
-from inclined_landing.envs.tasks.landing import AIDED, Conditions
+from inclined_landing.envs.tasks.landing import AIDED, LandingConditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -35,7 +35,7 @@ def contacts(near, touch=None, surface=0) -> Contacts:
 def judge(*states, near=False, touch=None, surface=0, conditions=None, in_contact=0):
     """The task's judgement of some states (13,)."""
     task = InclinedLanding()
-    task.conditions = conditions or Conditions()
+    task.conditions = conditions or LandingConditions()
     state = np.array(states)
     n = len(state)
     met = contacts(np.full(n, near), None if touch is None else np.full(n, touch), surface)
@@ -112,7 +112,7 @@ def test_the_goal_tilts_with_the_platform():
     (0, 2.34, False), (0, 2.36, True), (0, 0.06, False), (0, 0.04, True), (9, 9, True),
 ])  # fmt: skip
 def test_near_the_bounds_is_within_five_centimetres(x, z, near):
-    assert TASK.near_bounds(at(x, z)[None]).tolist() == [near]
+    assert TASK.near_bounds(StepContext(at(x, z)[None])).tolist() == [near]
 
 
 coordinate = st.floats(-4, 4)
@@ -130,7 +130,7 @@ coordinate = st.floats(-4, 4)
 @settings(max_examples=100)
 def test_terms_sum_to_the_reward_and_take_the_papers_values(rows, near, touching_counts):
     states = [at(x, z, vx=vx, vz=vz, pitch=p) for x, z, vx, vz, p in rows]
-    verdict = judge(*states, near=near, conditions=Conditions(goal_while_touching=touching_counts))
+    verdict = judge(*states, near=near, conditions=LandingConditions(goal_while_touching=touching_counts))
     np.testing.assert_array_equal(sum(verdict.terms.values()), verdict.reward)
     assert set(verdict.terms) == {"time", "bounds", "obstacle"}
     assert set(verdict.reward.tolist()) <= {0.0, -1.0, -2.0, -7.0}
@@ -240,7 +240,7 @@ def test_starts_keep_clear_of_platform_and_bounds(inclination):
     x, z = start.state[:, X], start.state[:, Z]
     assert task.start_clearance(start).min() >= landing.START_CLEARANCE
     assert x.min() >= -3.3 and x.max() <= 3.3 and z.min() >= landing.LOWEST_START and z.max() <= 2.3
-    assert not task.near_bounds(start.state).any()
+    assert not task.near_bounds(StepContext(start.state)).any()
     # Uniform over the box: 2000 draws come within a few centimetres of each side.
     assert x.min() < -3.2 and x.max() > 3.2 and z.max() > 2.25 and z.min() < 1.25
 
@@ -276,7 +276,7 @@ def test_without_a_platform_starts_may_lie_where_it_would_be():
 def test_starts_that_cannot_be_found_are_an_error():
     with pytest.raises(UserError, match=r"no start clear of the platform was found within 0\.01 m"):
         task = InclinedLanding(inclination=math.radians(50))  # 6 cm from the goal to the slope
-        task.conditions = Conditions(start_reach=0.01, start_reach_z=0.01, lowest_start=0.0)
+        task.conditions = LandingConditions(start_reach=0.01, start_reach_z=0.01, lowest_start=0.0)
         task.sample(np.random.default_rng(0), 5)
 
 
@@ -295,12 +295,12 @@ def test_the_papers_starts_are_clear(x, z):
 
 
 def test_the_task_has_no_training_aids():
-    assert Conditions().contact_limit == 0 and Conditions().goal_while_touching
+    assert LandingConditions().contact_limit == 0 and LandingConditions().goal_while_touching
 
 
 def test_with_a_price_whoever_falls_or_leaves_is_out_and_has_paid_for_ever():
     far, fallen = at(3.8, 1.5), at(1.0, 0.03)
-    kept = judge(fallen, far, conditions=Conditions(leave_limit=0.3))
+    kept = judge(fallen, far, conditions=LandingConditions(leave_limit=0.3))
     assert kept.cut.tolist() == [False, True] and not kept.terminated.any()
     priced = judge(far, GOAL, at(1, 1.8), conditions=AIDED)
     assert priced.terminated.tolist() == [True, True, False] and not priced.cut.any()
@@ -315,7 +315,7 @@ def test_with_a_price_whoever_falls_or_leaves_is_out_and_has_paid_for_ever():
 
 
 def test_contact_limit_cuts_but_never_a_success():
-    aid = Conditions(contact_limit=8)
+    aid = LandingConditions(contact_limit=8)
     away = at(1.0, 1.2)
     assert not judge(away, near=True, conditions=aid, in_contact=7).cut.any()
     verdict = judge(away, GOAL, near=True, conditions=aid, in_contact=8)
@@ -324,7 +324,7 @@ def test_contact_limit_cuts_but_never_a_success():
 
 
 def test_goal_entries_while_touching_can_be_refused():
-    aid = Conditions(goal_while_touching=False)
+    aid = LandingConditions(goal_while_touching=False)
     verdict = judge(GOAL, near=True, conditions=aid)
     assert not verdict.success.any() and verdict.reward.tolist() == [-7]
     assert judge(GOAL, conditions=aid).success.all()

@@ -13,7 +13,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import StepContext, make_task
-from inclined_landing.envs.tasks.touchdown import FRICTION, Conditions, resting
+from inclined_landing.envs.tasks.touchdown import FRICTION, TouchdownConditions, resting
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import Contacts, make_plant
@@ -75,7 +75,7 @@ def test_over_platforms_that_stand_still_a_moving_plant_judges_as_the_plain_one(
     """Onto the same slopes with motors idle, in both plants: the same rewards and success."""
     outcomes = []
     for task in (make_task("touchdown", dimensions=3), make_task("touchdown", dimensions=3, fastest=0.0)):
-        task.conditions = Conditions(close=1.0)
+        task.conditions = TouchdownConditions(close=1.0)
         env = BatchEnv(task, make_plant("mujoco", 6, task.vehicle, threads=1, **task.plant_options), seed=5)
         start = make_task("touchdown", dimensions=3)
         start.conditions = task.conditions
@@ -121,7 +121,7 @@ def test_drawn_friction_holds_on_drawn_slopes():
         steepest=math.radians(50),
         angle_limit=math.radians(55),
     )
-    task.conditions = Conditions(friction=FRICTION, steep=0.5)
+    task.conditions = TouchdownConditions(friction=FRICTION, steep=0.5)
     start = task.sample(np.random.default_rng(4), 400)
     slope = np.abs(start.inclination) + swell.largest_tilt(start.motion.amplitude)
     assert slope.max() <= math.radians(55) + 1e-9 and slope.max() > math.radians(50)
@@ -133,7 +133,7 @@ def test_drawn_friction_holds_on_drawn_slopes():
 
 def test_close_starts_move_along_with_their_platforms():
     task = make_task("touchdown", dimensions=3, fastest=2.0, swell=1.0, steepest=0.35)
-    task.conditions = Conditions(close=1.0)
+    task.conditions = TouchdownConditions(close=1.0)
     start = task.sample(np.random.default_rng(2), 100)
     platform = start.platforms(task.vehicle)
     apart = start.state[:, : Z + 1] - platform[:, : Z + 1]
@@ -147,10 +147,9 @@ def test_the_arena_is_carried_along():
     """A vehicle over a platform 20 m away is in the middle of its arena; the room itself ends at 3.4 m."""
     state, platform = np.zeros((1, 13)), np.zeros((1, 12))
     state[0, :3], platform[0, :3] = (20.0, -8.0, 1.5), (20.0, -8.0, 1.15)
-    assert not TASK.near_bounds(TASK.in_arena(StepContext(state, platform=platform)))[0]
-    assert TASK.near_bounds(state)[0]
+    assert not TASK.near_bounds(StepContext(state, platform=platform))[0]
     still = make_task("touchdown", dimensions=3)
-    assert still.near_bounds(still.in_arena(StepContext(state, platform=platform)))[0]
+    assert still.near_bounds(StepContext(state, platform=platform))[0]
 
 
 def test_the_law_that_training_begins_with_lands():
@@ -159,7 +158,7 @@ def test_the_law_that_training_begins_with_lands():
         steepest=math.radians(40), angle_limit=math.radians(55), plant_options={"threads": 1},
     )  # fmt: skip
     law, success = Descent(env.task), np.zeros(48, bool)
-    env.task.conditions = Conditions(friction=FRICTION)
+    env.task.conditions = TouchdownConditions(friction=FRICTION)
     env.reset()
     for _ in range(200):
         step = env.step(law(StepContext(env.plant.state, platform=env.plant.platform), -1.0), ~success)

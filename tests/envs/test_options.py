@@ -7,7 +7,7 @@ from typing import Annotated
 import pytest
 from msgspec import Meta
 
-from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, make_task, variants
+from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, SlopeLanding, make_task
 from inclined_landing.envs.tasks.options import TaskOptions, Training, fields_of
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.config import TrainConfig
@@ -46,8 +46,14 @@ def test_a_field_more_is_an_option_more():
     assert Windy(wind=2).settings.wind == Windy(wind=2).options["wind"] == 2
     with pytest.raises(UserError, match="wind must be a number from 0 to 5, not 6"):
         Windy(wind=6)
-    slope = variants.variant(Windy, {"steepest": 0.3})
-    assert issubclass(slope, Windy) and slope(steepest=0.3, wind=1.0).observes_slope
+    with pytest.raises(UserError, match="from which one of your own is derived"):
+        Windy(steepest=0.3)
+
+    class WindySlopes(SlopeLanding):
+        name = "windy-slopes"
+        options_type = Options
+
+    assert WindySlopes(steepest=0.3, wind=1.0).observes_slope
 
 
 @pytest.mark.parametrize("name, kind", [("landing", InclinedLanding), ("touchdown", InclinedTouchdown)])
@@ -63,7 +69,7 @@ def test_options_find_the_class(name, kind):
         assert isinstance(task, kind) and task.name == name
         assert (task.is_planar, task.observes_slope, task.platform_moves) == traits
         if options:
-            with pytest.raises(UserError, match=f"make_task.'{name}', .... has the class"):
+            with pytest.raises(UserError, match=f"make_task.'{name}', .... takes the class"):
                 kind(**options)
 
 

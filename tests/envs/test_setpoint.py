@@ -76,8 +76,8 @@ def test_action_map():
 
 def test_conditions_ease_the_effort_and_shorten_episodes():
     task = Setpoint()
-    assert task.conditions == setpoint.Conditions(setpoint.EFFORT_FLOOR, Setpoint.max_steps)
-    task.conditions = setpoint.Conditions(effort_floor=0.5, episode_limit=150)
+    assert task.conditions == setpoint.SetpointConditions(setpoint.EFFORT_FLOOR, Setpoint.max_steps)
+    task.conditions = setpoint.SetpointConditions(effort_floor=0.5, episode_limit=150)
     assert judge(state(), [0, 1, 0], task).reward[0] == pytest.approx(-0.1 / 0.5)
     cuts = [judge(state(), [0, 0, 0], task, length).cut[0] for length in (149, 150, 151)]
     assert cuts == [False, True, True]

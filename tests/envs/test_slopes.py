@@ -14,7 +14,7 @@ import inclined_landing  # noqa: F401 (registers the environments)
 from inclined_landing.envs import load_policy, make_batch, starts
 from inclined_landing.envs.policy import locate, write_metadata
 from inclined_landing.envs.tasks import StepContext, make_task
-from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, Conditions
+from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, LandingConditions
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.base import PLATFORM_SIZE
@@ -50,11 +50,11 @@ def test_slopes_are_drawn_evenly_and_starts_are_clear():
     assert (space.state[:, Z] >= 1.2).all()
     for task, start in ((PLANE, plane), (SPACE, space)):
         assert (task.start_clearance(start) >= START_CLEARANCE).all()
-    SPACE.conditions = Conditions(tilt=0.1)
+    SPACE.conditions = LandingConditions(tilt=0.1)
     try:
         assert SPACE.sample(rng, 100).inclination.max() <= 0.05
     finally:
-        SPACE.conditions = Conditions()
+        SPACE.conditions = LandingConditions()
 
 
 @settings(max_examples=30, deadline=None)

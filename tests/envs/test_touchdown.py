@@ -11,7 +11,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.starts import at_rest
 from inclined_landing.envs.tasks import InclinedTouchdown, StepContext, make_task
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
-from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, IMPACT, Conditions
+from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, TouchdownConditions
 from inclined_landing.models.attitude import PITCH, PWM, STATE_SIZE, VX, WY, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -35,7 +35,7 @@ def judge(state=None, action=IDLE, touching=((0, 0),), force=WEIGHT, held=0, con
     """Evaluation of one moment; touching: (surface, part) pairs."""
     state = resting() if state is None else state
     task = InclinedTouchdown(pwm_centre="hover")
-    task.conditions = conditions or Conditions()
+    task.conditions = conditions or TouchdownConditions()
     contacts = Contacts(np.zeros((1, 3, 3), bool), np.zeros((1, 3, 3), bool), np.zeros((1, 3, 3)))
     for pair in touching:
         contacts.touch[0][pair] = contacts.near[0][pair] = True
@@ -63,7 +63,7 @@ def test_at_rest_on_the_feet_with_idle_motors_is_held_and_free():
         ({"touching": ()}, {"time": -1.0}),
         ({"touching": ((0, 0), (0, 2))}, {"time": -1.0, "obstacle": -6.0}),
         ({"touching": ((0, 0), (1, 0))}, {"time": -1.0, "obstacle": -6.0}),
-        ({"force": (GENTLE_FORCE + 3) * WEIGHT}, {"impact": -3 * IMPACT}),
+        ({"force": (GENTLE_FORCE + 3) * WEIGHT}, {"impact": -3 * 0.5}),
     ],
 )
 def test_what_is_not_held_costs(case, paid):
@@ -89,9 +89,11 @@ def test_near_the_bounds_and_training_aids():
     state = resting()
     state[0, X] = 3.38
     assert terms(judge(state, FLY, ())) == {"time": -1.0, "bounds": -1.0}
-    aids = Conditions(contact_limit=8, leave_limit=0.3)
+    aids = TouchdownConditions(contact_limit=8, leave_limit=0.3)
     assert judge(touching=((0, 1),), conditions=aids).cut[0]
-    priced = judge(touching=((0, 1),), conditions=Conditions(contact_limit=8, out_of_bounds_penalty=150.0))
+    priced = judge(
+        touching=((0, 1),), conditions=TouchdownConditions(contact_limit=8, out_of_bounds_penalty=150.0)
+    )
     assert priced.terminated[0] and not priced.cut[0] and not priced.success[0]
     assert terms(priced) == {"time": -1.0, "obstacle": -6.0, "out_of_bounds": -150.0}
     assert not judge(conditions=aids).cut[0]  # feet may stay as long as they like
@@ -160,7 +162,7 @@ def test_contact_can_be_observed():
 def test_training_starts_draw_contact_and_closeness():
     task = InclinedTouchdown()
     assert task.sample(np.random.default_rng(0), 4).contact is None
-    task.conditions = Conditions(close=1.0, friction=(0.55, 1.2), restitution=(0.0, 0.5))
+    task.conditions = TouchdownConditions(close=1.0, friction=(0.55, 1.2), restitution=(0.0, 0.5))
     start = task.sample(np.random.default_rng(0), 500)
     assert task.start_clearance(start).min() > -1e-9
     x, z = start.state[:, X], start.state[:, Z] - V.platform_surface_height
@@ -176,7 +178,7 @@ def test_training_starts_draw_contact_and_closeness():
 
 def test_training_starts_around_the_raised_edge():
     task = InclinedTouchdown()
-    task.conditions = Conditions(beside=1.0)
+    task.conditions = TouchdownConditions(beside=1.0)
     start = task.sample(np.random.default_rng(0), 500)
     assert task.start_clearance(start).min() >= START_CLEARANCE
     x, z = start.state[:, X], start.state[:, Z]  # the default slope rises towards +x
@@ -194,6 +196,6 @@ def test_gymnasium_face():
 
 
 def test_conditions_default_to_the_task():
-    default = dataclasses.asdict(Conditions())
+    default = dataclasses.asdict(TouchdownConditions())
     assert default["close"] == default["beside"] == 0.0
-    assert default["impact"] == IMPACT and default["friction"] is None
+    assert default["impact_share"] == 1.0 and default["friction"] is None

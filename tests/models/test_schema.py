@@ -139,7 +139,7 @@ def test_options_that_fit_their_types_are_let_pass(options):
     (Options(rates=(0.5, 2.0)), "rates[1] must be a number from 0 to 1, not 2.0"),
     (Options(rates=(0, 0, 0)), "rates must be a list of at most 2 entries, each a number from 0 to 1"),
     (Options(centre="own"), "centre must be a number or 'hover', not 'own'"),
-    (Options(centre=math.inf), "centre takes finite numbers, not inf"),
+    (Options(centre=math.inf), "centre must be a number or 'hover', not inf"),
     (Options(group=Group(near=2.0)), "near must be a number from 0 to 1, not 2.0"),
     (Options(group=Group(out=3)), "out must be a path, not 3"),
 ])  # fmt: skip

@@ -18,7 +18,7 @@ from inclined_landing.train.curriculum import (
     make_curriculum,
 )
 
-TASK = landing.Conditions()  # what is evaluated
+TASK = landing.LandingConditions()  # what is evaluated
 
 
 def episodes(curriculum, successes, failures=0, length=50):
@@ -26,7 +26,7 @@ def episodes(curriculum, successes, failures=0, length=50):
         curriculum.episode(k < successes, length)
 
 
-def as_task(conditions: landing.Conditions) -> landing.Conditions:
+def as_task(conditions: landing.LandingConditions) -> landing.LandingConditions:
     """Conditions without the training aids."""
     return dataclasses.replace(
         conditions,
@@ -38,7 +38,7 @@ def as_task(conditions: landing.Conditions) -> landing.Conditions:
     )
 
 
-def at_level(level) -> landing.Conditions:
+def at_level(level) -> landing.LandingConditions:
     curriculum = AdaptiveCurriculum()
     curriculum.level = level
     return curriculum.conditions()

@@ -16,7 +16,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train.fast import kernels
@@ -139,7 +139,7 @@ class Stop(BaseCallback):
 
 def easy(task) -> None:
     """Episodes that end within a hundred steps, some of them in a large goal box."""
-    task.conditions = Conditions(start_reach=0.6, tilt=0.0, goal_size=0.3, platform=0.0)
+    task.conditions = LandingConditions(start_reach=0.6, tilt=0.0, goal_size=0.3, platform=0.0)
     task.max_steps = 40
 
 

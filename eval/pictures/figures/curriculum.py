@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.envs.tasks.landing import Conditions, InclinedLanding
+from inclined_landing.envs.tasks.landing import InclinedLanding, LandingConditions
 from inclined_landing.eval.base.style import GREEN, INK, MUTED, panel, styled
 from inclined_landing.eval.pictures.figures.scene import (
     GOAL_COLOUR,
@@ -30,7 +30,7 @@ _LOWEST = 0.5  # m; the panels are cut off here, unless starts lie lower
 
 
 def curriculum_figure(
-    stages: Sequence[tuple[str, Conditions]],
+    stages: Sequence[tuple[str, LandingConditions]],
     *,
     task: InclinedLanding | None = None,
     starts: int = 8,

@@ -18,7 +18,7 @@ from inclined_landing.envs import policy
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.envs.tasks.landing import Conditions
+from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.options import Flown
 from inclined_landing.eval.base.style import STAMP_DPI
@@ -401,9 +401,12 @@ def test_levels_that_are_missing_are_no_end_of_the_curriculum(tmp_path):
 # --- curriculum -----------------------------------------------------------------------------------
 
 STAGES = [
-    ("near", Conditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False)),
-    ("half", Conditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6)),
-    ("the task", Conditions()),
+    ("near", LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False)),
+    (
+        "half",
+        LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
+    ),
+    ("the task", LandingConditions()),
 ]
 
 
