@@ -13,16 +13,18 @@ def _ground_effect(vehicle, values):
     strength = values.get("strength", 0.0)
     if strength == 0.0:
         return vehicle
-    own, before = vehicle.effects_ground_effect, vehicle.effects_ground_fading
+    present, before = vehicle.effects_ground_effect, vehicle.effects_ground_fading
     fading = values.get("fading", before)
-    if own != 0.0:  # the sum of two such laws is none of them: what lies between, by their strengths
-        fading = (abs(own) * before + abs(strength) * fading) / (abs(own) + abs(strength))
-    return vehicle.changed(effects_ground_effect=own + strength, effects_ground_fading=fading)
+    if present != 0.0:  # the sum of two such laws is none of them: what lies between, by their strengths
+        fading = (abs(present) * before + abs(strength) * fading) / (abs(present) + abs(strength))
+    return vehicle.changed(effects_ground_effect=present + strength, effects_ground_fading=fading)
 
 
 def _drag(name: str, parts: tuple[int, ...]) -> Parameter:
-    constant = FittedConstant(f"rotor drag, {name}", "drag_coefficients", "1", lambda v, x: x, parts=parts)
-    return Parameter(name, "1", 1.0, (0.0, 10.0), 2.0, 0.1, constant=constant)
+    constant = FittedConstant(
+        f"rotor drag, {name}", field="drag_coefficients", number=lambda v, x: x, parts=parts
+    )
+    return Parameter(name, neutral=1.0, bounds=(0.0, 10.0), plausible=2.0, negligible=0.1, constant=constant)
 
 
 EFFECTS = (
@@ -52,11 +54,10 @@ EFFECTS = (
         parameters=(
             Parameter(
                 "coefficient",
-                "kg/m",
-                0.0,
-                (0.0, 0.08),
-                0.006,
-                0.001,
+                unit="kg/m",
+                bounds=(0.0, 0.08),
+                plausible=0.006,
+                negligible=0.001,
                 one_signed=True,
                 adds_to="effects_body_drag",
             ),
@@ -76,8 +77,8 @@ EFFECTS = (
         formula="v_air = v - (x, y, 0)",
         source="definition",
         parameters=(
-            Parameter("x", "m/s", 0.0, (-20.0, 20.0), 1.0, 0.05),
-            Parameter("y", "m/s", 0.0, (-20.0, 20.0), -0.6, 0.05),
+            Parameter("x", unit="m/s", bounds=(-20.0, 20.0), plausible=1.0, negligible=0.05),
+            Parameter("y", unit="m/s", bounds=(-20.0, 20.0), plausible=-0.6, negligible=0.05),
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("attitude_trim", "com_offset"),
@@ -93,7 +94,9 @@ EFFECTS = (
         description="In forward flight the rotors meet undisturbed air and give more thrust.",
         formula="F_t times (1 + coefficient v_plane^2), v_plane the air speed in the rotor plane",
         source="momentum theory: about 1/(2 v_h^2) with the induced velocity in hover v_h = 4.4 m/s",
-        parameters=(Parameter("coefficient", "s2/m2", 0.0, (-0.05, 0.15), 0.025, 0.002),),
+        parameters=(
+            Parameter("coefficient", unit="s2/m2", bounds=(-0.05, 0.15), plausible=0.025, negligible=0.002),
+        ),
         regimes=("lateral",),
         confused_with=("rotor_drag", "body_drag", "axial_inflow"),
         remedy="Expect to gain height in fast flight and give less thrust there.",
@@ -107,7 +110,9 @@ EFFECTS = (
         "more. It damps vertical motion.",
         formula="F_t times max(0, 1 - coefficient v_axial), v_axial the air speed along body z",
         source="blade element theory: inflow reduces the blades' angle of attack",
-        parameters=(Parameter("coefficient", "s/m", 0.0, (-0.1, 0.4), 0.05, 0.008),),
+        parameters=(
+            Parameter("coefficient", unit="s/m", bounds=(-0.1, 0.4), plausible=0.05, negligible=0.008),
+        ),
         regimes=("climb", "hover"),
         confused_with=("rotor_drag", "motor_lag", "translational_lift"),
         remedy="Give more thrust in climbs and less in descents than the hover thrust suggests.",
@@ -127,9 +132,16 @@ EFFECTS = (
         "nanobench flights",
         parameters=(
             Parameter(
-                "strength", "1", 0.0, (-2.0, 40.0), 5.0, 0.5, one_signed=True, adds_to="effects_ground_effect"
+                "strength",
+                bounds=(-2.0, 40.0),
+                plausible=5.0,
+                negligible=0.5,
+                one_signed=True,
+                adds_to="effects_ground_effect",
             ),
-            Parameter("fading", "1/m", 0.0, (0.0, 40.0), 3.0, 2.5, is_reference=True),
+            Parameter(
+                "fading", unit="1/m", bounds=(0.0, 40.0), plausible=3.0, negligible=2.5, is_reference=True
+            ),
         ),
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),

@@ -7,18 +7,18 @@ _LEAST_TIME = 0.0081  # s, of an attitude loop that a control step of 0.02 s can
 
 
 def _time_constant(vehicle, values):
-    own, scale = vehicle.attitude_time_constant, values.get("scale", 1.0)
+    present, scale = vehicle.attitude_time_constant, values.get("scale", 1.0)
     if scale == 1.0:
         return vehicle
-    return vehicle.changed(attitude_time_constant=max(own * scale, min(own, _LEAST_TIME)))
+    return vehicle.changed(attitude_time_constant=max(present * scale, min(present, _LEAST_TIME)))
 
 
 def _second_order(vehicle, values):
-    own, lag = 1.0 / vehicle.attitude_bandwidth, values.get("rate_lag", 0.0)
+    present, lag = 1.0 / vehicle.attitude_bandwidth, values.get("rate_lag", 0.0)
     if lag == 0.0:
         return vehicle
-    new, tau = max(own + lag, min(own, _QUICKEST)), vehicle.attitude_time_constant
-    damping = vehicle.attitude_damping * (tau + own) / (tau + new)
+    new, tau = max(present + lag, min(present, _QUICKEST)), vehicle.attitude_time_constant
+    damping = vehicle.attitude_damping * (tau + present) / (tau + new)
     return vehicle.changed(attitude_bandwidth=1.0 / new, attitude_damping=damping)
 
 
@@ -41,10 +41,16 @@ def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
 
     def angle(axis: str, k: int) -> Parameter:
         constant = FittedConstant(
-            name.format(axis), field, "rad", lambda v, x: x + getattr(v, field)[k], offset=True
+            name.format(axis),
+            field=field,
+            unit="rad",
+            number=lambda v, x: x + getattr(v, field)[k],
+            offset=True,
         )
         size = -plausible if k else plausible
-        return Parameter(axis, "rad", 0.0, (-0.25, 0.25), size, 0.0035, constant=constant)
+        return Parameter(
+            axis, unit="rad", bounds=(-0.25, 0.25), plausible=size, negligible=0.0035, constant=constant
+        )
 
     return angle("roll", 0), angle("pitch", 1)
 
@@ -57,9 +63,13 @@ EFFECTS = (
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.4, 1.8), 0.85, 0.02),
+                "scale",
+                neutral=1.0,
+                bounds=(0.4, 1.8),
+                plausible=0.85,
+                negligible=0.02,
                 constant=FittedConstant(
-                    "attitude gain k", "attitude_gain", "1", lambda v, x: x * v.attitude_gain
+                    "attitude gain k", field="attitude_gain", number=lambda v, x: x * v.attitude_gain
                 ),
             ),
         ),
@@ -68,6 +78,7 @@ EFFECTS = (
         remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
         channels=("attitude",),
         apply=scaled("attitude_gain"),
+        in_the_loops=True,
         says="the vehicle tilts {scale} times as far as modelled",
     ),
     Effect(
@@ -78,11 +89,17 @@ EFFECTS = (
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.06, 4.0), 0.6, 0.08),
+                "scale",
+                neutral=1.0,
+                bounds=(0.06, 4.0),
+                plausible=0.6,
+                negligible=0.08,
                 manoeuvre=0.12,
                 constant=FittedConstant(
-                    *("attitude time constant tau", "attitude_time_constant", "s"),
-                    lambda v, x: x * v.attitude_time_constant,
+                    "attitude time constant tau",
+                    field="attitude_time_constant",
+                    unit="s",
+                    number=lambda v, x: x * v.attitude_time_constant,
                 ),
             ),
         ),
@@ -91,6 +108,7 @@ EFFECTS = (
         remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
         channels=("attitude",),
         apply=_time_constant,
+        in_the_loops=True,
         is_lag=True,
         says="the attitude loops have {scale} times the modelled time constant",
     ),
@@ -103,10 +121,17 @@ EFFECTS = (
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(
-                *("rate_lag", "s", 0.0, (-0.017, 0.15), 0.03, 0.008),
+                "rate_lag",
+                unit="s",
+                bounds=(-0.017, 0.15),
+                plausible=0.03,
+                negligible=0.008,
                 manoeuvre=0.015,
                 constant=FittedConstant(
-                    *("rate loop lag", "attitude_bandwidth", "s"), lambda v, x: x + 1.0 / v.attitude_bandwidth
+                    "rate loop lag",
+                    field="attitude_bandwidth",
+                    unit="s",
+                    number=lambda v, x: x + 1.0 / v.attitude_bandwidth,
                 ),
             ),
         ),
@@ -115,6 +140,7 @@ EFFECTS = (
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
         apply=_second_order,
+        in_the_loops=True,
         is_lag=True,
         forms=("attitude late",),
         form=0.2,
@@ -133,6 +159,7 @@ EFFECTS = (
         "system, or enter the trim in the Crazyflie client.",
         channels=("attitude",),
         apply=added("effects_attitude_trim", "roll", "pitch"),
+        in_the_loops=True,
         says="commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
     ),
     Effect(
@@ -160,8 +187,8 @@ EFFECTS = (
         "the loops hold the measured angles",
         source="accelerometer of the Crazyflie: levelled at start-up to about 1 deg",
         parameters=(
-            Parameter("roll", "rad", 0.0, (-0.25, 0.25), 0.02, 0.0035),
-            Parameter("pitch", "rad", 0.0, (-0.25, 0.25), -0.02, 0.0035),
+            Parameter("roll", unit="rad", bounds=(-0.25, 0.25), plausible=0.02, negligible=0.0035),
+            Parameter("pitch", unit="rad", bounds=(-0.25, 0.25), plausible=-0.02, negligible=0.0035),
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "mocap_tilt", "attitude_trim"),
@@ -179,13 +206,14 @@ EFFECTS = (
         formula="roll and pitch held by the loops: roll + lean v_left, pitch - lean v_forward",
         source="nanobench: estimated less measured pitch -0.021 v_forward, roll +0.024 v_left; at most "
         "drag/(mass g), 0.04 rad s/m there",
-        parameters=(Parameter("lean", "rad s/m", 0.0, (-0.1, 0.1), 0.02, 0.004),),
+        parameters=(Parameter("lean", unit="rad s/m", bounds=(-0.1, 0.1), plausible=0.02, negligible=0.004),),
         regimes=("lateral",),
         confused_with=("rotor_drag", "attitude_gain", "body_drag"),
         remedy="Log the onboard estimate beside the motion capture: their difference grows with the speed. "
         "Trust the orientation of the motion capture more in the estimator, or give it a drag term.",
         channels=("attitude",),
         apply=added("effects_estimator_lean", "lean"),
+        in_the_loops=True,
         says="the vehicle leans into its motion by {lean} that its own estimate does not show",
     ),
     Effect(
@@ -196,18 +224,28 @@ EFFECTS = (
         source="the firmware's yaw rate controller; yaw is driven by the rotors' reaction torque only",
         parameters=(
             Parameter(
-                *("gain", "1", 1.0, (0.3, 2.0), 0.9, 0.01),
+                "gain",
+                neutral=1.0,
+                bounds=(0.3, 2.0),
+                plausible=0.9,
+                negligible=0.01,
                 manoeuvre=0.05,
                 constant=FittedConstant(
-                    "yaw rate gain", "attitude_yaw_gain", "1", lambda v, x: x * v.attitude_yaw_gain
+                    "yaw rate gain", field="attitude_yaw_gain", number=lambda v, x: x * v.attitude_yaw_gain
                 ),
             ),
             Parameter(
-                *("time_constant", "1", 1.0, (0.1, 8.0), 1.5, 0.1),
+                "time_constant",
+                neutral=1.0,
+                bounds=(0.1, 8.0),
+                plausible=1.5,
+                negligible=0.1,
                 manoeuvre=0.3,
                 constant=FittedConstant(
-                    *("yaw rate time constant", "attitude_yaw_bandwidth", "s"),
-                    lambda v, x: x / v.attitude_yaw_bandwidth,
+                    "yaw rate time constant",
+                    field="attitude_yaw_bandwidth",
+                    unit="s",
+                    number=lambda v, x: x / v.attitude_yaw_bandwidth,
                 ),
             ),
         ),
@@ -217,6 +255,7 @@ EFFECTS = (
         "drift shows while no yaw rate is commanded, a gain does not.",
         channels=("yaw",),
         apply=_yaw_loop,
+        in_the_loops=True,
         is_lag=True,
         says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
         # Commands that only hold the heading answer to what disturbs it: 0.3 rad/s turn it by more.
@@ -227,12 +266,13 @@ EFFECTS = (
         description="The heading turns slowly although no yaw rate is commanded: a gyroscope bias.",
         formula="d(yaw)/dt = yaw rate command + rate",
         source="bias of consumer gyroscopes",
-        parameters=(Parameter("rate", "rad/s", 0.0, (-1.0, 1.0), 0.05, 0.003),),
+        parameters=(Parameter("rate", unit="rad/s", bounds=(-1.0, 1.0), plausible=0.05, negligible=0.003),),
         regimes=("hover", "climb", "lateral", "attitude_step"),
         confused_with=("yaw_loop",),
         remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
         channels=("yaw",),
         apply=added("effects_yaw_drift", "rate"),
+        in_the_loops=True,
         says="the heading turns by {rate} without a command",
     ),
 )

@@ -28,14 +28,14 @@ def _line(slope, zero, more, at):
 
 def with_sag(vehicle, sag, reference=None):
     """The vehicle with the factor 1 - sag (load/reference - 1) of its thrust on top of what it has."""
-    own, before = vehicle.effects_battery_sag, vehicle.effects_battery_reference
+    present, before = vehicle.effects_battery_sag, vehicle.effects_battery_reference
     if sag == 0.0:
         return vehicle
     at = before if reference is None else reference
-    if own == 0.0:
+    if present == 0.0:
         total = sag
     else:  # -sag (load/reference - 1) is a line in the load with slope -sag/reference
-        slope, at = _line(-own / before, before, -sag / at, at)
+        slope, at = _line(-present / before, before, -sag / at, at)
         at = at or _LEAST_REFERENCE  # the line itself, where it is right at no load
         total = -slope * at
     return vehicle.changed(effects_battery_sag=total, effects_battery_reference=at)
@@ -62,10 +62,20 @@ EFFECTS = (
         "the nanobench flights",
         parameters=(
             Parameter(
-                "sag", "1", 0.0, (-0.03, 0.7), 0.15, 0.01, one_signed=True, adds_to="effects_battery_sag"
+                "sag",
+                bounds=(-0.03, 0.7),
+                plausible=0.15,
+                negligible=0.01,
+                one_signed=True,
+                adds_to="effects_battery_sag",
             ),
             Parameter(
-                *("reference", "PWM", _SHIPPED.effects_battery_reference, (5000.0, 65000.0), 34100.0, 1000.0),
+                "reference",
+                unit="PWM",
+                neutral=_SHIPPED.effects_battery_reference,
+                bounds=(5000.0, 65000.0),
+                plausible=34100.0,
+                negligible=1000.0,
                 is_reference=True,
             ),
         ),
@@ -88,9 +98,14 @@ EFFECTS = (
         "or its square, 0.27 to 0.54 1/V; PWM times voltage is constant in hover within 1.3 % in the "
         "nanobench flights",
         parameters=(
-            Parameter("sensitivity", "1/V", 0.0, (-0.3, 1.2), 0.4, 0.02),
+            Parameter("sensitivity", unit="1/V", bounds=(-0.3, 1.2), plausible=0.4, negligible=0.02),
             Parameter(
-                *("reference", "V", _SHIPPED.effects_voltage_reference, (2.8, 4.6), 3.8, 0.03),
+                "reference",
+                unit="V",
+                neutral=_SHIPPED.effects_voltage_reference,
+                bounds=(2.8, 4.6),
+                plausible=3.8,
+                negligible=0.03,
                 is_reference=True,
             ),
         ),

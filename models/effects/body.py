@@ -7,10 +7,10 @@ def _slung_load(vehicle, values):
     mass = values.get("mass", 0.0)
     if mass == 0.0:
         return vehicle
-    own, length = vehicle.effects_load_mass, vehicle.effects_load_length
+    present, length = vehicle.effects_load_mass, vehicle.effects_load_length
     if mass > 0.0:  # two loads are none of one string: what lies between, by their masses
-        length = (own * length + mass * values.get("length", length)) / (own + mass)
-    return vehicle.changed(effects_load_mass=max(0.0, own + mass), effects_load_length=length)
+        length = (present * length + mass * values.get("length", length)) / (present + mass)
+    return vehicle.changed(effects_load_mass=max(0.0, present + mass), effects_load_length=length)
 
 
 EFFECTS = (
@@ -20,7 +20,7 @@ EFFECTS = (
         "inertia is left as it is.",
         formula="m = scale body_mass",
         source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
-        parameters=(Parameter("scale", "1", 1.0, (0.6, 1.8), 1.08, 0.005),),
+        parameters=(Parameter("scale", neutral=1.0, bounds=(0.6, 1.8), plausible=1.08, negligible=0.005),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "thrust_bias", "battery_sag", "slung_load"),
         remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
@@ -42,11 +42,24 @@ EFFECTS = (
         source="Sreenath, Lee and Kumar 2013; crazyflie-data-collection, data 2024: 4.7 g on 0.52 m",
         parameters=(
             Parameter(
-                *("mass", "kg", 0.0, (0.0, 0.03), 0.004, 0.0003),
+                "mass",
+                unit="kg",
+                bounds=(0.0, 0.03),
+                plausible=0.004,
+                negligible=0.0003,
                 one_signed=True,
                 adds_to="effects_load_mass",
             ),
-            Parameter("length", "m", 0.5, (0.05, 1.5), 0.3, 0.05, is_reference=True, linear=False),
+            Parameter(
+                "length",
+                unit="m",
+                neutral=0.5,
+                bounds=(0.05, 1.5),
+                plausible=0.3,
+                negligible=0.05,
+                is_reference=True,
+                linear=False,
+            ),
         ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("mass", "thrust_scale", "thrust_bias", "battery_sag"),
@@ -66,8 +79,24 @@ EFFECTS = (
         formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
         source="rigid-body mechanics",
         parameters=(
-            Parameter("x", "m", 0.0, (-0.015, 0.015), 0.001, 1e-4, placement=6e-4, along_the_arm=True),
-            Parameter("y", "m", 0.0, (-0.015, 0.015), -0.001, 1e-4, placement=6e-4, along_the_arm=True),
+            Parameter(
+                "x",
+                unit="m",
+                bounds=(-0.015, 0.015),
+                plausible=0.001,
+                negligible=1e-4,
+                placement=6e-4,
+                along_the_arm=True,
+            ),
+            Parameter(
+                "y",
+                unit="m",
+                bounds=(-0.015, 0.015),
+                plausible=-0.001,
+                negligible=1e-4,
+                placement=6e-4,
+                along_the_arm=True,
+            ),
         ),
         regimes=("climb", "hover", "attitude_step"),
         confused_with=(

@@ -31,7 +31,7 @@ EFFECTS = (
         description="The feet slide more or less easily on the platform than modelled.",
         formula="friction = scale contact_friction",
         source="Coulomb friction; plastic on wood 0.2 to 0.9",
-        parameters=(Parameter("scale", "1", 1.0, (0.05, 3.0), 0.6, 0.05),),
+        parameters=(Parameter("scale", neutral=1.0, bounds=(0.05, 3.0), plausible=0.6, negligible=0.05),),
         regimes=("touchdown",),
         confused_with=("platform_tilt", "contact_damping"),
         remedy="Tilt the platform until a switched-off vehicle slides: the tangent of that angle is the "
@@ -45,7 +45,7 @@ EFFECTS = (
         description="Feet and surface give way more or less than modelled.",
         formula="stiffness of the contact spring times scale, damping unchanged",
         source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
-        parameters=(Parameter("scale", "1", 1.0, (0.1, 4.0), 0.4, 0.1),),
+        parameters=(Parameter("scale", neutral=1.0, bounds=(0.1, 4.0), plausible=0.4, negligible=0.1),),
         regimes=("touchdown",),
         confused_with=("contact_damping", "platform_height"),
         remedy="Drop the switched-off vehicle from 5 cm and film the rebound; measure the contact with "
@@ -59,7 +59,7 @@ EFFECTS = (
         description="Touches are more or less damped than modelled: with little damping the vehicle bounces.",
         formula="damping of the contact spring times scale, stiffness unchanged",
         source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
-        parameters=(Parameter("scale", "1", 1.0, (0.1, 3.0), 0.4, 0.1),),
+        parameters=(Parameter("scale", neutral=1.0, bounds=(0.1, 3.0), plausible=0.4, negligible=0.1),),
         regimes=("touchdown",),
         confused_with=("contact_stiffness", "friction"),
         remedy="Drop the switched-off vehicle from 5 cm and film the rebound; put foam under the feet if it "

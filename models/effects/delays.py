@@ -10,9 +10,15 @@ def _delay(
 
     All have the same step: where their slopes bend, at whole rows of a log, they stay sums of each other.
     """
-    constant = FittedConstant(name, field, "s", lambda v, x: x + getattr(v, field), offset=True)
+    constant = FittedConstant(
+        name, field=field, unit="s", number=lambda v, x: x + getattr(v, field), offset=True
+    )
     return Parameter(
-        *("delay", "s", 0.0, (0.0, longest), plausible, negligible),
+        "delay",
+        unit="s",
+        bounds=(0.0, longest),
+        plausible=plausible,
+        negligible=negligible,
         one_signed=True,
         adds_to=field,
         constant=constant,
@@ -50,6 +56,7 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
+        in_the_loops=True,
         is_lag=True,
         says="attitude commands act {delay} after they were sent",
     ),

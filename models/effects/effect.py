@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,8 +18,9 @@ class FittedConstant:
     """The vehicle's constant that a parameter rescales: what `landing-eval identify` fits and reports."""
 
     name: str  # as a person calls it
+    _: dataclasses.KW_ONLY
     field: str  # of Vehicle
-    unit: str  # of the number reported
+    unit: str = "1"  # of the number reported
     number: Callable[[Vehicle, float], float]  # reported for a vehicle whose parameter is this value
     also: tuple[str, ...] = ()  # fields that scale with it
     offset: bool = False  # the parameter is added to the field, else the field is rescaled
@@ -37,11 +37,6 @@ class FittedConstant:
 
 AIR_DENSITY = 1.2  # kg/m3
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
-
-
-@functools.cache
-def _shipped() -> Vehicle:
-    return load_vehicle()
 
 
 def mass(vehicle: Vehicle) -> float:
@@ -80,8 +75,9 @@ class Parameter:
     """One number of an effect."""
 
     name: str
-    unit: str
-    neutral: float  # at which the effect changes nothing, bit for bit
+    _: dataclasses.KW_ONLY
+    unit: str = "1"
+    neutral: float = 0.0  # at which the effect changes nothing, bit for bit
     bounds: tuple[float, float]  # what a fit may find
     plausible: float  # a value that a real vehicle may well have
     negligible: float  # distance from neutral, in the unit, that nobody needs to correct
@@ -129,7 +125,7 @@ class Parameter:
         away = times * OFF * self.negligible
         return max(low, self.neutral - away), min(high, self.neutral + away)
 
-    def beside(self, vehicle: Vehicle) -> Parameter:
+    def sized_for(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
         An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time are
@@ -140,8 +136,8 @@ class Parameter:
             (lambda v: v.rotor_arm, 1.0) if self.along_the_arm else _SCALED_UNITS.get(self.unit, (None, 1.0))
         )
         if scale is None:
-            return self._beside(vehicle)
-        return self._scaled((scale(vehicle) / scale(_shipped())) ** power)._beside(vehicle)
+            return self._on_top_of(vehicle)
+        return self._scaled((scale(vehicle) / scale(load_vehicle())) ** power)._on_top_of(vehicle)
 
     def _scaled(self, times: float) -> Parameter:
         """Return the parameter with all sizes `times` as large."""
@@ -155,18 +151,20 @@ class Parameter:
             step=self.step * times,
         )
 
-    def _beside(self, vehicle: Vehicle) -> Parameter:
+    def _on_top_of(self, vehicle: Vehicle) -> Parameter:
+        """Return the parameter with bounds that allow for what the vehicle has of it already."""
         field, _, part = self.adds_to.partition(".")
-        own = 0.0
+        present = 0.0
         if field:
-            own = float(getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field))
-        if self.one_signed and own > 0.0:
-            return dataclasses.replace(self, bounds=(self.neutral - own, self.bounds[1]), one_signed=False)
+            present = float(getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field))
+        if self.one_signed and present > 0.0:
+            bounds = self.neutral - present, self.bounds[1]
+            return dataclasses.replace(self, bounds=bounds, one_signed=False)
         if not self.is_factor or self.constant is None:
             return self
-        times = self.constant.unit_of(_shipped()) / self.constant.unit_of(vehicle)
+        times = self.constant.unit_of(load_vehicle()) / self.constant.unit_of(vehicle)
         if self.constant.field == "drag_coefficients":
-            times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(_shipped())
+            times *= heavy_rotor_drag(vehicle) / heavy_rotor_drag(load_vehicle())
         times = float(np.clip(times, 0.1, 20.0))
         plausible = 1.0 + (self.plausible - 1.0) * times
         return dataclasses.replace(
@@ -239,6 +237,8 @@ class Effect:
     # deviation of their weights: from simulators of other forms (docs/gap_blind.md, development families).
     forms: tuple[str, ...] = ()
     form: float = 0.05
+    # Acts in the attitude loops alone: forces and moments of the rotors and the air stay as they are.
+    in_the_loops: bool = False
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
@@ -296,9 +296,9 @@ class Effect:
         )
         return dataclasses.replace(self, parameters=tuple(parameters))
 
-    def beside(self, vehicle: Vehicle) -> Effect:
+    def sized_for(self, vehicle: Vehicle) -> Effect:
         """Return the effect with the bounds and sizes that apply to `vehicle`."""
-        return dataclasses.replace(self, parameters=tuple(p.beside(vehicle) for p in self.parameters))
+        return dataclasses.replace(self, parameters=tuple(p.sized_for(vehicle) for p in self.parameters))
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter called `name`."""

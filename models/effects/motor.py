@@ -20,9 +20,13 @@ EFFECTS = (
         source="Kooi and Babuska 2021: first-order motor function, 65 ms",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.2, 5.0), 1.5, 0.08),
+                "scale",
+                neutral=1.0,
+                bounds=(0.2, 5.0),
+                plausible=1.5,
+                negligible=0.08,
                 constant=FittedConstant(
-                    "thrust lag", "thrust_lag_rate", "s", lambda v, x: x / v.thrust_lag_rate
+                    "thrust lag", field="thrust_lag_rate", unit="s", number=lambda v, x: x / v.thrust_lag_rate
                 ),
             ),
         ),
@@ -43,7 +47,12 @@ EFFECTS = (
         source="brushed motors without active braking",
         parameters=(
             Parameter(
-                "excess", "1", 0.0, (-0.6, 6.0), 1.0, 0.1, one_signed=True, adds_to="effects_spin_down"
+                "excess",
+                bounds=(-0.6, 6.0),
+                plausible=1.0,
+                negligible=0.1,
+                one_signed=True,
+                adds_to="effects_spin_down",
             ),
         ),
         regimes=("climb",),

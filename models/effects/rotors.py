@@ -28,7 +28,10 @@ def _weak_rotor(k: int) -> Effect:
         "2024: propellers cut by up to 8 mm",
         parameters=(
             Parameter(
-                *("loss", "1", 0.0, (-0.03, 0.6), 0.12, 0.01),
+                "loss",
+                bounds=(-0.03, 0.6),
+                plausible=0.12,
+                negligible=0.01,
                 one_signed=True,
                 adds_to=f"effects_rotor_loss.{k}",
             ),
@@ -51,7 +54,9 @@ EFFECTS = (
         "its heading: propellers of unequal drag, motors mounted askew. It moves nothing.",
         formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
         source="balance of the turning moment; up to 0.1 in the CrazyPAD flights",
-        parameters=(Parameter("share", "1", 0.0, (-0.3, 0.3), 0.03, 0.003, placement=0.015),),
+        parameters=(
+            Parameter("share", bounds=(-0.3, 0.3), plausible=0.03, negligible=0.003, placement=0.015),
+        ),
         regimes=("hover",),
         confused_with=_NAMES,
         remedy="Nothing is lost but range of control. Exchange propellers of the two directions, set the "

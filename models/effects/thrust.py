@@ -13,9 +13,15 @@ EFFECTS = (
         source="Kooi and Babuska 2021: their flights needed 0.88 of the modelled force",
         parameters=(
             Parameter(
-                *("scale", "1", 1.0, (0.2, 2.0), 0.88, 0.005),
+                "scale",
+                neutral=1.0,
+                bounds=(0.2, 2.0),
+                plausible=0.88,
+                negligible=0.005,
                 constant=FittedConstant(
-                    *("thrust gain", "thrust_state_gain", "1", lambda v, x: x),
+                    "thrust gain",
+                    field="thrust_state_gain",
+                    number=lambda v, x: x,
                     also=("thrust_direct_gain", "effects_thrust_bias"),
                 ),
             ),
@@ -35,7 +41,7 @@ EFFECTS = (
         "an offset in the firmware's PWM, or a static map that does not pass through zero.",
         formula="F_t = state_gain Omega + direct_gain PWM + force",
         source="offset of the static map in Foerster 2015",
-        parameters=(Parameter("force", "N", 0.0, (-0.25, 0.25), -0.02, 0.003),),
+        parameters=(Parameter("force", unit="N", bounds=(-0.25, 0.25), plausible=-0.02, negligible=0.003),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "mass", "battery_sag", "ground_effect"),
         remedy="Fly climbs and descents with a wide range of PWM, to tell an offset from a scale. Check the "
@@ -54,10 +60,14 @@ EFFECTS = (
         formula="F_t times (1 + curvature (load/reference - 1)),  load = lag_rate Omega",
         source="static map of Foerster 2015: a curvature of 0.42 about its hover PWM",
         parameters=(
-            Parameter("curvature", "1", 0.0, (-0.03, 0.9), 0.3, 0.01, one_signed=True),
+            Parameter("curvature", bounds=(-0.03, 0.9), plausible=0.3, negligible=0.01, one_signed=True),
             Parameter(
-                *("reference", "PWM", load_vehicle().effects_battery_reference, (5000.0, 65000.0)),
-                *(34100.0, 1000.0),
+                "reference",
+                unit="PWM",
+                neutral=load_vehicle().effects_battery_reference,
+                bounds=(5000.0, 65000.0),
+                plausible=34100.0,
+                negligible=1000.0,
                 is_reference=True,
             ),
         ),
@@ -78,7 +88,7 @@ EFFECTS = (
         "motors warm up, without regard to the load.",
         formula="F_t times (1 - rate t)",
         source="linear part of the discharge of a lithium-polymer cell; nanobench flights",
-        parameters=(Parameter("rate", "1/s", 0.0, (-0.01, 0.02), 0.003, 0.0003),),
+        parameters=(Parameter("rate", unit="1/s", bounds=(-0.01, 0.02), plausible=0.003, negligible=0.0003),),
         regimes=("hover", "climb", "low_battery"),
         confused_with=("battery_voltage", "battery_sag", "thrust_scale"),
         remedy="Start with a full battery, fly shorter, or log the battery voltage and compensate the thrust "

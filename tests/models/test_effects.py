@@ -211,13 +211,13 @@ def test_sizes_of_times_and_drags_are_those_of_the_quantity(name):
     effect = LIBRARY[name]
     for p in effect.parameters:
         if not p.is_factor or p.constant is None:
-            assert p.is_reference or p.adds_to or p.beside(V) == p
+            assert p.is_reference or p.adds_to or p.sized_for(V) == p
             continue
-        assert p.beside(V) == dataclasses.replace(p, bounds=p.beside(V).bounds)
+        assert p.sized_for(V) == dataclasses.replace(p, bounds=p.sized_for(V).bounds)
         if not (p.constant.unit == "s" or p.constant.parts):
             continue
         half = effect.apply(V, {q.name: 0.5 for q in effect.parameters if q.is_factor})
-        own = p.beside(half)
+        own = p.sized_for(half)
         assert own.negligible == pytest.approx(2.0 * p.negligible, rel=1e-5)
         assert abs(own.plausible - 1.0) == pytest.approx(2.0 * abs(p.plausible - 1.0), rel=1e-5)
         assert own.bounds[0] < own.plausible < own.bounds[1]
@@ -243,7 +243,7 @@ def test_sizes_go_with_the_vehicle():
     ]:
         own = LIBRARY[name].parameter(parameter)
         for vehicle, times in ((heavy, by_mass), (wide, by_radius)):
-            there = own.beside(vehicle)
+            there = own.sized_for(vehicle)
             sizes = [(p.plausible, p.negligible, *p.bounds) for p in (there, own)]
             np.testing.assert_allclose(sizes[0], np.multiply(times, sizes[1]), rtol=1e-12)
 
@@ -252,7 +252,7 @@ def test_a_drag_is_sized_by_the_weight():
     """Rotor drag at the hover inflow over the weight: twice the coefficient needed, twice the share."""
     drag, quiet = LIBRARY["rotor_drag"].parameter("lateral"), V.changed(motor_pwm_to_speed=(0.02, 190.0))
     # Rotors at half the speed, 0.0200 P + 190 for 0.0408 P + 381, with the same coefficient: half the drag.
-    share = (drag.beside(quiet).plausible - 1.0) / (drag.plausible - 1.0)
+    share = (drag.sized_for(quiet).plausible - 1.0) / (drag.plausible - 1.0)
     assert share == pytest.approx(2.0, rel=0.02)  # 0.0408/0.02 is 2.04
 
 
@@ -756,10 +756,10 @@ def test_impossible_effects_are_refused(kind, change, sentence):
 def test_what_a_vehicle_has_already_it_may_have_less_of():
     """A delay of 7 ms may be 7 ms shorter, and no more; without one it can only grow."""
     effect = LIBRARY["thrust_delay"]
-    (alone,) = effect.beside(V).parameters
+    (alone,) = effect.sized_for(V).parameters
     assert alone.possible == (0.0, alone.bounds[1])
     late = V.changed(effects_thrust_delay=0.007)
-    (p,) = effect.beside(late).parameters
+    (p,) = effect.sized_for(late).parameters
     assert p.possible == (-0.007, p.bounds[1])
     assert effect.apply(late, {"delay": p.possible[0]}) == V
 

@@ -230,10 +230,10 @@ def test_the_effect_adds_loads_and_goes_with_the_vehicles_mass():
     assert (twice.effects_load_mass, twice.effects_load_length) == pytest.approx((0.006, 0.5))
     less = effect.apply(V, {"mass": -MASS, "length": 1.0})
     assert less == V.changed(effects_load_mass=0.0) and less.hover_pwm == SHIPPED.hover_pwm
-    heavier = mass.beside(SHIPPED.changed(body_mass=2.0 * M))
+    heavier = mass.sized_for(SHIPPED.changed(body_mass=2.0 * M))
     assert heavier.plausible == pytest.approx(2.0 * mass.plausible)
     assert heavier.bounds == pytest.approx((0.0, 2.0 * mass.bounds[1]))
-    assert mass.beside(V).possible == (-MASS, mass.bounds[1])
+    assert mass.sized_for(V).possible == (-MASS, mass.bounds[1])
     # The length alone says nothing: it has no size, and is no end of two columns.
     assert length.size(1.2) == 0.0 and effect.reference is None
     assert effect.apply(SHIPPED, {"length": 1.2}) == SHIPPED

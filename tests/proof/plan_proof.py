@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design
 from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
@@ -122,7 +122,7 @@ def race(family: str, seed: tuple[int, ...]) -> dict:
 
 
 def _searched(
-    flights: Sequence[FlightLog], vehicle: Vehicle, known: Reference
+    flights: Sequence[FlightLog], vehicle: Vehicle, known: VehiclePosterior
 ) -> tuple[list[ScoredSet], list[ScoredSet], NoiseLevels]:
     """What the flights leave in doubt, as `landing-eval gap` finds it, and what they could not have shown."""
     measured = prepare_all(flights, vehicle, False, [])

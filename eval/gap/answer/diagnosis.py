@@ -41,12 +41,12 @@ from inclined_landing.eval.gap.search import (
     sets,
     touchdown_simulation,
 )
-from inclined_landing.eval.gap.search.columns import Candidates, Values
+from inclined_landing.eval.gap.search.columns import Candidates, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
-from inclined_landing.eval.gap.search.posterior import EffectSet, slab_deviations
+from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import channels_of
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
@@ -67,7 +67,7 @@ def diagnose(
     vehicle: Vehicle,
     library: Mapping[str, Effect] = LIBRARY,
     *,
-    reference: Reference | None = None,
+    reference: VehiclePosterior | None = None,
     heldout: Sequence[FlightLog] = (),
     platform: bool | None = None,
     plants: Sequence[str] = ("analytic",),

@@ -20,7 +20,7 @@ from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
-from inclined_landing.eval.gap.search.columns import BASE, Values
+from inclined_landing.eval.gap.search.columns import BASE, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
@@ -29,10 +29,9 @@ from inclined_landing.eval.gap.search.posterior import (
     confounding,
     estimate_between_flight_deviations,
     excitation,
-    slab_deviations,
 )
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.search.residual import Residual, reference_residual
 from inclined_landing.eval.gap.search.sets import (
     autocorrelation_inflation,
@@ -86,7 +85,7 @@ class Identification:
     """The answer of `identify`."""
 
     vehicle: Vehicle
-    reference: Reference  # its posterior
+    reference: VehiclePosterior  # its posterior
     parameters: tuple[Identified, ...]
     identifiable: tuple[Identifiable, ...]  # best identified first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
@@ -186,7 +185,7 @@ def identify(
 
 def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
-    library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, problem.flights)
+    library, _ = identifiable_effects(free_effects(), problem.flights)
     around = Problem(problem.flights, vehicle, library)
     around.weight, around.wide_model_errors = problem.weight, True
     reference = identified_reference(around, size, inflation)
@@ -246,7 +245,9 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
         if LIBRARY[effect].of_the_place:
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
-        c = p.constant or FittedConstant(label.replace("_", " "), "", p.unit, lambda v, x: x)
+        c = p.constant or FittedConstant(
+            label.replace("_", " "), field="", unit=p.unit, number=lambda v, x: x
+        )
         ends = (float(np.clip(value + s * _half_width(problem, known), *p.bounds)) for s in (-1, 1))
         low, high = sorted(c.number(before, x) for x in ends)
         result.append(
@@ -286,7 +287,7 @@ def _field_half_widths(problem: Problem, values: Values, sized, before: Vehicle,
     return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
 
 
-def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> Reference:
+def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> VehiclePosterior:
     """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
 
     size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
@@ -306,4 +307,5 @@ def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarr
     prior = local.slab.diagonal() * local.unit**2
     met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
-    return Reference(tuple(columns), mean, known, reference_residual(problem, residual))
+    repeating = reference_residual(problem, residual)
+    return VehiclePosterior(tuple(columns), mean, known, repeating, frozenset(free_effects()))

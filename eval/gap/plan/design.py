@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.plan.information import ModelDiscrimination, Nois
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
@@ -72,7 +72,7 @@ def design(
     vary: Sequence[str] = (),
     seconds: float = SECONDS,
     platform: bool = False,
-    reference: Reference | None = None,
+    reference: VehiclePosterior | None = None,
     library: Mapping[str, Effect] = LIBRARY,
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,

@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.search.columns import Candidates, Column, Values
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -116,7 +116,7 @@ class ModelDiscrimination(Candidates):
         vehicle: Vehicle,
         noise_levels: NoiseLevels,
         library: Mapping[str, Effect] = LIBRARY,
-        reference: Reference | None = None,
+        reference: VehiclePosterior | None = None,
     ):
         total = sum(h.probability for h in hypotheses)
         self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]

@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import ScoredSet
-from inclined_landing.eval.gap.search.reference import Reference, read_reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior, read_reference
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
@@ -72,7 +72,7 @@ class PlanInput:
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
     vary: tuple[str, ...]  # regressors of an unexplained residual
-    reference: Reference  # posterior of its identification
+    reference: VehiclePosterior  # posterior of its identification
     arena: Path | None  # the vehicle's file, where its room is not that of the shipped one
 
 

@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
-from inclined_landing.eval.gap.search.reference import Reference, posterior_path
+from inclined_landing.eval.gap.search.reference import VehiclePosterior, posterior_path
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -156,7 +156,7 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
     write_posterior(folder / VEHICLE, found.reference)
 
 
-def write_posterior(vehicle: Path, reference: Reference) -> None:
+def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:
     """Write the posterior of an identified vehicle beside its file."""
     text = json.dumps(reference.to_json(load_vehicle(vehicle)), allow_nan=False, separators=(",", ":"))
     storage.write_text(posterior_path(vehicle), text + "\n")

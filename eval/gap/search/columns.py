@@ -16,6 +16,10 @@ Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 
 BASE = ""  # in place of the name of an effect: the base model, which has model (form) errors only
+SLAB = 1.0  # standard deviation of the slab, in plausible sizes
+SHAPE_COVARIANCE = np.array(
+    [[0.3125, 0.1875], [0.1875, 0.3125]]
+)  # covariance of a unit size at both sides: see `slab_covariance`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Candidates:
         """Return the effects of a library as candidates for a vehicle."""
         candidates = Candidates()
         candidates.vehicle = vehicle
-        candidates.library = {name: effect.beside(vehicle) for name, effect in library.items()}
+        candidates.library = {name: effect.sized_for(vehicle) for name, effect in library.items()}
         return candidates
 
     def corrected(self, values: Values) -> Vehicle:
@@ -54,10 +58,14 @@ class Candidates:
         """Return the parameter of a column; of a model error, its weight."""
         if column.effect == BASE:
             sd = form.BASE[column.form]
-            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), sd, sd / OFF, manoeuvre=0.5 * sd)
+            return Parameter(
+                column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF, manoeuvre=0.5 * sd
+            )
         if column.form:
             sd = self.library[column.effect].form
-            return Parameter(column.form, "1", 0.0, (-9.0, 9.0), 0.0, sd / OFF, is_reference=True)
+            return Parameter(
+                column.form, bounds=(-9.0, 9.0), plausible=0.0, negligible=sd / OFF, is_reference=True
+            )
         return self.library[column.effect].parameter(column.parameter)
 
     def neutral(self, name: str) -> dict[str, float]:
@@ -143,3 +151,25 @@ class Candidates:
         high = min(p.bounds[1], at[p.name] + times * p.negligible)
         ends = [self.corrected({**values, column.effect: {**at, p.name: x}}) for x in (low, high)]
         return ends, high - low
+
+
+def slab_deviations(candidates: Candidates, columns: Sequence[Column]) -> np.ndarray:
+    """Return the slabs' standard deviations (P,)."""
+    width = []
+    for column in columns:
+        p = candidates.parameter(column)
+        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.coordinate(p.plausible)))
+    return np.array(width)
+
+
+def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.ndarray:
+    """Return the slabs' covariance (P, P); the two columns of an effect about a reference are correlated."""
+    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/4) from the middle is s (1/2 - t) and
+    # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
+    width = slab_deviations(candidates, columns)
+    shape = np.eye(len(columns))
+    for i, one in enumerate(columns):
+        for j, other in enumerate(columns):
+            if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
+                shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
+    return shape * np.outer(width, width)

@@ -22,8 +22,8 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
-from inclined_landing.eval.gap.search.columns import FittedValues, Values
-from inclined_landing.eval.gap.search.posterior import SLAB, SPIKE, EffectSet, flight_weights
+from inclined_landing.eval.gap.search.columns import SLAB, FittedValues, Values
+from inclined_landing.eval.gap.search.posterior import SPIKE, EffectSet, flight_weights
 from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect

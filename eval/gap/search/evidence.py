@@ -17,8 +17,8 @@ from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.search import form
 from inclined_landing.eval.gap.search.columns import BASE, Candidates, Column, Values
-from inclined_landing.eval.gap.search.prediction import CHANNELS, predict, same_translation, translated
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.prediction import CHANNELS, predict, translated
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -43,7 +43,7 @@ class Problem(Candidates):
         flights: Sequence[MeasuredFlight],
         vehicle: Vehicle,
         library: Mapping[str, Effect],
-        reference: Reference | None = None,
+        reference: VehiclePosterior | None = None,
     ):
         self.flights = list(flights)
         self.vehicle = vehicle
@@ -53,7 +53,7 @@ class Problem(Candidates):
         logged = np.array([f.logged for f in self.flights])
         ignored = {"touchdown"} | {name for name, of in CHANNEL_GROUPS.items() if not logged[:, of].any()}
         self.library = {
-            name: effect.beside(vehicle)
+            name: effect.sized_for(vehicle)
             for name, effect in library.items()
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
@@ -178,7 +178,7 @@ class Problem(Candidates):
                     result.append(form.column(column.form, contribution[column.effect], flight))
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
                     moved, step = differences[column]
-                    same = translation if same_translation(moved, vehicle) else None
+                    same = translation if self.library[column.effect].in_the_loops else None
                     result.append((predict(flight, moved, same) - here) / step)
             return result
 

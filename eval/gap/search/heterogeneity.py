@@ -2,7 +2,7 @@
 
 Every flight has an estimate of each effect relative to the common fit, small random effects allowed for
 (`posterior.BETWEEN`, and `Parameter.manoeuvre` of the effects). The flights are split in two groups whose
-effects differ with the slab prior (`posterior.slab_deviations`), and the contrast is compared with the
+effects differ with the slab prior (`columns.slab_deviations`), and the contrast is compared with the
 scatter within the groups by an F test. All splits are tested: the false alarms are shared out evenly over the
 sizes of the smaller group, within one size over its groups (Bonferroni), and over the effects.
 """
@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
-from inclined_landing.eval.gap.search.columns import Values
+from inclined_landing.eval.gap.search.columns import Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
-from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding, slab_deviations
+from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding
 
 SIGNIFICANCE = 0.01  # familywise false alarm rate of a diagnosis
 PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1

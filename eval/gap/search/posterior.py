@@ -19,13 +19,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.columns import Values
+from inclined_landing.eval.gap.search.columns import (
+    SHAPE_COVARIANCE,
+    Values,
+    slab_covariance,
+    slab_deviations,
+)
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
-from inclined_landing.models.effects.effect import OFF
 
 SPIKE = 0.35  # standard deviation of the spike, in negligible sizes
 BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes
-SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 LARGE = 4.0  # slab widths of the second, wider component of the slab: sizes have heavy tails
 BOOTSTRAP_SAMPLES = 24
 MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
@@ -33,9 +36,6 @@ MOST_SPIKE_ABOUT = 0.3  # the same of the two columns of an effect about a refer
 EM_ROUNDS = 10
 ACTIVE_SET_ROUNDS = 4
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
-SHAPE_COVARIANCE = np.array(
-    [[0.3125, 0.1875], [0.1875, 0.3125]]
-)  # covariance of a unit size at both sides: see `slab_covariance`
 
 EffectSet = frozenset[str]
 
@@ -118,28 +118,6 @@ def estimate_between_flight_deviations(
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
-
-
-def slab_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the slabs' standard deviations (P,)."""
-    width = []
-    for column in columns:
-        p = problem.parameter(column)
-        width.append(OFF * p.negligible if p.is_reference else SLAB * abs(p.coordinate(p.plausible)))
-    return np.array(width)
-
-
-def slab_covariance(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the slabs' covariance (P, P); the two columns of an effect about a reference are correlated."""
-    # A size s ~ N(0, w^2) about a reference at the share t ~ N(0, 1/4) from the middle is s (1/2 - t) and
-    # s (1/2 + t) along the two columns: E x_i^2 = w^2 (1/4 + 1/16), E x_i x_j = w^2 (1/4 - 1/16).
-    width = slab_deviations(problem, columns)
-    shape = np.eye(len(columns))
-    for i, one in enumerate(columns):
-        for j, other in enumerate(columns):
-            if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
-                shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
-    return shape * np.outer(width, width)
 
 
 @dataclasses.dataclass(frozen=True)

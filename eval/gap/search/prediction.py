@@ -37,19 +37,9 @@ ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
 
 
-# Fields of a vehicle that leave translation and moments as they are.
-_LOOPS = ("attitude_", "effects_attitude_", "effects_estimator_lean", "effects_yaw_drift")
-
-
 def channels_of(flights) -> tuple[str, ...]:
     """Return the names of the channels (C,) of flights, or of a problem."""
     return CHANNELS if flights.channels == len(CHANNELS) else CHANNELS + REQUEST_CHANNELS
-
-
-def same_translation(one: Vehicle, other: Vehicle) -> bool:
-    """Return whether two vehicles differ in their attitude loops alone."""
-    mine, its = vars(one), vars(other)
-    return all(name.startswith(_LOOPS) for name, value in mine.items() if value != its[name])
 
 
 def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.columns import BASE, Candidates, Column
+from inclined_landing.eval.gap.search.columns import BASE, Candidates, Column, slab_covariance
 from inclined_landing.eval.gap.search.features import TARGETS, Basis, ReferenceResidual
 from inclined_landing.models import storage
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Constant, constants, load_vehicle, locate_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -28,17 +28,19 @@ _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 @dataclasses.dataclass(frozen=True)
-class Reference:
+class VehiclePosterior:
     """Normal posterior of a vehicle's errors along all columns of the library and of the model errors."""
 
     columns: tuple[Column, ...]
     mean: np.ndarray  # (P,) coordinates of the parameters
     covariance: np.ndarray  # (P, P) of these
     repeating: ReferenceResidual  # functions of the residual common to its flights
+    # Effects of the library at its identification: those without a column were never met, and are no error.
+    library: frozenset[str]
     from_flights: bool = True  # or from the uncertainties in a vehicle file
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; zero for unknown ones."""
+        """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; 0 where they met none."""
         place = {column: k for k, column in enumerate(self.columns)}
         share = np.zeros((len(columns), len(place)))
         for i, column in enumerate(columns):
@@ -46,19 +48,38 @@ class Reference:
                 share[i, place[column]] = 1.0
         return share @ self.mean, share @ self.covariance @ share.T
 
+    def with_new_effects(self, vehicle: Vehicle) -> VehiclePosterior:
+        """Return the posterior with the slab priors of the effects that its identification did not know."""
+        new = Candidates.of(vehicle, {n: e for n, e in free_effects().items() if n not in self.library})
+        columns = new.columns(new.library)
+        if not columns:
+            return self
+        known = len(self.columns)
+        covariance = np.zeros((known + len(columns),) * 2)
+        covariance[:known, :known] = self.covariance
+        covariance[known:, known:] = slab_covariance(new, columns)
+        return dataclasses.replace(
+            self,
+            columns=(*self.columns, *columns),
+            mean=np.append(self.mean, np.zeros(len(columns))),
+            covariance=covariance,
+            library=frozenset(free_effects()),
+        )
+
     @staticmethod
-    def of_file(path: Path | None, vehicle: Vehicle) -> Reference:
+    def of_file(path: Path | None, vehicle: Vehicle) -> VehiclePosterior:
         """Return the diagonal covariance of the uncertainties given in a vehicle file."""
-        problem = Candidates.of(vehicle, {n: e for n, e in LIBRARY.items() if not e.contact})
+        problem = Candidates.of(vehicle, free_effects())
         columns = problem.columns([*problem.library, BASE])
-        given = {c.field: c for c in constants(path)}
-        deviation = [_deviation(problem, c, given) for c in columns]
-        return Reference(
+        known = {c.field: c for c in constants(path)}
+        deviation = [_deviation(problem, c, known) for c in columns]
+        return VehiclePosterior(
             tuple(columns),
             np.zeros(len(columns)),
             np.diag(np.square(deviation)),
             ReferenceResidual({}, {}),
-            False,
+            frozenset(free_effects()),
+            from_flights=False,
         )
 
     def to_json(self, vehicle: Vehicle) -> dict:
@@ -67,6 +88,7 @@ class Reference:
         return {
             "version": VERSION,
             "vehicle": digest(vehicle),
+            "library": sorted(self.library),
             "columns": [[c.effect, c.parameter, [list(x) for x in c.fixed], c.form] for c in self.columns],
             "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(),
@@ -82,7 +104,7 @@ class Reference:
         }
 
     @staticmethod
-    def from_json(table: dict) -> Reference:
+    def from_json(table: dict) -> VehiclePosterior:
         """Return the posterior of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
         if table["version"] != VERSION:
             raise ValueError(f"version {table['version']!r}")
@@ -110,7 +132,13 @@ class Reference:
         for (target, on), w in weights.items():
             if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
                 raise ValueError(f"weights of {target} with {on}")
-        return Reference(columns, mean, covariance, ReferenceResidual(bases, weights))
+        library = frozenset(map(str, table.get("library", [c.effect for c in columns])))
+        return VehiclePosterior(columns, mean, covariance, ReferenceResidual(bases, weights), library)
+
+
+def free_effects() -> dict[str, Effect]:
+    """Return the effects of the library that free flights can show."""
+    return {name: effect for name, effect in LIBRARY.items() if not effect.contact}
 
 
 def digest(vehicle: Vehicle) -> str:
@@ -134,25 +162,25 @@ def posterior_path(path: Path) -> Path:
     return path.with_name(path.stem + SUFFIX)
 
 
-def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[Reference, str]:
+def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterior, str]:
     """Return the posterior of a vehicle file or shipped name, and a sentence where it is another vehicle's.
 
     Raises UserError for a posterior that is damaged.
     """
     path = None if path is None else locate_vehicle(path)
     if path is None or not (file := posterior_path(path)).exists():
-        return Reference.of_file(path, vehicle), ""
+        return VehiclePosterior.of_file(path, vehicle), ""
     table = storage.read_json(file, "posterior")
     try:
-        reference = Reference.from_json(table)
+        reference = VehiclePosterior.from_json(table)
         if table["vehicle"] == digest(vehicle):
-            return reference, ""
+            return reference.with_new_effects(vehicle), ""
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(
             f"{file} is damaged ({error}); identify the vehicle anew, or remove the file"
         ) from error
     return (
-        Reference.of_file(path, vehicle),
+        VehiclePosterior.of_file(path, vehicle),
         f"{file.name} is of another vehicle than {path.name}: it was left aside",
     )
 
@@ -165,7 +193,7 @@ def _numbers(values, dimensions: int) -> np.ndarray:
     return result
 
 
-def _deviation(problem: Candidates, column: Column, given: dict[str, Constant]) -> float:
+def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Constant]) -> float:
     """Return the prior standard deviation of a column, from the uncertainties of the constants it changes."""
     # Linear propagation: a constant c with the 95 % half-width h gives sigma = h / (1.96 |dc/dx|); the
     # smallest of all that the column changes.
@@ -176,7 +204,7 @@ def _deviation(problem: Candidates, column: Column, given: dict[str, Constant]) 
     widths = []
     for f in dataclasses.fields(moved):
         change = np.subtract(getattr(moved, f.name), getattr(problem.vehicle, f.name)) / step
-        known = given[f.name].uncertainty
+        known = vehicle_file[f.name].uncertainty
         if np.any(change) and not isinstance(known, str):
             wide = np.broadcast_to(known, np.shape(change))[change != 0.0]
             widths.append(float(np.max(wide / np.abs(change[change != 0.0]))) / _NORMAL)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
-from inclined_landing.eval.gap.search.columns import BASE, FittedValues, Values
+from inclined_landing.eval.gap.search.columns import BASE, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
 from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
 from inclined_landing.eval.gap.search.posterior import (
@@ -28,7 +28,6 @@ from inclined_landing.eval.gap.search.posterior import (
     estimate_between_flight_deviations,
     excitation,
     flight_weights,
-    slab_deviations,
 )
 
 SAME_RATIO = frozenset(("mass", "thrust_scale"))

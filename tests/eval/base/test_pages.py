@@ -15,7 +15,7 @@ from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.base.page import render
 from inclined_landing.eval.gap.answer.identify import Identification, Identified
 from inclined_landing.eval.gap.report import identified
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.replay.page import _as_script
 from inclined_landing.models.parameters import load_vehicle
 from tests import proof
@@ -86,7 +86,7 @@ def identification_page(word: str) -> str:
     )
     found = Identification(
         vehicle=load_vehicle(),
-        reference=Reference.of_file(None, load_vehicle()),
+        reference=VehiclePosterior.of_file(None, load_vehicle()),
         parameters=(row,),
         identifiable=(),
         fit={"x": {"before": 50.0, "after": 90.0}},

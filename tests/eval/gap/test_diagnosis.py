@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.search.columns import BASE, Candidates
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.features import ReferenceResidual
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations, forces
@@ -198,7 +198,9 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
     library = {name: LIBRARY[name] for name in ("wind", "body_drag", "thrust_scale")}
     columns = tuple(Candidates.of(VEHICLE, library).columns([*library, BASE]))
     known = np.diag([0.02**2 if c.effect == "body_drag" else 0.0 for c in columns])
-    reference = Reference(columns, np.zeros(len(columns)), known, ReferenceResidual({}, {}))
+    reference = VehiclePosterior(
+        columns, np.zeros(len(columns)), known, ReferenceResidual({}, {}), frozenset()
+    )
     problem = Problem([prepare(log, VEHICLE) for log in logs], VEHICLE, library, reference)
     names = frozenset({"wind"})
     values, local = fit_vehicle(problem, {}, names, np.ones(6))

@@ -14,11 +14,17 @@ from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise_model import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.columns import BASE, Column
+from inclined_landing.eval.gap.search.columns import BASE, SHAPE_COVARIANCE, Column
 from inclined_landing.eval.gap.search.features import Basis, ReferenceResidual
-from inclined_landing.eval.gap.search.posterior import SHAPE_COVARIANCE, Bounds, LinearGaussian
+from inclined_landing.eval.gap.search.posterior import Bounds, LinearGaussian
 from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import Reference, digest, posterior_path, read_reference
+from inclined_landing.eval.gap.search.reference import (
+    VehiclePosterior,
+    digest,
+    free_effects,
+    posterior_path,
+    read_reference,
+)
 from inclined_landing.eval.gap.search.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.search.sets import SetProbability, _relevant_subsets, model_error_weights
 from inclined_landing.eval.logs import FlightLog
@@ -300,7 +306,7 @@ def test_an_effect_too_small_to_matter_is_part_of_the_set_without_it(local):
 
     def parameter(column):
         negligible = edge if (column.effect, column.parameter) == ("a", "one") else 100.0
-        return Parameter(column.parameter, "1", 0.0, (-900.0, 900.0), 5.0, negligible)
+        return Parameter(column.parameter, bounds=(-900.0, 900.0), plausible=5.0, negligible=negligible)
 
     parts = _relevant_subsets(types.SimpleNamespace(parameter=parameter), one, frozenset("ab"))
     assert sum(parts.values()) == pytest.approx(1.0)
@@ -323,7 +329,7 @@ def test_slopes_of_delays_are_sums_of_each_other(delay):
     vehicle = VEHICLE.changed(effects_thrust_delay=delay, effects_attitude_delay=delay)
     start, slopes = predict(flight, vehicle), {}
     for name in ("thrust_delay", "attitude_delay", "mocap_delay"):
-        (p,) = LIBRARY[name].beside(vehicle).parameters
+        (p,) = LIBRARY[name].sized_for(vehicle).parameters
         slopes[name] = (predict(flight, LIBRARY[name].apply(vehicle, {p.name: p.step})) - start) / p.step
     together = slopes["thrust_delay"] + slopes["attitude_delay"]
     assert np.abs(together).max() > 0.1
@@ -418,12 +424,14 @@ def reference():
     basis = Basis.of(rng.standard_normal((50, 2)), ("velocity x", "velocity y"))
     width = basis(np.zeros((1, 2))).shape[1]
     repeating = ReferenceResidual({"velocity": basis}, {("z", "velocity"): rng.standard_normal(width)})
-    return Reference(columns, rng.standard_normal(4), root @ root.T, repeating)
+    return VehiclePosterior(
+        columns, rng.standard_normal(4), root @ root.T, repeating, frozenset(free_effects())
+    )
 
 
 def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
     text = storage.to_json(reference.to_json(VEHICLE))
-    again = Reference.from_json(json.loads(text))
+    again = VehiclePosterior.from_json(json.loads(text))
     assert again.columns == reference.columns and np.array_equal(again.mean, reference.mean)
     np.testing.assert_array_equal(again.mean, reference.mean)
     np.testing.assert_array_equal(again.covariance, reference.covariance)
@@ -485,10 +493,10 @@ def test_a_shipped_vehicle_that_was_identified_has_its_posterior(name):
 def test_a_damaged_posterior_is_refused(reference, change):
     table = json.loads(storage.to_json(reference.to_json(VEHICLE)))
     with pytest.raises((ValueError, KeyError, TypeError)):
-        Reference.from_json(table | change)
-    for key in set(table) - {"vehicle"}:
+        VehiclePosterior.from_json(table | change)
+    for key in set(table) - {"vehicle", "library"}:
         with pytest.raises(KeyError):
-            Reference.from_json({k: v for k, v in table.items() if k != key})
+            VehiclePosterior.from_json({k: v for k, v in table.items() if k != key})
 
 
 def test_a_reference_knows_its_own_columns_only(reference):
@@ -497,8 +505,18 @@ def test_a_reference_knows_its_own_columns_only(reference):
     assert not covariance[0].any() and covariance[1, 2] == reference.covariance[1, 0]
 
 
+def test_an_effect_that_the_library_got_later_has_its_prior(reference):
+    columns = [Column("axial_inflow", "coefficient"), reference.columns[0], Column("mass", "scale")]
+    earlier = dataclasses.replace(reference, library=reference.library - {"axial_inflow"})
+    mean, covariance = earlier.with_new_effects(VEHICLE).along(columns)
+    assert mean.tolist() == [0.0, reference.mean[0], 0.0]
+    plausible = LIBRARY["axial_inflow"].plausible["coefficient"]
+    assert covariance.diagonal().tolist() == [plausible**2, reference.covariance[0, 0], 0.0]
+    assert reference.with_new_effects(VEHICLE) is reference
+
+
 def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
-    one = Reference.of_file(None, VEHICLE)
+    one = VehiclePosterior.of_file(None, VEHICLE)
     assert not one.mean.any()
     deviation = {(c.effect, c.parameter): s for c, s in zip(one.columns, np.sqrt(np.diag(one.covariance)))}
     (mass,) = (c for c in constants() if c.field == "body_mass")

@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.gap.search.columns import Column
 from inclined_landing.eval.gap.search.features import ReferenceResidual
-from inclined_landing.eval.gap.search.reference import Reference
+from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
@@ -128,7 +128,9 @@ def test_more_noise_tells_less():
 def test_a_badly_known_vehicle_leaves_more_in_doubt():
     """What the identification left uncertain is in all sets alike: it can pass for the drag."""
     columns = tuple(Column("rotor_drag", name) for name in ("lateral", "axial"))
-    unknown = Reference(columns, np.zeros(2), np.diag([1.0, 1.0]), ReferenceResidual({}, {}))
+    unknown = VehiclePosterior(
+        columns, np.zeros(2), np.diag([1.0, 1.0]), ReferenceResidual({}, {}), frozenset()
+    )
     sets, levels, run = [DRAG, ScoredSet((), 0.5, {})], NoiseLevels.typical(), points("run")
     exact, vague = (ModelDiscrimination(sets, VEHICLE, levels, reference=r) for r in (None, unknown))
     told = [np.diag(d.expected(gram(d, run))).mean() for d in (exact, vague)]
@@ -164,7 +166,7 @@ def test_simulated_flights_follow_the_plan():
 
 @pytest.fixture(scope="module")
 def plan():
-    return design([DRAG, BODY], VEHICLE, seconds=10.0, reference=Reference.of_file(None, VEHICLE))
+    return design([DRAG, BODY], VEHICLE, seconds=10.0, reference=VehiclePosterior.of_file(None, VEHICLE))
 
 
 def test_the_design_is_safe_repeatable_and_tells(plan):

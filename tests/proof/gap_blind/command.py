@@ -31,7 +31,7 @@ from .cases import CURVE, ROTORPY, SETS, STRATA, Case, Flown, of_set
 from .page import markdown, page, reliability
 
 if TYPE_CHECKING:
-    from inclined_landing.eval.gap.search.reference import Reference
+    from inclined_landing.eval.gap.search.reference import VehiclePosterior
 
 METHODS = ("workflow", "tuning", "sparse")
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
@@ -163,20 +163,20 @@ def _case(case: Case, methods: Sequence[str], out: Path) -> None:
         storage.write_json(_report(out, method, case.name), report)
 
 
-def _identified(case: Case, flown: Flown) -> tuple[Vehicle, Reference]:
+def _identified(case: Case, flown: Flown) -> tuple[Vehicle, VehiclePosterior]:
     """The vehicle that the gap is measured for, and what is known of it."""
     from inclined_landing.eval.gap.answer.identify import identify
-    from inclined_landing.eval.gap.search.reference import Reference
+    from inclined_landing.eval.gap.search.reference import VehiclePosterior
     from inclined_landing.models.parameters import load_vehicle
 
     if not flown.identify:
         vehicle = case.vehicle(load_vehicle())
-        return vehicle, Reference.of_file(None, vehicle)
+        return vehicle, VehiclePosterior.of_file(None, vehicle)
     found = identify(flown.identify, load_vehicle())
     return case.vehicle(found.vehicle), found.reference
 
 
-def diagnosed(method: str, flown: Flown, vehicle: Vehicle, reference: Reference) -> dict:
+def diagnosed(method: str, flown: Flown, vehicle: Vehicle, reference: VehiclePosterior) -> dict:
     """The report of one method on the logs of one case."""
     if method == "workflow":
         from inclined_landing.eval.gap import diagnose
