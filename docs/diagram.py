@@ -26,18 +26,15 @@ BOXES = {
     "train": (-1.05, 2, 1.8, "PPO, curricula, sweeps"),
     "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
     "eval.replay": (6.85, 5, 1.0, "flights to see"),
-    "eval.mission": (7.93, 5, 0.98, "whole flights"),
-    "eval.robustness": (9.06, 5, 1.1, "other conditions"),
+    "eval.policies": (8.6, 5, 1.9, "how well do policies do?"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
     "eval.landings": (1.47, 4, 1.7, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
     "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
-    "eval.moving": (8.3, 4, 1.3, "moving platforms"),
     "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
-    "eval.policies": (9.02, 3, 1.16, "tables of success"),
-    "eval.base": (5.0, 2, 9.2, "options, pages, claims, conditions, style"),
+    "eval.base": (5.0, 2, 9.2, "options, pages, claims, style"),
     "envs": (
         3.825,
         1,
@@ -48,13 +45,10 @@ BOXES = {
 }
 _PLACES = {  # x at the start and at the end of arrows that go beside other boxes
     ("eval.truth", "eval.logs"): (6.33, 6.33),
-    ("eval.robustness", "eval.policies"): (9.2, 9.2),
-    ("eval.robustness", "eval.moving"): (8.8, 8.8),
-    ("eval.moving", "eval.pictures"): (8.0, 8.0),
     ("eval.cli", "eval.truth"): (6.17, 6.17),
     ("eval.replay", "eval.gap"): (6.5, 5.6),
     ("eval.replay", "eval.pictures"): (7.3, 7.6),
-    ("eval.mission", "eval.pictures"): (7.93, 7.93),
+    ("eval.policies", "eval.pictures"): (8.0, 8.0),
 }
 _HIGH, _ROW = 0.62, 1.06
 

@@ -202,7 +202,7 @@ def write_metadata(path: str | Path, metadata: dict) -> None:
 
 
 def locate(name: str | Path) -> Path:
-    """Return the path of a policy: a shipped one by name (see SHIPPED), otherwise a file."""
+    """Return the path of a policy: a shipped one by name (see SHIPPED), a file, or the final one of a run."""
     if not isinstance(name, (str, os.PathLike)):
         raise UserError(f"a policy is a path or the name of a shipped one, not {shown(repr(name), 40)}")
     if str(name) in SHIPPED:
@@ -212,7 +212,9 @@ def locate(name: str | Path) -> Path:
         return path
     path = Path(name)
     if os.path.isdir(path):
-        raise UserError(f"policy {path} is a folder; name the .zip file in it")
+        path = path / "final.zip"
+        if not path.exists():
+            raise UserError(f"policy {name} is a folder without final.zip; name the .zip file in it")
     if not os.path.exists(path):
         raise UserError(f"policy {path} does not exist (shipped ones: {', '.join(SHIPPED)})")
     return path
@@ -226,7 +228,7 @@ def load_policy(
     inclination: float | None = None,
     azimuth: float | None = None,
 ) -> Policy:
-    """Read a policy file, or a shipped policy by name.
+    """Read a policy file, the final policy of a run folder, or a shipped policy by name.
 
     task: the task it must be for, by name or as an object, such as that of an environment (which then is
         the policy's task as it is); needed when the file has none. By name, and by default, the task is

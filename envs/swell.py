@@ -1,7 +1,7 @@
 """Moving platforms, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
 
 Ships and cars are no part of it: the benchmark's motions have spectra of their own
-(`eval/moving/scenarios`).
+(`eval/policies/moving/scenarios`).
 """
 
 from __future__ import annotations

@@ -15,9 +15,6 @@ from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.eval.moving import controllers
-from inclined_landing.eval.moving import report as moving
-from inclined_landing.eval.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
 from inclined_landing.eval.pictures.flights import fly_from
@@ -29,13 +26,17 @@ from inclined_landing.eval.pictures.frames import (
     write_video,
 )
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.policies import success, success_table, touchdown
-from inclined_landing.eval.policies.evaluators import evaluator_of
+from inclined_landing.eval.policies import success, touchdown
+from inclined_landing.eval.policies.flying import LANDINGS, headline
+from inclined_landing.eval.policies.moving import controllers
+from inclined_landing.eval.policies.moving import study as moving
+from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
 Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
+_LANDING_SCALES = (1.0, 1.05, 0.95)  # of the thrust, in the table of a landing policy
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
@@ -89,16 +90,16 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
 def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """Write success.json of `final.zip`, and return what prints it."""
     final = load(folder / "final.zip")
-    evaluator = evaluator_of(final.task)
-    table = success.evaluate(final, thrust_scales=evaluator.report_scales)
+    task = final.task
+    table = success.evaluate(final, thrust_scales=_LANDING_SCALES if task.table in LANDINGS else (1.0,))
     storage.write_json(folder / "success.json", table)
-    metrics["success"] = {"final": [evaluator.headline(c) for c in table["conditions"]]}
+    metrics["success"] = {"final": [headline(task, c) for c in table["conditions"]]}
     if (folder / "best.zip").exists():
         best = load(folder / "best.zip")
         flown = table if _same_network(best, final) else success.evaluate(best)
         plain = [c for c in flown["conditions"] if c["thrust_scale"] == 1.0]
-        metrics["success"]["best"] = [evaluator.headline(c) for c in plain]
-    return lambda: success_table.show(table)
+        metrics["success"]["best"] = [headline(task, c) for c in plain]
+    return lambda: success.show({"final": table})
 
 
 def _same_network(one: Policy, other: Policy) -> bool:
@@ -114,19 +115,20 @@ def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]
     origin = load(began) if landed else None
     if origin is None or origin.task.name == final.task.name:  # the comparison is with a motor cut
         origin = load(touchdown.BASELINE)
-    table = touchdown.evaluate(final, origin)
+    table, _ = touchdown.evaluate(final, origin)
     storage.write_json(folder / "touchdown.json", table)
-    metrics["success"] = {"final": touchdown.overall(table, "touchdown")}
+    everything = table["all"]
+    metrics["success"] = {"final": everything["touchdown"]["at_rest"] if everything else None}
     return lambda: touchdown.show(table)
 
 
 def _moving(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """Write moving.json: `final.zip` on the benchmark of moving platforms."""
     controller = controllers.of_policy(load(folder / "final.zip"), controllers.vehicle_flown())
-    table, _ = moving.evaluate([read_scenario(name) for name in shipped()], [controller])
-    storage.write_json(folder / "moving.json", table)
-    metrics["success"] = {"final": table["all"][0]["at_rest"]}
-    return lambda: moving.show(table)
+    study = moving.run([read_scenario(name) for name in shipped()], [controller])
+    storage.write_json(folder / "moving.json", study.report)
+    metrics["success"] = {"final": study.report["all"][0]["at_rest"]}
+    return study.show
 
 
 _TABLES = {

@@ -25,15 +25,15 @@ COMMANDS = {
     ),
     "success": (
         "policies",
-        "Success table of a policy: how often, how fast, how hard it reaches its goal.",
+        "Success table of policies, side by side: how often, how fast, how hard they reach their goals.",
     ),
     "touchdown": ("policies", "Touchdown policy beside a landing policy whose motors are cut (minutes)."),
     "robustness": (
-        "",
+        "policies",
         "Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.",
     ),
     "mission": (
-        "",
+        "policies",
         "Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.",
     ),
     "export": (

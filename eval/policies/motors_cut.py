@@ -8,15 +8,12 @@ the end is known: once on the floor, or as good as standing still for 0.3 s.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight
-from inclined_landing.models.attitude import PITCH, VX, VZ, WX, WZ, YAW
+from inclined_landing.models.attitude import VX, VZ, WX, WZ
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
-from inclined_landing.models.surface import turned
 from inclined_landing.models.vehicle import Vehicle
 
 DURATION = 2.0  # s
@@ -35,20 +32,6 @@ class Aftermath:
     normal_speed: np.ndarray  # (n,) m/s into the surface, up to 8 ms before the first touch
     tangential_speed: np.ndarray  # (n,) m/s along the surface, unsigned
     at_rest: np.ndarray  # (n,) bool: at the end still, feet and nothing else on the slab
-
-
-def cut_on_arrival(
-    flights: Sequence[Flight], vehicle: Vehicle, thrust_scale: float = 1.0
-) -> Aftermath | None:
-    """Cut the motors of the flights that arrived, where they did; None where none arrived."""
-    arrived = [f for f in flights if f.success]
-    return cut_motors(*in_plane(arrived), vehicle, thrust_scale) if arrived else None
-
-
-def in_plane(arrived: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the last states (n, 13) of flights, turned to slopes of azimuth 0, and the inclinations."""
-    platform = np.array([f.platform[-1] for f in arrived if f.platform is not None])
-    return turned(np.array([f.state[-1] for f in arrived]), -platform[:, YAW]), platform[:, PITCH]
 
 
 def cut_motors(

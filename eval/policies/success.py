@@ -1,4 +1,4 @@
-"""`landing-eval success`: how often, how fast and how hard a policy reaches its goal.
+"""`landing-eval success`: how often, how fast and how hard policies reach their goals, side by side.
 
 Landing: the deterministic policy flies from the paper's three starts, from ten scattered starts
 around each, and from the frozen grid (`envs/starts.py`); one that observes the slope from the frozen set over
@@ -8,168 +8,277 @@ touched the platform before. The goal box is not yet a landing, so the velocity 
 reported too, and what happens when the motors are cut there (`motors_cut.py`).
 
 Set-point: the position error after 3 s from 200 random starts. Other tasks: success as they judge it,
-reward and duration, from as many (`judges.py`).
+reward and duration, from as many.
 
-With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library
-(`evaluate_effects`).
+With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
 import tyro
+from msgspec import Meta
 
-from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.conditions import fly_all
-from inclined_landing.eval.base.options import Flag, Flat, Flown, NewFolder, Seed
-from inclined_landing.eval.base.policies import AnyPolicy
-from inclined_landing.eval.policies import success_table
-from inclined_landing.eval.policies.evaluators import evaluator_of, report_of
-from inclined_landing.eval.policies.flying import FlownAt, fly, fly_scaled, groups_of
-from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.envs.shared.tables import count_words, share_cell, spread_cell
+from inclined_landing.envs.tasks.landing import PAPER_RESULTS
+from inclined_landing.eval.base.claims import Section, Table, show_sections
+from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed
+from inclined_landing.eval.policies.changes import ThrustScale, sizes
+from inclined_landing.eval.policies.entrants import parse_entrants
+from inclined_landing.eval.policies.flying import (
+    LANDINGS,
+    condition_outcome,
+    effect_outcome,
+    fly,
+    fly_groups,
+    frozen_starts,
+)
+from inclined_landing.eval.policies.study import Key, csv, fly_all, joined
+from inclined_landing.eval.policies.tables import outcomes_table, size_words, slope_words
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.vehicle import Vehicle
 
-Scales = Annotated[
-    tuple[tuple[float, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
+ENOUGH = 0.95  # share of landings at which an effect is survived
+Policies = Annotated[
+    tuple[str, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(
+        metavar="POLICY [...]",
+        help=f"policy files, run folders or shipped policies ({', '.join(SHIPPED)}), each on its task; "
+        "LABEL=POLICY gives a name, LABEL@VEHICLE=POLICY a vehicle of its own too.",
+    ),
+    Meta(max_length=MOST_COMPARED),
 ]
-
-
-def evaluate(
-    policy: Policy,
-    *,
-    plant: str = "mujoco",
-    thrust_scales: Sequence[float] = (1.0,),
-    disturbance: bool = False,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Return the success report of a policy as plain numbers; one entry of `conditions` per thrust scale.
-
-    plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    disturbance: fly in that of the task's vehicle, always the same. seed: of the random starts.
-    """
-    flown = fly_scaled(policy, plant, thrust_scales, disturbance=disturbance, seed=seed)
-    return _report(policy, plant, seed, disturbance, flown)
+Scales = Annotated[
+    tuple[tuple[ThrustScale, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X [X ...]")
+]
+_GROUPS = {
+    "paper's three": "paper_starts",
+    "paper's +-0.1 m": "scattered_starts",
+    "frozen grid": "grid",
+    "frozen set": "slopes",
+}
+_CAPTIONS = {
+    "strict": "success: the goal box within 300 steps; strict: and no touch before; time to the goal: median "
+    "(5 % to 95 %)",
+    "at_rest_on_feet": "at rest on feet: 2 s after the motors were cut in the goal box",
+    "reward": "reward and duration: median (5 % to 95 %)",
+}
+_ENTRY: dict[str, tuple[str, str, Callable[[dict], str]]] = {
+    "speed [m/s]": ("entry", "speed", spread_cell),
+    "towards the slope [m/s]": ("entry", "normal_speed", spread_cell),
+    "along the slope [m/s]": ("entry", "tangential_speed", spread_cell),
+    "pitch error [rad]": ("entry", "pitch_error", partial(spread_cell, digits=3)),
+    "moving away [%]": ("entry", "moving_away", share_cell),
+    "cut: touches the slope [%]": ("motors_cut", "touchdown", share_cell),
+    "cut: touchdown, into it [m/s]": ("motors_cut", "normal_speed", spread_cell),
+    "cut: touchdown, along it [m/s]": ("motors_cut", "tangential_speed", spread_cell),
+    "cut: 2 s later at rest on feet [%]": ("motors_cut", "at_rest_on_feet", share_cell),
+}
 
 
 def command(
-    policy: AnyPolicy,
+    policies: Policies,
     /,
     *,
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
     effects: Flag = False,
-    disturbance: Annotated[Flag, tyro.conf.arg(aliases=["--unrest"])] = False,
+    disturbance: Flag = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Success table of a policy: how often, how fast, how hard it reaches its goal.
+    """Success table of policies, side by side: how often, how fast, how hard they reach their goals.
 
     Args:
-        policy: file, or the name of a shipped one.
+        policies: policy files.
         thrust_scale: total thrust times this, one row for each value (default: 1).
-        effects: one row for every physical effect of the library at a plausible size, which the policy
-            knows nothing of; from the frozen grid only (four minutes).
+        effects: one row for every physical effect of the library at a plausible size, which the policies
+            know nothing of; from the frozen grid only (four minutes).
         disturbance: fly in the air disturbance of the vehicle file, as landing-eval gap writes it.
         seed: of the random starts.
-        json: print JSON, and nothing else, on standard output.
-        out: new folder for success.json and (without effects) flights.csv.
+        json: print JSON, and nothing else, on standard output; of several policies by their names.
+        out: new folder for success.json and flights.csv.
     """
-    scales = tuple(itertools.chain(*thrust_scale)) or (1.0,)
-    for scale in scales:
-        if not (math.isfinite(scale) and 0 < scale <= 3):
-            raise UserError(f"--thrust-scale must be above 0 and at most 3, not {scale:g}")
-    if effects and scales != (1.0,):
-        raise UserError("give either --effects or --thrust-scale: an effect of the library scales the thrust")
-    if effects and disturbance:
-        raise UserError("give either --effects or --disturbance: effects are flown in still air")
+    if not policies:
+        raise UserError("name at least one policy")
+    scales = tuple(dict.fromkeys(itertools.chain(*thrust_scale))) or (1.0,)
+    if effects and (scales != (1.0,) or disturbance):
+        raise UserError("--effects are flown in still air with the thrust as it is: give them alone")
     if out is not None:
         runs.check_new_run(out)
-    loaded = flown.load(policy)
-    vehicle = loaded.task.vehicle
-    if disturbance and not any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular)):
-        raise UserError(
-            "--disturbance needs a --vehicle whose table [disturbance] is not all 0; this one's air is still"
-        )
-    files = {}
-    if effects:
-        report = evaluate_effects(loaded, plant=flown.plant, seed=seed)
-    else:
-        found = fly_scaled(loaded, flown.plant, scales, disturbance=disturbance, seed=seed)
-        files["flights.csv"] = _flights_csv(found)
-        report = _report(loaded, flown.plant, seed, disturbance, found)
-    report["vehicle"] = str(flown.vehicle) if flown.vehicle is not None else "crazyflie.toml"
-    runs.hand_over(report, success_table.show, json, out, files)
+    loaded, vehicles = {}, {}
+    for entrant in parse_entrants(policies):
+        its = flown if entrant.vehicle is None else dataclasses.replace(flown, vehicle=Path(entrant.vehicle))
+        loaded[entrant.label] = its.load(entrant.only)
+        vehicles[entrant.label] = str(its.vehicle) if its.vehicle is not None else "crazyflie.toml"
+        vehicle = loaded[entrant.label].task.vehicle
+        if disturbance and not any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular)):
+            raise UserError(
+                "--disturbance needs a --vehicle whose table [disturbance] is not all 0: this air is still"
+            )
+    options: dict[str, Any] = {"thrust_scales": scales, "effects": effects, "disturbance": disturbance}
+    reports, flights = evaluate_all(loaded, plant=flown.plant, seed=seed, **options)
+    for label, report in reports.items():
+        report["vehicle"] = vehicles[label]
+    whole: dict[str, Any] = {"command": "success", "policies": reports, "versions": runs.versions()}
+    (first, *others) = reports.values()
+    runs.hand_over(
+        whole if others else first, lambda _: show(reports), json, out, {"flights.csv": csv(flights)}
+    )
 
 
-def _report(
-    policy: Policy, plant: str, seed: int, disturbance: bool, flown: Sequence[FlownAt]
-) -> dict[str, Any]:
-    """Return the report on flights."""
-    task, evaluator = policy.task, evaluator_of(policy.task)
-    conditions = [
-        {"thrust_scale": one.thrust_scale, **evaluator.condition(task, one.flights, one.cut)} for one in flown
-    ]
-    report = report_of("success", policy, plant, seed) | {"paper": evaluator.paper, "conditions": conditions}
-    return report | ({"disturbance": True} if disturbance else {})
+def evaluate(policy: Policy, **options: Any) -> dict[str, Any]:
+    """Return the success report of one policy; options as of `evaluate_all`."""
+    reports, _ = evaluate_all({"policy": policy}, **options)
+    return reports["policy"]
 
 
-def evaluate_effects(policy: Policy, *, plant: str = "mujoco", seed: int = 0) -> dict[str, Any]:
-    """Return the report as plain numbers; one entry of `effects` per effect, the first without any.
+def evaluate_all(
+    policies: Mapping[str, Policy],
+    *,
+    plant: str = "mujoco",
+    thrust_scales: Sequence[float] = (1.0,),
+    effects: bool = False,
+    disturbance: bool = False,
+    seed: int = 0,
+) -> tuple[dict[str, dict[str, Any]], pd.DataFrame]:
+    """Return the success reports of policies as plain numbers, by their names, and all flights.
 
-    Only the vehicle in the plant has the effect, at its plausible size: the policy, its task and its goal
-    know nothing of it. Landing policies fly from the frozen grid, and where they arrive their motors are cut;
-    others fly from random starts. plant: "mujoco", "hybrid" or "analytic". seed: of the random starts.
+    A report has an entry of `conditions` per thrust scale. Or, with `effects`, one of `effects` per effect,
+    the first without any: only the vehicle in the plant has it, at its plausible size; policy, task and goal
+    know nothing of it. Then landing policies fly from the frozen grid, others from random starts.
+
+    plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
+    disturbance: fly in that of the task's vehicle, always the same. seed: of the random starts.
     """
-    task, evaluator = policy.task, evaluator_of(policy.task)
-    starts = groups_of(task, seed)[evaluator.frozen]
-
-    def count(vehicle: Vehicle) -> dict[str, Any]:
-        return evaluator.effect(task, *fly(policy, plant, vehicle, starts))
-
-    vehicles = {"none": task.vehicle}
-    vehicles |= {name: effect.apply(task.vehicle, effect.plausible) for name, effect in LIBRARY.items()}
-    found = fly_all({(f"effect {name}",): partial(count, vehicle) for name, vehicle in vehicles.items()})
-    rows = [
-        {
-            "effect": name,
-            "parameters": sizes(LIBRARY[name], LIBRARY[name].plausible) if name in LIBRARY else {},
-            **found[f"effect {name}",],
+    work: dict[Key, Callable[[], pd.DataFrame]] = {}
+    for name, policy in policies.items():
+        if not effects:
+            for scale in thrust_scales:
+                fly_it = partial(fly_groups, policy, plant, float(scale), disturbance, seed)
+                work[name, f"thrust x {scale:g}"] = fly_it
+            continue
+        known, starts = policy.task.vehicle, frozen_starts(policy.task, seed)
+        for effect in ("none", *LIBRARY):
+            vehicle = LIBRARY[effect].apply(known, LIBRARY[effect].plausible) if effect in LIBRARY else known
+            work[name, effect] = partial(fly, policy, starts, plant, vehicle=vehicle)
+    flown = fly_all(work)
+    reports = {}
+    for name, policy in policies.items():
+        report = {
+            "command": "success --effects" if effects else "success",
+            "policy": str(policy.path),
+            "trained": policy.metadata,
+            "task": policy.task.name,
+            "table": policy.task.table,
+            "task_options": policy.task.options,
+            "plant": plant,
+            "seed": int(seed),
+            "versions": runs.versions(),
         }
-        for name in vehicles
+        if effects:
+            report["effects"] = [_of_effect(policy, e, flown[name, e]) for e in ("none", *LIBRARY)]
+        else:
+            report["paper"] = PAPER_RESULTS if policy.task.table == "goal_box" else None
+            report["conditions"] = [
+                {"thrust_scale": float(scale)}
+                | condition_outcome(policy.task, flown[name, f"thrust x {scale:g}"])
+                for scale in thrust_scales
+            ]
+        reports[name] = report | ({"disturbance": True} if disturbance else {})
+    return reports, joined(flown)
+
+
+def _of_effect(policy: Policy, name: str, flights: pd.DataFrame) -> dict[str, Any]:
+    parameters = sizes(LIBRARY[name], LIBRARY[name].plausible) if name in LIBRARY else {}
+    return {"effect": name, "parameters": parameters} | effect_outcome(policy.task, flights)
+
+
+def show(reports: Mapping[str, dict[str, Any]]) -> None:
+    """Print success reports by the names of policies: tables, and a sentence on each policy."""
+    kinds: dict[str, dict[str, dict]] = {}  # policies with the same columns share a table
+    for name, report in reports.items():
+        kind = "landing" if report["table"] in LANDINGS else report["table"]
+        kinds.setdefault(kind, {})[name] = report
+    sections = []
+    for kind, of_kind in kinds.items():
+        rows = [row for name, report in of_kind.items() for row in _rows(name, report)]
+        first = next(iter(of_kind.values()))
+        heads = ("policy", "effect", "size") if "effects" in first else ("policy", "starts", "thrust")
+        captions = [text for key, text in _CAPTIONS.items() if key in rows[0][1]]
+        remarks = ["; ".join([*captions, "95 % Wilson intervals"]) + "."]
+        if paper := first.get("paper"):
+            shares = " and ".join(f"{100 * result['share']:.1f} %" for result in paper)
+            remarks.append(f"In the paper: {shares} from its three starts and within 0.1 m around them.")
+        title = f"{first['task']}, {first['plant']} plant, seed {first['seed']}"
+        sections.append(Section(kind, title, [], [], [outcomes_table(heads, rows)], remarks=remarks))
+        if kind == "landing" and "conditions" in first:
+            title = "At goal-box entry, and after cutting the motors there (frozen starts)"
+            sections.append(Section("entry", title, [], [], [_entry(of_kind)]))
+    sections[-1].remarks.extend(answer(name, report) for name, report in reports.items())
+    show_sections(sections)
+
+
+def _rows(name: str, report: dict[str, Any]) -> list[tuple[tuple[str, ...], dict]]:
+    """Return labels and outcome for each row of a policy's table."""
+    if "effects" in report:
+        return [((name, row["effect"], size_words(row["parameters"])), row) for row in report["effects"]]
+    rows: list[tuple[tuple[str, ...], dict]] = []
+    for condition in report["conditions"]:
+        thrust = f"x {condition['thrust_scale']:g}"
+        for label, key in _GROUPS.items():
+            if key in condition:
+                slopes = f"{label}, {slope_words(report['task_options'])}"
+                rows.append(((name, slopes, thrust), condition[key]))
+        if not any(key in condition for key in _GROUPS.values()):
+            rows.append(((name, "random", thrust), condition))
+    return rows
+
+
+def _entry(reports: Mapping[str, dict[str, Any]]) -> Table:
+    conditions = [
+        (f"{name} x {condition['thrust_scale']:g}", condition)
+        for name, report in reports.items()
+        for condition in report["conditions"]
     ]
-    return report_of("success --effects", policy, plant, seed) | {"effects": rows}
-
-
-def sizes(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Return values of an effect's parameters with their units, for a report."""
-    units = {p.name: p.unit for p in effect.parameters}
-    return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
-
-
-def _flights_csv(flown: Sequence[FlownAt]) -> str:
-    """Return one row per flight; times in s, positions in m."""
-    columns = "thrust_scale starts x y z success touched time end_x end_y end_z".split()
     rows = [
-        (
-            at.thrust_scale,
-            group,
-            *f.state[0, :3],
-            int(f.success),
-            int(f.touched),
-            f.duration,
-            *f.state[-1, :3],
-        )
-        for at in flown
-        for group, flights in at.flights.items()
-        for f in flights
+        (label, *(text(c[source][key]) if c[source] else "-" for _, c in conditions))
+        for label, (source, key, text) in _ENTRY.items()
     ]
-    return pd.DataFrame(rows, columns=columns).to_csv(index=False, float_format="%.6g")
+    return Table("", ("", *(name for name, _ in conditions)), rows)
+
+
+def answer(name: str, report: dict[str, Any]) -> str:
+    """Return in one sentence what came out for the policy of this name."""
+    key, what = {"error": ("within", "was within 5 cm"), "flights": ("success", "succeeded")}.get(
+        report["table"], ("strict", "landed")
+    )
+    if "effects" in report:
+        rows = report["effects"][1:]
+        good = sum(row[key]["share"] >= ENOUGH for row in rows)
+        worst = min(rows, key=lambda row: row[key]["share"])
+        return (
+            f"{name} {what} in {100 * ENOUGH:.0f} % or more under {good} of {len(rows)} effects; least under "
+            f"{worst['effect']}: {count_words(worst[key])}."
+        )
+    parts = []
+    for condition in report["conditions"]:
+        row = condition.get("grid", condition.get("slopes", condition))
+        part = f"{what} in {count_words(row[key])}"
+        if report["table"] == "error":
+            centimetres = f"{100 * row['error']['mean']:.1f} cm"
+            part = f"was {centimetres} off after 3 s, within 5 cm in {count_words(row[key])}"
+        scale = condition["thrust_scale"]
+        parts.append(part if scale == 1.0 else f"at thrust x {scale:g} it {part}")
+    return f"{name} {'; '.join(parts)}."

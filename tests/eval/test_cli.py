@@ -54,7 +54,7 @@ def test_a_command_and_its_module_are_called_alike(name):
 @pytest.mark.parametrize(("words", "sentence"), [
     ([], "no command; landing-eval --help lists them"),
     (["succes", "x"], "unknown command 'succes', perhaps success; landing-eval --help lists them"),
-    (["success"], "Missing from landing-eval success: POLICY policy file"),
+    (["success"], "name at least one policy"),
     (["success", "x", "--seed", "one"], "Error parsing --seed: "),
     (["success", "x", "--inclination=steep"], "Error parsing --inclination: "),
     (["success", "x", "--thrust-scale", "1", "x"], "Error parsing --thrust-scale: "),
@@ -81,6 +81,7 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
             "lists them\n",
             "says what is right\n",
             "one log\n",
+            "one policy\n",
             "not set?\n",
             "not nan\n",
             "not inf\n",

@@ -9,7 +9,7 @@ from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.export import contract
 from inclined_landing.eval.export.network import ExportNetwork
-from inclined_landing.eval.robustness.slopes import evaluate
+from inclined_landing.eval.policies import slopes
 
 NAMES = [name for name in SHIPPED if load_policy(name).task.table == "slopes"]
 
@@ -65,7 +65,7 @@ def test_what_is_for_one_slope_says_so(tmp_path, monkeypatch, capsys):
 def test_shipped_policies_land_on_all_slopes(name):
     """A sample of the frozen set: 1000 / 10 or 1080 / 10 flights. With a true share of 97 % fewer than 90 of
     100 would be seen once in 1000 times."""
-    entry = evaluate({name: load_policy(name)}, plant="hybrid", every=10)["policies"][0]
+    entry = slopes.run({name: load_policy(name)}, plant="hybrid", every=10).report["policies"][0]
     assert entry["all"]["strict"]["share"] >= 0.9
     if "any_heading" in entry:
         assert entry["any_heading"]["strict"]["share"] >= 0.9

@@ -13,7 +13,7 @@ from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.policies import evaluators, flying, motors_cut, success, success_table
+from inclined_landing.eval.policies import flying, motors_cut, success
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -113,7 +113,7 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert [f.success for f in flights] == [True, True]
     assert [f.touched for f in flights] == [False, True]
     assert [f.strict for f in flights] == [True, False]
-    summary = evaluators.EVALUATORS["goal_box"].summary(landing, flights)
+    summary = flying.outcome(landing, flying.table_of(landing, flights))
     assert summary["success"]["count"] == 2
     assert summary["strict"]["count"] == 1
     assert summary["touched"]["count"] == 1
@@ -234,7 +234,8 @@ def test_entry_statistics(landing):
     policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
     states = np.concatenate([pose(landing.goal_position[1])] * 4)
     states[:, VX], states[:, VZ] = [0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, -0.5]
-    entry = evaluators._entry(record_flights(policy, "mujoco", states))
+    flights = flying.fly(policy, landing.start(states), "mujoco").assign(group="grid")
+    entry = flying.condition_outcome(landing, flights)["entry"]
     # normal (-0.434, 0, 0.901): only the second and the third move away
     assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["of"] == 4
     assert entry["speed"]["median"] == pytest.approx(0.5, abs=0.1)  # 20 ms later
@@ -266,7 +267,8 @@ def few(monkeypatch):
 
 def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
     """It hangs where it starts, unless the thrust is another; the start keeps its load under another lag."""
-    report = success.evaluate_effects(Constant(landing, 0.0, 0.0), plant="mujoco")
+    reports, _ = success.evaluate_all({"one": Constant(landing, 0.0, 0.0)}, effects=True)
+    report = reports["one"]
     none, weak, slow, tilted = report["effects"]
     assert [row["effect"] for row in report["effects"]] == [
         "none",
@@ -279,8 +281,8 @@ def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
     assert weak["touched"]["count"] > 0
     assert slow["touched"]["count"] == tilted["touched"]["count"] == 0
     assert none["at_rest_on_feet"]["count"] == 0
-    storage.to_json(report)
-    success_table.show(report)
+    storage.to_json(reports)
+    success.show(reports)
     assert "scale 0.88" in capsys.readouterr().out
 
 
@@ -293,16 +295,16 @@ def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypat
         return flights
 
     monkeypatch.setattr(flying, "record_flights", recorded)
-    success.evaluate_effects(Constant(landing, 0.0, 0.0), plant="analytic")
+    success.evaluate_all({"one": Constant(landing, 0.0, 0.0)}, effects=True, plant="analytic")
     assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
 
 
 def test_effects_report_of_a_setpoint_policy(few, capsys):
     task = make_task("setpoint", pwm_centre="hover")
-    report = success.evaluate_effects(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
-    none, weak, _, _ = report["effects"]
+    reports, _ = success.evaluate_all({"one": Constant(task, 0.0, 0.0, 0.0)}, effects=True, plant="analytic")
+    none, weak, _, _ = reports["one"]["effects"]
     assert weak["error"]["mean"] > none["error"]["mean"] + 1.0
-    success_table.show(report)
+    success.show(reports)
     assert "thrust_scale" in capsys.readouterr().out
 
 

@@ -16,7 +16,7 @@ def few_starts(monkeypatch):
 
 
 def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
-    report = touchdown.evaluate(
+    report, _ = touchdown.evaluate(
         load_policy("touchdown"), load_policy("landing-nominal"), frictions=(0.3, 0.8), restitutions=(0.0,)
     )
     assert report["cannot_hold"] == [0.3] and [row["friction"] for row in report["friction"]] == [0.8]
@@ -30,7 +30,9 @@ def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
 
 def test_in_space_a_centre_of_mass_off_its_middle_tips_nobody_over(few_starts):
     policy = load_policy("touchdown")
-    report = touchdown.evaluate(policy, load_policy("landing-3d"), frictions=(0.8,), effects=("com_offset",))
+    report, _ = touchdown.evaluate(
+        policy, load_policy("landing-3d"), frictions=(0.8,), effects=("com_offset",)
+    )
     assert report["effects"][0]["touchdown"]["at_rest"]["count"] == 3
 
 
@@ -57,7 +59,7 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
     slippery = task.vehicle.changed(contact_friction=0.3)
     assert touchdown.land(policy, states).at_rest.all()
     assert not touchdown.land(policy, states, vehicle=slippery).at_rest.any()
-    report = touchdown.evaluate(policy, cut, frictions=(0.3,), effects=("friction", "com_offset"))
+    report, _ = touchdown.evaluate(policy, cut, frictions=(0.3,), effects=("friction", "com_offset"))
     friction, centre = report["effects"]
     assert report["all"] is None and friction["parameters"]["scale"] == {"value": 0.6, "unit": "1"}
     # 0.6 of 0.8 is 0.48, less than tan 25.7 deg = 0.481; off its middle a vehicle leaves the plane sideways

@@ -5,10 +5,8 @@ import json
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.style import styled
-from inclined_landing.eval.robustness.entries import Entry, parse_entries, parse_entry
-from inclined_landing.eval.robustness.figures import vehicles_figure
-from inclined_landing.eval.robustness.vehicles import evaluate
+from inclined_landing.eval.policies import vehicles
+from inclined_landing.eval.policies.entrants import Entrant, parse_entrant, parse_entrants
 from inclined_landing.models.errors import UserError
 
 NAMED = ("crazyflie-2.1", "hummingbird")
@@ -18,27 +16,27 @@ OPTIONS = {"draws": 6, "starts": 2, "plant": "analytic", "seed": 5}
 @pytest.fixture(scope="module")
 def report():
     entries = [
-        parse_entry("plain=landing"),
-        parse_entry("both=landing-nominal+landing"),
-        parse_entry("own@hummingbird=landing-nominal"),
+        parse_entrant("plain=landing"),
+        parse_entrant("both=landing-nominal+landing"),
+        parse_entrant("own@hummingbird=landing-nominal"),
     ]
-    return evaluate(entries, NAMED, "vehicles", **OPTIONS)
+    return vehicles.run(entries, NAMED, "vehicles", **OPTIONS).report
 
 
 def test_entries():
-    assert parse_entry("runs/a/final.zip") == Entry("final", ("runs/a/final.zip",))
-    assert parse_entry("told=a.zip+b.zip") == Entry("told", ("a.zip", "b.zip"))
-    assert parse_entry("own@hummingbird=a.zip") == Entry("own", ("a.zip",), "hummingbird")
-    for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip"):
+    assert parse_entrant("runs/a/final.zip") == Entrant("final", ("runs/a/final.zip",))
+    assert parse_entrant("runs/a/") == Entrant("a", ("runs/a/",))  # a run folder
+    assert parse_entrant("told=a.zip+b.zip") == Entrant("told", ("a.zip", "b.zip"))
+    assert parse_entrant("own@hummingbird=a.zip") == Entrant("own", ("a.zip",), "hummingbird")
+    for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip", "seeds=a.zip+a.zip"):
         with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
-            parse_entry(wrong)
+            parse_entrant(wrong)
     for wrong, sentence in (
         ("seeds=" + "+".join(f"{k}.zip" for k in range(3000)), "seeds has 3000 policies; at most 100"),
-        ("seeds=a.zip+a.zip", "has a policy twice"),
         (f"{'x' * 41}=a.zip", "at most 40 printable characters"),
     ):
         with pytest.raises(UserError, match=sentence):
-            parse_entry(wrong)
+            parse_entrant(wrong)
 
 
 def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
@@ -46,15 +44,15 @@ def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "final.zip").touch()
     one, other = tmp_path / "a", tmp_path / "b/final.zip"
-    assert [entry.label for entry in parse_entries([str(one), str(other), "landing"])] == [
+    assert [entry.label for entry in parse_entrants([str(one), str(other), "landing"])] == [
         "a",
         "final",
         "landing",
     ]
     files = [str(one / "final.zip"), str(other)]
-    assert [entry.label for entry in parse_entries(files)] == ["a/final", "b/final"]
+    assert [entry.label for entry in parse_entrants(files)] == ["a/final", "b/final"]
     with pytest.raises(UserError, match="policy landing is named twice"):
-        parse_entries(["landing", "landing"])
+        parse_entrants(["landing", "landing"])
 
 
 def test_every_policy_is_counted_on_every_vehicle_it_is_for(report):
@@ -79,20 +77,13 @@ def test_drawn_vehicles_are_those_of_the_ranges(report):
     assert len({m["mass"] for m in draws["members"]}) == 6
 
 
-def test_the_figure_shows_them(report):
-    with styled():
-        figure = vehicles_figure(report)
-    lines = [line for axes in figure.axes for line in axes.lines]
-    assert sum(line.get_gid() == "drawn" for line in lines) == 4
-    assert sum(line.get_gid() == "named" for line in lines) == 6
-
-
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     words = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
     assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
     assert "crazyflie-2.0" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "index.html",
+        "flights.csv",
         "vehicles.json",
         "vehicles.pdf",
         "vehicles.png",
@@ -105,7 +96,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     (["landing", "--ranges", "sparrow"], "randomise file sparrow does not exist"),
     (["landing", "--ranges", "sparrow", "--draws", "0"], "randomise file sparrow does not exist"),
     (["setpoint"], "policy setpoint is for the task setpoint, not for landing"),
-    (["a@sparrow=landing"], "a is for the vehicle sparrow, which is not flown"),
+    (["a@sparrow=landing"], "a is for the vehicle sparrow, not flown here"),
     (["a=landing+"], "policies are written LABEL=POLICY"),
     (["landing", "--plant", "paper"], "unknown plant 'paper'"),
     ([], "name at least one policy"),

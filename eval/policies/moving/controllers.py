@@ -11,19 +11,20 @@ must make such a function; one is made for every scenario, so that it may rememb
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.batch import as_floats
-from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import StepContext, is_path
-from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.own import import_named
-from inclined_landing.eval.moving.planner import Planner
+from inclined_landing.eval.policies.entrants import parse_entrants
+from inclined_landing.eval.policies.moving.planner import Planner
+from inclined_landing.eval.policies.rest import Pilot, PolicyPilot
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
@@ -40,62 +41,51 @@ def vehicle_flown() -> Vehicle:
     return load_vehicle().changed(command_angle_limit=ANGLE_LIMIT)
 
 
-class Pilot(Protocol):
-    """A controller of n vehicles through one scenario."""
-
-    def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        """Commands (n, 4) at time t [s], for states, contacts and platforms of now."""
-
-
+@dataclasses.dataclass(frozen=True)
 class Controller:
-    """Something to score, by a name; `pilot(n)` begins a scenario."""
+    """Something to score; `pilot(n)` begins a scenario of n flights."""
 
-    def __init__(self, name: str, kind: str, vehicle: Vehicle, make: Callable[[int], Pilot]):
-        self.name, self.kind, self.vehicle, self.pilot = name, kind, vehicle, make
+    name: str
+    kind: str  # "policy", "motor cut", "planner" or "controller"
+    vehicle: Vehicle
+    pilot: Callable[[int], Pilot]
 
 
-def find(name: str, vehicle: Vehicle) -> Controller:
-    """The controller that is called `name`: the planner, a policy, or `module:NAME` of others."""
+def find(name: str, vehicle: Vehicle, label: str | None = None) -> Controller:
+    """Return the controller that is called `name`: the planner, a policy, or `module:NAME` of others."""
     if name == PLANNER:
-        return Controller(PLANNER, "planner", vehicle, lambda n: _Told(Planner(vehicle), PLANNER, vehicle))
+        return Controller(PLANNER, "planner", vehicle, lambda n: _Checked(Planner(vehicle), PLANNER, vehicle))
     if is_path(name):
-        return _own(name, vehicle)
-    return of_policy(load_policy(name), vehicle)
+        return _imported(name, vehicle)
+    return of_policy(load_policy(name), vehicle, label)
 
 
-def of_policy(policy: Policy, vehicle: Vehicle) -> Controller:
-    """A policy as a controller; raises UserError for one that flies in a plane."""
+def find_all(names: Sequence[str]) -> list[Controller]:
+    """Return the controllers by their names, the baselines where there are none.
+
+    Raises UserError where two of them are called the same.
+    """
+    vehicle, found = vehicle_flown(), []
+    for entrant in parse_entrants(tuple(dict.fromkeys(names)) or BASELINES):
+        found.append(find(entrant.only, vehicle, entrant.label))
+    called = [controller.name for controller in found]
+    if twice := [name for name in called if called.count(name) > 1]:
+        raise UserError(f"two controllers are called {twice[0]}; rename one")
+    return found
+
+
+def of_policy(policy: Policy, vehicle: Vehicle, label: str | None = None) -> Controller:
+    """Return a policy as a controller; raises UserError for one that flies in a plane."""
     if "roll" not in policy.task.action_names:
         raise UserError(
             f"policy {policy.path} flies in a plane; the scenarios need one of three dimensions, such as "
             "those of landing-train touchdown --dimensions 3"
         )
     kind = "motor cut" if policy.task.cut_at_success else "policy"
-    return Controller(policy.name, kind, vehicle, lambda n: _PolicyPilot(policy, n))
+    return Controller(label or policy.name, kind, vehicle, lambda n: PolicyPilot(policy, n))
 
 
-class _PolicyPilot:
-    """Flies a policy; one whose task ends in a goal box gets its motors cut there."""
-
-    def __init__(self, policy: Policy, n: int):
-        self._policy, self._task = policy, policy.task
-        self._past = History(self._task, n)
-        self._cut = np.zeros(n, bool)
-
-    def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        observation = self._task.observe(context)
-        if t == 0.0:
-            self._past.reset(slice(None), observation)
-        actions = self._policy.predict(self._past.stack(observation)).astype(float)
-        self._past.record(observation, actions)
-        commands = self._task.body_commands(self._task.commands(actions), context.state, context.platform)
-        if self._task.cut_at_success:
-            self._cut |= self._task.in_goal(context.state, GOAL_SIZE, context.platform)
-            commands[self._cut, PWM] = 0.0
-        return commands
-
-
-class _Told:
+class _Checked:
     """A controller as the module's docstring says, whose answers are checked."""
 
     def __init__(self, answer: Callable[[float, np.ndarray, np.ndarray], Any], name: str, vehicle: Vehicle):
@@ -105,10 +95,9 @@ class _Told:
         self._high = np.array([vehicle.command_pwm_range[1], angle, angle, yaw])
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        given = context.state[:, :_SEEN].copy(), context.platform.copy()
         where = f"controller {self._name} at {t:.2f} s"
         try:
-            answer = self._answer(t, *given)
+            answer = self._answer(t, context.state[:, :_SEEN].copy(), context.platform.copy())
         except UserError:
             raise
         except (Exception, SystemExit) as error:  # whatever the code does
@@ -117,9 +106,9 @@ class _Told:
             commands = as_floats(answer, where)
         except UserError:
             raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
-        wanted = (len(context.state), COMMAND_SIZE)
-        if commands.shape != wanted:
-            raise UserError(f"{where} must answer with commands of shape {wanted}, not {commands.shape}")
+        shape = (len(context.state), COMMAND_SIZE)
+        if commands.shape != shape:
+            raise UserError(f"{where} must answer with commands of shape {shape}, not {commands.shape}")
         if not np.isfinite(commands).all():
             raise UserError(f"{where} answered with NaN or infinity")
         stopped = commands[:, PWM] <= 0.0
@@ -128,21 +117,19 @@ class _Told:
         return commands
 
 
-def _own(name: str, vehicle: Vehicle) -> Controller:
+def _imported(name: str, vehicle: Vehicle) -> Controller:
     found = import_named(name, "controller", "NAME")
     what = f"controller {shown(name, 60)}"
     if not callable(found):
         raise UserError(f"{what}: {name.rpartition(':')[0]} has no function or class of this name")
 
     def pilot(n: int) -> Pilot:
-        if not isinstance(found, type):
-            return _Told(found, name, vehicle)
         try:
-            made = found(vehicle)
+            made = found(vehicle) if isinstance(found, type) else found
         except (Exception, SystemExit) as error:
             raise UserError(f"{what} raised {type(error).__name__}: {shown(error, 120)}") from error
         if not callable(made):
             raise UserError(f"{what} cannot be called with t, states and platforms: it lacks __call__")
-        return _Told(made, name, vehicle)
+        return _Checked(made, name, vehicle)
 
     return Controller(name.rpartition(":")[2], "controller", vehicle, pilot)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -14,11 +16,14 @@ from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
-from inclined_landing.envs.mission import HAND_OVER, Mission, Plan, fly_missions
+from inclined_landing.envs.mission import ENDS, HAND_OVER, LANDING, LEGS, Mission, Plan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion, spread
+from inclined_landing.envs.shared.tables import count_words, spread_cell
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
@@ -29,15 +34,16 @@ from inclined_landing.eval.base.options import (
     Seed,
     VehicleFile,
 )
-from inclined_landing.eval.mission.report import report_of, show
 from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures import mission_figure, save_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
 from inclined_landing.models import storage
+from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 DRAWN = 100  # missions without --missions
+ROLES = ("setpoint", "landing", "touchdown")
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z")]
 
 
@@ -169,3 +175,87 @@ def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
     write_picture(folder / "flight.png", strobe(missions[0], **how))
     frames, total, rate = video.film(missions[:1], FPS, 1.0, **how)
     video.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
+
+
+def report_of(missions: Sequence[Mission]) -> dict[str, Any]:
+    """Return success rates, times and hand-over errors of missions of one plan, and a record of each."""
+    plan = missions[0].plan
+    landed = [mission for mission in missions if mission.success]
+    return {
+        "command": "mission",
+        "policies": {role: str(policy.path) for role, policy in zip(ROLES, plan.policies)},
+        "trained": {role: policy.metadata for role, policy in zip(ROLES, plan.policies)},
+        "inclination": plan.task.inclination,
+        "hand_over": {
+            "point": plan.point.tolist(),
+            **{name: getattr(plan, name) for name in ("near", "slow", "dwell", "hold")},
+        },
+        "missions": len(missions),
+        "at_rest": proportion(len(landed), len(missions)),
+        "ends": {end: sum(m.end == end for m in missions) for end in ENDS},
+        "time": spread([m.t[-1] for m in landed]),
+        "legs": {name: _leg_statistics(missions, name) for name in LEGS},
+        "handed_over": _hand_over_errors(missions, plan),
+        "rest": {"y": spread([abs(m.state[-1, Y]) for m in landed])},
+        "flights": [
+            {
+                "start": m.state[0, :3].tolist(),
+                "end": m.end,
+                "time": float(m.t[-1]),
+                "place": m.state[-1, :3].tolist(),
+                "legs": [
+                    vars(leg) | {"touched": list(leg.touched), "state": leg.state.tolist()} for leg in m.legs
+                ],
+            }
+            for m in missions
+        ],
+        "versions": runs.versions(),
+    }
+
+
+def _leg_statistics(missions: Sequence[Mission], name: str) -> dict[str, Any]:
+    """Return the statistics of one leg over all missions: flown, lost, duration, contacts."""
+    pairs = [(mission, leg) for mission in missions if (leg := mission.find_leg(name))]
+    return {
+        "flown": len(pairs),
+        "lost": dict(Counter(mission.end for mission, leg in pairs if not leg.done)),
+        "done": proportion(sum(leg.done for _, leg in pairs), len(pairs)),
+        "duration": spread([leg.duration for _, leg in pairs if leg.done]),
+        "touched": dict(Counter(surface for _, leg in pairs for surface in leg.touched)),
+    }
+
+
+def _hand_over_errors(missions: Sequence[Mission], plan: Plan) -> dict[str, Any]:
+    """Return the errors of position and speed at the hand-over to the landing policy."""
+    states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.find_leg("landing")])
+    states = states.reshape(-1, STATE_SIZE)
+    return {
+        "position": spread(np.linalg.norm(states[:, X : Z + 1] - plan.point, axis=1)),
+        "speed": spread(np.linalg.norm(states[:, VX : VZ + 1], axis=1)),
+        "y": spread(np.abs(states[:, Y])),
+        "vy": spread(np.abs(states[:, VY])),
+    }
+
+
+def show(report: dict[str, Any]) -> None:
+    """Print a report: the success rate, and a row for each leg."""
+    count, rest = report["missions"], report["at_rest"]
+    rows = []
+    for name, leg in report["legs"].items():
+        policy = Path(report["policies"][name if name in ROLES else "setpoint"]).stem
+        lost = ", ".join(f"{many} {end}" for end, many in leg["lost"].items()) or "0"
+        touched = ", ".join(f"{surface} {many}" for surface, many in leg["touched"].items()) or "-"
+        rows.append((name, policy, str(leg["flown"]), lost, spread_cell(leg["duration"]), touched))
+    rows.append(("all", "", str(count), str(count - rest["count"]), spread_cell(report["time"]), ""))
+    table = Table("", ("leg", "policy", "flown", "lost", "time [s]", "touched"), rows)
+    over = report["handed_over"]
+    position, aside, beside = (
+        spread_cell(found, 1, 100.0) for found in (over["position"], over["y"], report["rest"]["y"])
+    )
+    remarks = [
+        "Share with its 95 % Wilson interval; times of what went well: medians (5 to 95 %).",
+        f"Handed over {position} cm from the point, |y| {aside} cm; at rest |y| {beside} cm.",
+        f"At rest on the feet after {count_words(rest, 'missions')}.",
+    ]
+    title = f"{count} mission{'s' * (count != 1)}"
+    show_sections([Section("mission", title, [], [], [table], remarks=remarks)])

@@ -145,7 +145,7 @@ class Scenario(File, frozen=True, kw_only=True):
             phase[k] = np.radians(wave.phase_deg)
         return Waves(np.array(self.components.period), amplitude, phase)
 
-    def draw(self, vehicle: Vehicle, flights: int | None = None) -> Drawn:
+    def draw(self, vehicle: Vehicle, flights: int | None = None) -> DrawnFlights:
         """Draw the flights of the scenario; fewer are the first ones.
 
         Every flight has a generator of its own, so that how many are flown changes none.
@@ -180,11 +180,11 @@ class Scenario(File, frozen=True, kw_only=True):
         rest = np.zeros((n, PLATFORM_SIZE))
         rest[:, Z], rest[:, PITCH], rest[:, YAW] = vehicle.platform_surface_height, self.inclination, azimuth
         place += motion.platforms(0.0, rest)[:, : Z + 1]
-        return Drawn(np.full(n, self.inclination), azimuth, motion, hover_states(place, vehicle))
+        return DrawnFlights(np.full(n, self.inclination), azimuth, motion, hover_states(place, vehicle))
 
 
 @dataclasses.dataclass(frozen=True)
-class Drawn:
+class DrawnFlights:
     """n flights of a scenario, in the room."""
 
     inclination: np.ndarray  # (n,) rad, of the platforms without their waves
@@ -195,7 +195,7 @@ class Drawn:
 
 def shipped() -> dict[str, Path]:
     """Return the paths of the frozen scenarios by name, in the order of the tables."""
-    folder = Path(str(resources.files("inclined_landing.eval.moving") / "scenarios"))
+    folder = Path(str(resources.files("inclined_landing.eval.policies.moving") / "scenarios"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 

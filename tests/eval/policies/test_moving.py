@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.moving import controllers, report, spectra
-from inclined_landing.eval.moving.controllers import vehicle_flown
-from inclined_landing.eval.moving.flying import RIDE, fly, ride
-from inclined_landing.eval.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.policies.moving import controllers, study
+from inclined_landing.eval.policies.moving.controllers import vehicle_flown
+from inclined_landing.eval.policies.moving.flying import RIDE, fly, ride
+from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
 from inclined_landing.models import surface
 from inclined_landing.models.errors import UserError
 from tests import ROOT
+from tests.eval.policies import spectra
 
 VEHICLE = vehicle_flown()
 MOVING = ("robustness", "--over", "moving", "--every", "1")
@@ -200,7 +201,7 @@ def test_who_does_nothing_does_not_land(tmp_path):
     found = controllers.find(f"{file}:off", VEHICLE)
     flown = fly(read_scenario("travel_200_cm_s"), found, 4)
     assert not flown["at_rest"].any()
-    made, _ = report.evaluate([read_scenario("travel_200_cm_s")], [found], 1)
+    made = study.run([read_scenario("travel_200_cm_s")], [found], 1).report
     assert made["all"][0]["at_rest"]["count"] == 0
 
 

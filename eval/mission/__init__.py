@@ -1,1 +1,0 @@
-"""The whole mission: set-point flight, landing and touchdown as one flight."""

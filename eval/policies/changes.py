@@ -1,0 +1,313 @@
+"""Landing policies on a vehicle that differs from the known one: another thrust, every effect.
+
+Each policy flies from the frozen grid under each condition. Only the vehicle in the plant differs; where it
+reaches the goal box its motors are cut. Of an effect, medium is its plausible size, weak half as far from
+neutral, strong twice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+from msgspec import Meta
+
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import mean
+from inclined_landing.envs.shared.tables import count_words, share_cell
+from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.policies.flying import effect_outcome, fly, frozen_starts
+from inclined_landing.eval.policies.study import Study, fly_all, joined
+from inclined_landing.eval.policies.tables import Panel, outcomes_table, size_words
+from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.vehicle import Vehicle
+
+# Of a vehicle that has the effect: how far from neutral, in distances of what is plausible.
+SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
+ThrustScale = Annotated[float, Meta(gt=0, le=3)]
+THRUSTS = tuple(round(0.70 + 0.05 * k, 2) for k in range(10))
+ENOUGH, ENOUGH_MEDIUM = 0.97, 0.95  # shares from which a thrust, and a medium effect, count as survived
+_THRUST = "thrust_scale"  # the effect that the curve goes along
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """What the plant's vehicle is, beside what the policies know."""
+
+    effect: Effect | None  # of the library; None: the vehicle as it is
+    size: str  # one of SIZES; "" on the curve over thrust
+    values: dict[str, float]
+
+    def vehicle(self, known: Vehicle) -> Vehicle:
+        """Return the vehicle in the plant."""
+        return known if self.effect is None else self.effect.apply(known, self.values)
+
+    @property
+    def name(self) -> str:
+        """Return effect and size as text, different for each change."""
+        return f"{self.effect.name} {self.size or self.values['scale']}" if self.effect else "no effect"
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Return what a report says of the change."""
+        effect = self.effect or LIBRARY[_THRUST]
+        return {"effect": effect.name, "size": self.size, "parameters": sizes(effect, self.values)}
+
+
+def sizes(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Return values of an effect's parameters with their units, for a report."""
+    units = {p.name: p.unit for p in effect.parameters}
+    return {name: {"value": value, "unit": units[name]} for name, value in values.items()}
+
+
+def sized(effect: Effect, share: float) -> dict[str, float]:
+    """Return parameter values `share` times as far from neutral as plausible ones, within their bounds."""
+    values = {}
+    for p in effect.parameters:
+        value = p.plausible if p.is_reference else p.neutral + share * (p.plausible - p.neutral)
+        values[p.name] = min(max(value, p.possible[0]), p.possible[1])
+    return values
+
+
+def changes(
+    thrusts: Sequence[float] = THRUSTS,
+    effects: Sequence[str] = tuple(LIBRARY),
+    of_sizes: Sequence[str] = tuple(SIZES),
+) -> list[Change]:
+    """Return the vehicle as it is, the curve over thrust, then every effect in every size."""
+    curve = [Change(LIBRARY[_THRUST], "", {"scale": x}) for x in sorted(set(thrusts) - {1.0})]
+    of_effects = [
+        Change(LIBRARY[name], size, sized(LIBRARY[name], SIZES[size]))
+        for name in effects
+        for size in of_sizes
+    ]
+    return [Change(None, "", {"scale": 1.0}), *curve, *of_effects]
+
+
+def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, every: int = 1) -> Study:
+    """Return the study of policies, given by their labels, under changes of their vehicle.
+
+    every: fly from each k-th start of the frozen grid. Raises UserError for policies that do not land, or for
+    different slopes.
+    """
+    names = list(policies)
+    first = policies[names[0]].task
+    for name, policy in policies.items():
+        if policy.task.table != "goal_box":
+            what = "observes the slope" if policy.task.table == "slopes" else f"is for {policy.task.name}"
+            raise UserError(
+                f"policy {policy.path} {what}; thrust and effects are for landing on one slope, from its grid"
+            )
+        if not math.isclose(policy.task.inclination, first.inclination):
+            raise UserError(f"policies {names[0]} and {name} are for platforms of different inclination")
+    starts = frozen_starts(first)[::every]
+    vehicles = {case.name: case.vehicle(first.vehicle) for case in cases}
+    flown = fly_all(
+        {
+            (name, case.name): partial(fly, policy, starts, plant, vehicle=vehicles[case.name])
+            for case in cases
+            for name, policy in policies.items()
+        }
+    )
+    rows = [
+        case.row
+        | {"outcomes": [effect_outcome(policies[name].task, flown[name, case.name]) for name in names]}
+        for case in cases
+    ]
+    report = {
+        "command": "robustness",
+        "plant": plant,
+        "starts": len(starts),
+        "inclination": first.inclination,
+        "policies": [_description(name, policy) for name, policy in policies.items()],
+        "thrust": sorted((row for row in rows if not row["size"]), key=_scale),
+        "effects": [row for row in rows if row["size"]],
+        "differences": _differences(cases, names, flown),
+        "versions": runs.versions(),
+    }
+    return Study("robustness", report, joined(flown), _sections(report), _panels(report))
+
+
+def _description(name: str, policy: Policy) -> dict[str, Any]:
+    return {
+        "name": name,
+        "policy": str(policy.path),
+        "trained": policy.metadata,
+        "task_options": policy.task.options,
+        "history": policy.task.history,
+        "randomised": "ranges" in policy.metadata,
+    }
+
+
+def _differences(
+    cases: Sequence[Change], names: Sequence[str], flown: Mapping[tuple[str, str], pd.DataFrame]
+) -> list[dict[str, Any]]:
+    """Return the differences of the shares of each further policy from the first's, with intervals.
+
+    Without an effect the interval is over the starts, which are the same; over the effects of one size it is
+    over the effects.
+    """
+    landed = [[flown[name, case.name]["strict"].to_numpy(float) for name in names] for case in cases]
+    share = np.mean(landed, axis=2)
+    result = []
+    for k in range(1, len(names)):
+        of_size = {size: [c for c, case in enumerate(cases) if case.size == size] for size in SIZES}
+        result.append(
+            {"none": mean(landed[0][k] - landed[0][0])}
+            | {size: mean(share[rows, k] - share[rows, 0]) for size, rows in of_size.items() if rows}
+        )
+    return result
+
+
+def survived(report: dict, k: int) -> tuple[float, float] | None:
+    """Return the range of thrusts around 1 at which a policy lands nearly always; None where it does not."""
+    scales = [_scale(row) for row in report["thrust"]]
+    good = [row["outcomes"][k]["strict"]["share"] >= ENOUGH for row in report["thrust"]]
+    low = high = scales.index(1.0)
+    if not good[low]:
+        return None
+    while low > 0 and good[low - 1]:
+        low -= 1
+    while high < len(good) - 1 and good[high + 1]:
+        high += 1
+    return scales[low], scales[high]
+
+
+def _sections(report: dict) -> list[Section]:
+    """Return the sections of the page: in short, over thrust, effects of the library."""
+    names = [policy["name"] for policy in report["policies"]]
+    rows: list[tuple[tuple[str, ...], dict]]
+    note = (
+        "Strict success: the goal box within 300 steps, no touch before; at rest: on the feet, motors cut "
+        f"there. {report['starts']} starts, {report['plant']} plant, 95 % Wilson intervals."
+    )
+    found = [Section("short", "In short", [], [], [_summary(report)], {}, [note, *_comparisons(report)])]
+    if len(report["thrust"]) > 1:
+        rows = [
+            ((f"x {row['parameters']['scale']['value']:g}", name), outcome)
+            for row in report["thrust"]
+            for name, outcome in zip(names, row["outcomes"])
+        ]
+        table = outcomes_table(("thrust", "policy"), rows)
+        figure = {"robustness_thrust": "Shares over the plant's thrust, with 95 % intervals."}
+        found.append(Section("thrust", "Over thrust", [], [], [table], figure))
+    if report["effects"]:
+        text = (
+            "Only the vehicle in the plant has the effect. Medium is the size that a real vehicle may well "
+            "have; weak is half as much, strong twice as much, within physical limits."
+        )
+        rows = [
+            ((row["effect"], f"{row['size']}: {size_words(row['parameters'])}", name), outcome)
+            for row in _by_cost(report)
+            for name, outcome in zip(names, row["outcomes"])
+        ]
+        table = outcomes_table(("effect", "size", "policy"), rows, "All numbers")
+        figure = {"robustness_effects": "Shares for every effect and size; the most costly at the top."}
+        found.append(Section("effects", "Effects of the library", text, [], [table], figure))
+    found[-1].remarks.extend(_answers(report))
+    return found
+
+
+def _panels(report: dict) -> dict[str, list[Panel]]:
+    """Return the panels of the figures: both shares over the thrust, strict success under each effect."""
+    names = [policy["name"] for policy in report["policies"]]
+
+    def shares(rows: list[dict], at: Callable[[dict], Any], key: str) -> dict[str, dict]:
+        return {name: {at(row): row["outcomes"][k][key] for row in rows} for k, name in enumerate(names)}
+
+    shown = {"strict": "Goal box reached, no touch", "at_rest_on_feet": "At rest, motors cut there"}
+    panels = {}
+    if len(curve := report["thrust"]) > 1:
+        panels["robustness_thrust"] = [
+            Panel(title, shares(curve, _scale, key), "thrust of the vehicle over the known one [1]")
+            for key, title in shown.items()
+        ]
+    if report["effects"]:
+        by_size: dict[str, list[dict]] = {}
+        for row in _by_cost(report):
+            by_size.setdefault(row["size"], []).append(row)
+        panels["robustness_effects"] = [
+            Panel(f"{size} effects", shares(rows, lambda row: row["effect"], "strict"))
+            for size, rows in by_size.items()
+        ]
+    return panels
+
+
+def _scale(row: dict) -> float:
+    return row["parameters"]["scale"]["value"]
+
+
+def _summary(report: dict) -> Table:
+    """Return a row for each policy: no effect, thrust range, means over the effects of a size."""
+    of_sizes = list(dict.fromkeys(row["size"] for row in report["effects"]))
+    heads = ["policy", "trained", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %"]
+    heads += [f"{size} effects [%]" for size in of_sizes]
+    rows = []
+    for k, policy in enumerate(report["policies"]):
+        trained = "randomised" if policy["randomised"] else "nominal"
+        trained += f", history {policy['history']}" if policy["history"] else ""
+        ends = survived(report, k)
+        row = [policy["name"], trained, share_cell(_nominal(report)["outcomes"][k]["strict"])]
+        row.append("-" if ends is None else "{:g} to {:g}".format(*ends))
+        for size in of_sizes:
+            shares = [r["outcomes"][k]["strict"]["share"] for r in report["effects"] if r["size"] == size]
+            row.append(f"{100 * np.mean(shares):.1f}")
+        rows.append(tuple(row))
+    return Table("", tuple(heads), rows)
+
+
+def _nominal(report: dict) -> dict:
+    return next(row for row in report["thrust"] if _scale(row) == 1.0)
+
+
+def _by_cost(report: dict) -> list[dict]:
+    """Return the rows of the effects, those of the effect that costs most at the top."""
+    shares: dict[str, list[float]] = {}
+    for row in report["effects"]:
+        shares.setdefault(row["effect"], []).extend(one["strict"]["share"] for one in row["outcomes"])
+    return sorted(report["effects"], key=lambda row: float(np.mean(shares[row["effect"]])))
+
+
+def _comparisons(report: dict) -> list[str]:
+    """Return a sentence on how each further policy differs from the first one."""
+    first, *others = [policy["name"] for policy in report["policies"]]
+    said = []
+    for name, difference in zip(others, report["differences"]):
+        parts = []
+        for size, value in difference.items():
+            low, high = value["interval"] or (value["mean"],) * 2
+            where = "without an effect" if size == "none" else f"under {size} effects"
+            parts.append(f"{100 * value['mean']:+.1f} ({100 * low:+.1f} to {100 * high:+.1f}) {where}")
+        said.append(f"{name} minus {first}, points of strict success: {', '.join(parts)}.")
+    return said
+
+
+def _answers(report: dict) -> list[str]:
+    """Return a sentence on what each policy lands under: thrusts, effects of medium size, the worst one."""
+    said = []
+    for k, policy in enumerate(report["policies"]):
+        parts = [f"{policy['name']} landed in {count_words(_nominal(report)['outcomes'][k]['strict'])}"]
+        if len(report["thrust"]) > 1 and (ends := survived(report, k)):
+            low, high = ends
+            parts.append(f"{100 * ENOUGH:.0f} % or more at thrusts x {low:g} to x {high:g}")
+        medium = {
+            row["effect"]: row["outcomes"][k]["strict"]
+            for row in report["effects"]
+            if row["size"] == "medium"
+        }
+        if medium:
+            good = sum(share["share"] >= ENOUGH_MEDIUM for share in medium.values())
+            worst = min(medium, key=lambda name: medium[name]["share"])
+            parts.append(
+                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(medium)} medium effects, least "
+                f"under {worst}: {count_words(medium[worst])}"
+            )
+        said.append("; ".join(parts) + ".")
+    return said

@@ -1,0 +1,105 @@
+"""The study of the benchmark: controllers on moving platforms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import pandas as pd
+
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import count_words
+from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.policies.flying import summary
+from inclined_landing.eval.policies.moving.controllers import Controller
+from inclined_landing.eval.policies.moving.flying import fly
+from inclined_landing.eval.policies.moving.scenario import Scenario
+from inclined_landing.eval.policies.study import Study, fly_all, joined
+from inclined_landing.eval.policies.tables import Panel, outcomes_table
+
+COUNTED = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
+RULE = (
+    "A flight counts when the vehicle rests on the platform, on its feet alone, motors idle, as long as its "
+    "scenario says; in the frozen ones for 0.3 s within 10 s, slower than 0.05 m/s relative to the platform."
+)
+CAPTION = (
+    "95 % Wilson intervals. Speeds and tilt at the first touch, relative to the platform, and the time until "
+    "rest: medians."
+)
+PARTLY = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
+
+
+def run(
+    scenarios: Sequence[Scenario], controllers: Sequence[Controller], flights: int | None = None
+) -> Study:
+    """Return the study of controllers in scenarios; flights: of each at most, None: as many as it says."""
+    flown = fly_all(
+        {
+            (controller.name, scenario.name): partial(fly, scenario, controller, flights)
+            for scenario in scenarios
+            for controller in controllers
+        }
+    )
+    names = [controller.name for controller in controllers]
+    counted = {key: summary(table, *COUNTED) for key, table in flown.items()}
+    overall = {
+        name: summary(pd.concat([flown[name, scenario.name] for scenario in scenarios]), "at_rest")
+        for name in names
+    }
+    report = {
+        "command": "moving",
+        "controllers": [{"name": c.name, "kind": c.kind} for c in controllers],
+        "scenarios": [
+            {
+                "name": scenario.name,
+                "title": scenario.title,
+                "fingerprint": scenario.fingerprint,
+                "speed": scenario.motion.speed,
+                "waves": bool(scenario.waves.amplitude.any()),
+                "slope": scenario.inclination,
+                "whole": flights is None or flights >= scenario.flights,
+                "outcomes": [{"controller": name} | counted[name, scenario.name] for name in names],
+            }
+            for scenario in scenarios
+        ],
+        "all": [{"name": name} | share for name, share in overall.items()],
+        "versions": runs.versions(),
+    }
+    rows = [((s.name, name), counted[name, s.name]) for s in scenarios for name in names]
+    what = [(s.name, s.title, s.fingerprint[:12]) for s in scenarios]
+    whole = all(row["whole"] for row in report["scenarios"])  # type: ignore[index]
+    section = Section(
+        "moving",
+        "Moving platforms",
+        RULE,
+        [],
+        tables=[
+            outcomes_table(("scenario", "controller"), rows),
+            Table("What was flown", ("scenario", "platform", "fingerprint"), what),
+        ],
+        figures={"moving": "Share of the flights at rest on the platform, with 95 % intervals."},
+        remarks=[
+            CAPTION,
+            *([] if whole else [PARTLY]),
+            *(
+                f"{name} came to rest on the platform in {count_words(share['at_rest'])}."
+                for name, share in overall.items()
+            ),
+        ],
+    )
+    panels = {"moving": _panels(scenarios, names, counted)}
+    return Study("moving", report, joined(flown), [section], panels, "at rest on the platform")
+
+
+def _panels(
+    scenarios: Sequence[Scenario], names: Sequence[str], counted: dict[tuple[str, str], dict]
+) -> list[Panel]:
+    """Return shares at rest over the speed of level platforms that travel, and in every other scenario."""
+    level = [s for s in scenarios if not (s.waves.amplitude.any() or s.inclination)]
+    level.sort(key=lambda scenario: scenario.motion.speed)
+    others = [scenario for scenario in scenarios if scenario not in level]
+    rest = {key: found["at_rest"] for key, found in counted.items()}
+    speeds = {name: {s.motion.speed: rest[name, s.name] for s in level} for name in names}
+    rows = {name: {s.name: rest[name, s.name] for s in others} for name in names}
+    panels = [Panel("Level platforms that travel steadily", speeds, "speed of the platform [m/s]")]
+    return panels * bool(level) + [Panel("Slopes, waves, ships, cars", rows)] * bool(others)

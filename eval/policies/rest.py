@@ -1,0 +1,120 @@
+"""Flights until rest on the platform, in the MuJoCo plant (RK4, 4 ms).
+
+A vehicle rests that is slow relative to the platform, on its feet alone, with motors at idle, for as long as
+is asked. The floor ends a flight. A vehicle under PWM 0 has no attitude torque.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+
+from inclined_landing.envs.history import History
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import StepContext
+from inclined_landing.envs.tasks.landing import GOAL_SIZE
+from inclined_landing.envs.tasks.touchdown import REST_RATE, REST_SPEED, resting
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PWM
+from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants.recorder import STEP, Recorder
+
+
+class Pilot(Protocol):
+    """What flies n vehicles through one scenario, called once every control period."""
+
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
+        """Return commands (n, 4) at time t [s], for states, contacts and platforms of now."""
+
+
+class PolicyPilot:
+    """Flies a policy; one whose task ends in a goal box gets its motors cut there."""
+
+    def __init__(self, policy: Policy, n: int):
+        self._policy, self._task = policy, policy.task
+        self._past = History(self._task, n)
+        self.cut = np.zeros(n, bool)  # whose motors have been cut
+
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
+        """Return commands (n, 4)."""
+        observation = self._task.observe(context)
+        if t == 0.0:
+            self._past.reset(slice(None), observation)
+        actions = self._policy.predict(self._past.stack(observation)).astype(float)
+        self._past.record(observation, actions)
+        commands = self._task.body_commands(self._task.commands(actions), context.state, context.platform)
+        if self._task.cut_at_success:
+            self.cut |= self._task.in_goal(context.state, GOAL_SIZE, context.platform)
+            commands[self.cut, PWM] = 0.0
+        return commands
+
+
+def fly_to_rest(
+    plant: MujocoPlant,
+    states: np.ndarray,
+    pilot: Pilot,
+    *,
+    steps: int,
+    hold: int,
+    speed: float = REST_SPEED,
+    rate: float = REST_RATE,
+    after_cut: int | None = None,
+) -> pd.DataFrame:
+    """Return a row for each flight from `states` (n, 13), of at most `steps` control steps.
+
+    hold: control steps of rest that end a flight; speed, rate: below which a vehicle rests [m/s, rad/s].
+    after_cut: steps that a vehicle has once the pilot has cut its motors, instead of `steps`.
+
+    Columns: `at_rest`; `time` [s] until rest was held; at the first touch, relative to the platform,
+    `normal_speed` into it and `tangential_speed` along it [m/s], and `tilt` [rad] between the vehicle's axis
+    and the platform's normal; `off_centre` [m], from the platform's centre at rest; `peak_normal_force` on
+    the feet [N]. NaN where there was none.
+    """
+    n, period = len(states), plant.control_period
+    recorder = Recorder(plant, states)
+    held, ended, was_cut = np.zeros(n, int), np.zeros(n, bool), np.zeros(n, bool)
+    last = np.full(n, steps)
+    time, off_centre = np.full(n, np.nan), np.full(n, np.nan)
+    for tick in range(1, steps + (after_cut or 0) + 1):
+        context = StepContext(plant.state, plant.contacts, platform=plant.platform)
+        commands = pilot((tick - 1) * period, context)
+        if after_cut is not None:
+            cut = getattr(pilot, "cut", was_cut)
+            last[cut & ~was_cut] = tick - 1 + after_cut
+            was_cut = cut.copy()
+        recorder.step(commands, np.flatnonzero(~ended))
+        holding = resting(plant.state, plant.platform, commands[:, PWM] == 0.0, plant.contacts, speed, rate)
+        held = np.where(holding, held + 1, 0)
+        rests = (held >= hold) & ~ended
+        time[rests] = tick * period
+        off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.platform)[0], axis=1)[rests]
+        ended |= rests | (tick >= last) | plant.contacts.touch[:, 2].any(axis=1)
+        if ended.all():
+            break
+    into, along = recorder.touch_speeds()
+    return pd.DataFrame(
+        {
+            "at_rest": ~np.isnan(time),
+            "time": time,
+            "normal_speed": into,
+            "tangential_speed": along,
+            "tilt": _tilt_at_touch(recorder),
+            "off_centre": off_centre,
+            "peak_normal_force": np.where(recorder.touched, recorder.feet_force, np.nan),
+        }
+    )
+
+
+def _tilt_at_touch(recorder: Recorder) -> np.ndarray:
+    """Return the angle (n,) [rad] to the platform's normal in the last state before the first touch."""
+    touch = recorder.touch
+    tilt = np.full(len(touch.time), np.nan)
+    touched = np.flatnonzero(recorder.touched)
+    if len(touched):
+        normal = surface.normals(recorder.plant.platform_at(np.nan_to_num(touch.time - STEP)))[touched]
+        w, x, y, z = touch.qpos[touched, 3:7].T
+        upright = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+        tilt[touched] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))
+    return tilt

@@ -1,0 +1,124 @@
+"""The one loop that flies policies under conditions, and what becomes of a study: tables, figures, page.
+
+A study is a set of conditions. Its module flies every policy under each (`fly_all`), counts, and returns a
+`Study`: numbers, a row for each flight, sections with tables, and figures.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import Progress
+
+from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.shared.tables import count_words, printer
+from inclined_landing.eval.base.claims import Section, show_sections
+from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.eval.base.style import save_figure
+from inclined_landing.eval.policies.tables import Panel, draw_panels
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError
+
+LONG = 60.0  # s of work, from which it says how long it takes, and every result as it comes
+
+Key = tuple[str, str]  # names of a policy and a condition
+Work = Mapping[Key, Callable[[], pd.DataFrame]]
+
+
+def fly_all(work: Work) -> dict[Key, pd.DataFrame]:
+    """Return the flights of each policy under each condition, a row each; progress is shown on stderr.
+
+    Raises UserError, with the names of policy and condition, where the simulation diverges.
+    """
+    console = printer(Console(stderr=True, markup=False, highlight=False))
+    found: dict[Key, pd.DataFrame] = {}
+    began, lines, long = time.monotonic(), list[str](), False
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("flying", total=len(work))
+        for (policy, condition), fly in work.items():
+            try:
+                flights = found[policy, condition] = fly()
+            except FloatingPointError as error:
+                raise UserError(f"{policy}, {condition}: {error}") from error
+            progress.advance(bar)
+            lines.append(f"{condition}, {policy}: {_short(flights)}")
+            expected = (time.monotonic() - began) / len(found) * len(work)
+            if not long and expected > LONG and len(found) < len(work):
+                long = True
+                progress.console.print(f"{len(work)} x {len(flights)} flights: about {expected / 60:.0f} min")
+            if long:
+                progress.console.print("\n".join(lines), soft_wrap=True)
+                lines.clear()
+    return found
+
+
+def _short(flights: pd.DataFrame) -> str:
+    """Return in words how many flights met what is counted of them."""
+    counted = next(name for name in ("at_rest", "within", "strict") if name in flights)
+    names = {"at_rest": "at rest", "within": "within 5 cm"}
+    what = f"flights {names[counted]}" if counted in names else "flights"
+    return count_words(proportion(flights[counted].sum(), len(flights)), what)
+
+
+def joined(flown: Mapping[Key, pd.DataFrame]) -> pd.DataFrame:
+    """Return all flights in one table, `policy` and `condition` in front; truth values are 0 and 1."""
+    tables = []
+    for (policy, condition), flights in flown.items():
+        flags = dict.fromkeys(flights.select_dtypes(bool).columns, int)
+        tables.append(flights.astype(flags))
+        tables[-1].insert(0, "policy", policy)
+        tables[-1].insert(1, "condition", condition)
+    return pd.concat(tables, ignore_index=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """What policies did under the conditions of a study."""
+
+    name: str  # of its JSON file
+    report: dict[str, Any]  # plain numbers
+    flights: pd.DataFrame  # of `joined`
+    sections: list[Section]
+    panels: Mapping[str, Sequence[Panel]]  # of each figure of the sections, by its file name
+    share: str = "strict success"  # what figures show the share of
+
+    def show(self) -> None:
+        """Print the tables, and what came out."""
+        show_sections(self.sections)
+
+
+def write_studies(folder: Path, studies: Sequence[Study]) -> None:
+    """Write numbers, flights, figures and one page of all studies into a folder."""
+    images = {}
+    for study in studies:
+        storage.write_json(folder / f"{study.name}.json", study.report)
+        for name, panels in study.panels.items():
+            figure = draw_panels(panels, study.share)
+            save_figure(figure, folder / f"{name}.png")
+            save_figure(figure, folder / f"{name}.pdf")
+            images[name] = embedded(png(figure))
+    flights = pd.concat([study.flights.assign(study=study.name) for study in studies])
+    storage.write_text(folder / "flights.csv", csv(flights))
+    page = render(
+        __package__,
+        "studies.html.j2",
+        title="What policies do under other conditions",
+        sections=[section for study in studies for section in study.sections],
+        images=images,
+        run=shlex.join(["landing-eval", *sys.argv[1:]]),
+        versions=studies[0].report["versions"],
+    )
+    storage.write_text(folder / "index.html", page)
+
+
+def csv(flights: pd.DataFrame) -> str:
+    """Return a table of flights as CSV."""
+    return flights.to_csv(index=False, float_format="%.6g")

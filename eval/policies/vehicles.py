@@ -1,0 +1,234 @@
+"""Landing policies on named vehicles, and on vehicles drawn from a file of ranges.
+
+Each vehicle flies with its own shapes, from those starts of the frozen grid that keep them 5 cm clear of the
+platform; a drawn one from a few of these, which are the same for all policies. A policy that observes the
+vehicle's parameters (`landing-train --observe-vehicle`) is given those of the vehicle it flies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from inclined_landing.envs import starts as landing_starts
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.tasks.landing import START_CLEARANCE
+from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
+from inclined_landing.eval.base.claims import Section
+from inclined_landing.eval.policies.entrants import Entrant
+from inclined_landing.eval.policies.flying import fly, outcome, table_of
+from inclined_landing.eval.policies.study import Key, Study, fly_all, joined
+from inclined_landing.eval.policies.tables import Panel, outcomes_table
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
+
+NAMED = ("crazyflie-2.0", "crazyflie-2.1", "crazyflie-2.1-brushless", "hummingbird")
+_DRAWN = "drawn vehicles"
+_BINS = 8  # groups of drawn vehicles
+
+
+def run(
+    entrants: Sequence[Entrant],
+    vehicles: Sequence[str],
+    ranges: str | Path | None,
+    *,
+    draws: int,
+    starts: int,
+    plant: str,
+    seed: int,
+    every: int = 1,
+) -> Study:
+    """Return the study of policies on named vehicles and on `draws` vehicles drawn from `ranges`.
+
+    starts: of the grid, that each drawn vehicle flies from; seed: of both. every: fly named vehicles from
+    each k-th start only. Raises UserError for policies that do not land, and for vehicles that are not flown.
+    """
+    for entrant in entrants:
+        if entrant.vehicle is not None and entrant.vehicle not in vehicles:
+            raise UserError(
+                f"{entrant.label} is for the vehicle {shown(entrant.vehicle, 40)}, not flown here"
+            )
+        for path in entrant.policies:
+            if not (task := load_policy(path).task).cut_at_success:
+                raise UserError(f"policy {path} is for the task {task.name}, not for landing")
+    known = {name: load_vehicle(name) for name in vehicles}
+    drawn_from = None if ranges is None else read_ranges(ranges)
+    pool = drawn_from.draw(load_vehicle(), seed, draws) if drawn_from is not None and draws else []
+    paths = [(entrant, path) for entrant in entrants for path in entrant.policies]
+    work: dict[Key, Callable[[], pd.DataFrame]] = {}
+    for name, vehicle in known.items():
+        for entrant, path in paths:
+            if entrant.vehicle in (None, name):
+                work[_called(entrant, path), name] = partial(_on_named, path, vehicle, plant, every)
+    for entrant, path in paths if pool else ():
+        if entrant.vehicle is None:
+            work[_called(entrant, path), _DRAWN] = partial(_on_drawn, path, pool, starts, plant, seed)
+    flown = fly_all(work)
+    report = {
+        "command": "vehicles",
+        "plant": plant,
+        "seed": int(seed),
+        "labels": list(dict.fromkeys(entrant.label for entrant in entrants)),
+        "vehicles": [
+            {"vehicle": name, **_description(vehicle), "outcomes": _outcomes(entrants, flown, name)}
+            for name, vehicle in known.items()
+        ],
+        "draws": {"ranges": str(ranges), **_drawn(entrants, flown, pool, starts)} if pool else None,
+        "versions": runs.versions(),
+    }
+    return Study("vehicles", report, joined(flown), [_section(report)], {"vehicles": _panels(report)})
+
+
+def _called(entrant: Entrant, path: str) -> str:
+    """Return the name of one policy of an entrant."""
+    return entrant.label if len(entrant.policies) == 1 else f"{entrant.label}: {path}"
+
+
+def _outcomes(entrants: Sequence[Entrant], flown: Mapping[Key, pd.DataFrame], where: str) -> dict[str, Any]:
+    """Return by label the shares over the flights of all policies of it, and the outcome of each policy."""
+    by_label: dict[str, list[dict]] = {}
+    for entrant in entrants:
+        for path in entrant.policies if entrant.vehicle in (None, where) else ():
+            counts = outcome(load_policy(path).task, flown[_called(entrant, path), where])
+            by_label.setdefault(entrant.label, []).append({"policy": path} | counts)
+    pooled: dict[str, Any] = {}
+    for label, found in by_label.items():
+        sums = {
+            key: proportion(*(sum(one[key][part] for one in found) for part in ("count", "of")))
+            for key in ("strict", "success", "touched")
+        }
+        pooled[label] = sums | {"policies": found}
+    return pooled
+
+
+def _drawn(
+    entrants: Sequence[Entrant], flown: Mapping[Key, pd.DataFrame], pool: Sequence[Vehicle], starts: int
+) -> dict[str, Any]:
+    """Return what is counted of the flights of drawn vehicles, and of each of them."""
+    landed: dict[str, Any] = {}
+    for entrant in entrants:
+        for path in entrant.policies if entrant.vehicle is None else ():
+            strict = flown[_called(entrant, path), _DRAWN]["strict"].to_numpy().reshape(len(pool), starts)
+            landed[entrant.label] = landed.get(entrant.label, 0) + strict.sum(axis=1)
+    outcomes = _outcomes(entrants, flown, _DRAWN)
+    return {
+        "count": len(pool),
+        "starts_each": starts,
+        "outcomes": outcomes,
+        "flown_each": {label: starts * len(found["policies"]) for label, found in outcomes.items()},
+        "members": [
+            {**_description(v), "strict": {label: int(counts[k]) for label, counts in landed.items()}}
+            for k, v in enumerate(pool)
+        ],
+    }
+
+
+def _on_named(path: str, vehicle: Vehicle, plant: str, every: int) -> pd.DataFrame:
+    """Return the flights of a policy on one vehicle, from the grid."""
+    policy = load_policy(path, vehicle=vehicle)
+    grid = landing_starts.clear(policy.task, landing_starts.grid())[::every]
+    start = policy.task.start(landing_starts.at_rest(policy.task, grid))
+    return fly(policy, start, plant, cut_from=None)
+
+
+def _on_drawn(path: str, pool: Sequence[Vehicle], starts: int, plant: str, seed: int) -> pd.DataFrame:
+    """Return the flights on the vehicles of `pool`, each from `starts` of the grid, one after the other."""
+    policy = load_policy(path)
+    member = np.repeat(np.arange(len(pool)), starts)
+    fleet = make_plant(plant, len(member), load_vehicle(), pool=pool)
+    fleet.assign(np.arange(fleet.n), 1 + member)
+    points = _starts_of_draws(policy, fleet, len(pool), starts, seed)
+    states = landing_starts.at_rest(policy.task, points)
+    states[:, LAG] *= fleet.hover_share
+    flights = record_flights(policy, fleet, states, steps=policy.task.judged_steps)
+    return table_of(policy.task, flights)
+
+
+def _starts_of_draws(policy: Policy, fleet: Any, draws: int, starts: int, seed: int) -> np.ndarray:
+    """Return starts (draws * starts, 2) of the frozen grid, each vehicle's clear of the platform."""
+    task, grid = policy.task, landing_starts.grid()
+    states = landing_starts.at_rest(task, grid)
+    start = task.start(states)
+    position, _ = geometry.platform_poses(start.inclination, start.present, task.vehicle)
+    rng = np.random.default_rng(seed)
+    points = np.empty((draws, starts, 2))
+    for k in range(draws):
+        which = np.full(len(grid), 1 + k if len(fleet.fleet.reach) > 1 else 0)
+        distance = geometry.clearances(states, start.inclination, position, fleet.fleet, which=which)
+        clear = np.flatnonzero(distance[:, :2].min(axis=(1, 2)) >= START_CLEARANCE)
+        if len(clear) < starts:
+            raise UserError(
+                f"only {len(clear)} starts of the grid are clear of the platform for a drawn vehicle"
+            )
+        points[k] = grid[rng.choice(clear, starts, replace=False)]
+    return points.reshape(-1, 2)
+
+
+def _description(vehicle: Vehicle) -> dict[str, float]:
+    """Return the mass [kg] and the numbers that policies may observe of a vehicle."""
+    numbers = zip(NAMES, vehicle_parameters(vehicle).tolist())
+    return {"mass": vehicle.body_mass, **{name.replace(" ", "_"): value for name, value in numbers}}
+
+
+def _section(report: dict[str, Any]) -> Section:
+    """Return the section of the page: a row for each vehicle and policy, and a sentence of each policy."""
+    flown = {}
+    for row in report["vehicles"]:
+        flown[row["vehicle"]] = f"{1e3 * row['mass']:.1f}", f"{row['thrust_to_weight']:.2f}", row["outcomes"]
+    if draws := report["draws"]:
+        mass, power = ([m[key] for m in draws["members"]] for key in ("mass", "thrust_to_weight"))
+        masses = f"{1e3 * min(mass):.1f} to {1e3 * max(mass):.0f}"
+        powers = f"{min(power):.2f} to {max(power):.2f}"
+        flown[f"{draws['count']} drawn vehicles"] = masses, powers, draws["outcomes"]
+    rows = [((name, *size, label), of[label]) for name, (*size, of) in flown.items() for label in of]
+    remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
+    for label in report["labels"]:
+        shares = {name: of[label]["strict"] for name, (_, _, of) in flown.items() if label in of}
+        counts = [f"{share['count']} of {share['of']} flights with {name}" for name, share in shares.items()]
+        remarks.append(f"{label} landed in {', '.join(counts)}.")
+    table = outcomes_table(("vehicle", "mass [g]", "thrust/weight", "policy"), rows)
+    figure = {"vehicles": "Strict success over mass and thrust to weight of drawn vehicles; named vehicles."}
+    return Section("vehicles", f"Over vehicles, {report['plant']} plant", [], [], [table], figure, remarks)
+
+
+def _panels(report: dict[str, Any]) -> list[Panel]:
+    """Return strict success over mass and thrust to weight of groups of drawn vehicles, and of named ones."""
+    named = {
+        label: {
+            r["vehicle"]: r["outcomes"][label]["strict"] for r in report["vehicles"] if label in r["outcomes"]
+        }
+        for label in report["labels"]
+    }
+    panels = [Panel("Named vehicles", named)]
+    if draws := report["draws"]:
+        panels += [
+            Panel("Drawn vehicles", _groups(draws, "mass", 1e3), "mass [g]", logarithmic=True),
+            Panel("", _groups(draws, "thrust_to_weight", 1.0), "thrust over weight [1]"),
+        ]
+    return panels
+
+
+def _groups(draws: dict[str, Any], key: str, factor: float) -> dict[str, dict[float, dict]]:
+    """Return by label the strict success of groups of drawn vehicles, over the median of a quantity."""
+    where = factor * np.array([member[key] for member in draws["members"]])
+    found: dict[str, dict[float, dict]] = {}
+    for label, each in draws["flown_each"].items():
+        landed = np.array([member["strict"][label] for member in draws["members"]])
+        found[label] = {
+            float(np.median(where[rows])): proportion(landed[rows].sum(), each * len(rows))
+            for rows in np.array_split(np.argsort(where), min(_BINS, len(where)))
+        }
+    return found
