@@ -26,7 +26,6 @@ from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
-from inclined_landing.envs.tasks.options import fields_of
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.envs.weights import METADATA
 from inclined_landing.models import storage
@@ -337,8 +336,8 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
         "observe_vehicle": bool(options.get("observe_vehicle", False)),
     }
     here: dict[str, Any] = {"history": task.history, "observe_vehicle": task.observe_vehicle}
-    for field, option, _ in fields_of(task.options_type):
-        if option.trained_with:
+    for field in dataclasses.fields(task.options_type):
+        if field.metadata.get("trained_with"):
             trained[field.name] = options.get(field.name, field.default)
             here[field.name] = task.options.get(field.name, field.default)
     centre, trained["pwm_span"] = _action_map(options)

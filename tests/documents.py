@@ -14,9 +14,9 @@ from sybil import Document, Region
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown.lexers import RawFencedCodeBlockLexer
 
-from inclined_landing.envs.shared.command_line import bound, grouped_help, help_page, parse
+from inclined_landing.envs.shared.command_line import bound, help_page, parse
 from inclined_landing.eval import cli
-from inclined_landing.train.config import HELP, TrainConfig
+from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 from tests import ROOT
 from tests.proof import __main__ as proof
@@ -140,5 +140,5 @@ def check_span(text: str) -> None:
 def options(program: str, name: str | None) -> frozenset[str]:
     """The options of a command, as its help has them."""
     target = _target(program, [name] if name else [])
-    page = grouped_help(target, program, HELP) if target is TrainConfig else help_page(target, program)
-    return frozenset(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", page)) | {"--help", "--help-all"}
+    found = re.findall(r"(?<![\w-])--?[a-z][a-z-]*", help_page(target, program))
+    return frozenset(found) | {"--help", "--help-all"}

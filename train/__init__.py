@@ -1,4 +1,4 @@
-"""PPO, SAC and TD3, their configuration, curriculum, callbacks and the `landing-train` command.
+"""PPO, its configuration, curriculum, callbacks and the `landing-train` command.
 
 Public, for trainings of one's own with Stable-Baselines3 (examples/): `ppo_kwargs`, `scaled_observation`,
 `AdaptiveCurriculum`, `CurriculumCallback`, `FastPPO`; and `TrainConfig` with `train`, which landing-train is.

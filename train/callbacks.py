@@ -1,4 +1,4 @@
-"""What happens around the iterations of a training: curriculum, evaluation, checkpoints, video, progress."""
+"""What happens around the iterations of a training: curriculum, curves, evaluation, checkpoints, progress."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from inclined_landing.models.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
 
 
-class Clock:
+class TimeSpent:
     """Seconds of training, evaluation and video apart, continued after a resume.
 
     `cpu` has those that the process computed for the training, on all cores together.
@@ -39,26 +39,9 @@ class Clock:
         self.switch(self._name)
         return sum(self.spent.values())
 
-
-class Iterations(CallbackList):
-    """Tells the callbacks in it of whole iterations of `steps` environment steps.
-
-    SB3's off-policy algorithms call every step of all vehicles a rollout. PPO's rollouts are iterations.
-    """
-
-    def __init__(self, callbacks: list[BaseCallback], steps: int):
-        super().__init__(callbacks)
-        self.steps = steps
-
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps % self.steps == 0:
-            super()._on_rollout_start()
-
-    def _on_rollout_end(self) -> None:
-        if self.num_timesteps % self.steps == 0:
-            super()._on_rollout_end()
-            if isinstance(self.model, OffPolicyAlgorithm):  # others do it themselves
-                self.model.dump_logs()
+    def columns(self) -> dict[str, float]:
+        """Return what tables of a run show of it."""
+        return {"training_seconds": self.spent["training"], "cpu_seconds": self.cpu}
 
 
 class CurriculumCallback(BaseCallback):
@@ -94,6 +77,45 @@ class CurriculumCallback(BaseCallback):
         share = self.curriculum.learning_rate_share(self.num_timesteps, self.total)
         rate = max(self.rate * share, 1e-3 * self.rate)
         self.model.lr_schedule = lambda _: rate
+
+
+class LearningCurve(BaseCallback):
+    """Appends one row per iteration to `rows`, for learning.csv; refuses weights that are not finite."""
+
+    def __init__(self, rows: list[dict], curriculum: Curriculum, clock: TimeSpent):
+        super().__init__()
+        self.rows, self.curriculum, self.clock = rows, curriculum, clock
+
+    def _on_rollout_start(self) -> None:
+        self.check_weights()
+
+    def _on_training_end(self) -> None:
+        self.check_weights()
+
+    def check_weights(self) -> None:
+        """Raise UserError when the network has become infinite."""
+        if not all(bool(tensor.isfinite().all()) for tensor in self.model.policy.parameters()):
+            raise UserError(
+                f"training diverged at step {self.model.num_timesteps}: the network is no longer finite; "
+                "lower --learning-rate, --reward-scale or --log-std-init"
+            )
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        finished = self.model.ep_info_buffer or []
+        mean = {k: float(np.mean([e[k] for e in finished])) if finished else np.nan for k in "rl"}
+        self.clock.switch("training")
+        self.rows.append(
+            {
+                "steps": int(self.num_timesteps),
+                **self.clock.columns(),
+                "episode_reward": mean["r"],
+                "episode_length": mean["l"],
+                **self.curriculum.log(),
+            }
+        )
 
 
 class CriticFirst(BaseCallback):
@@ -135,13 +157,13 @@ class Every(BaseCallback):
 
 
 class ProgressCallback(BaseCallback):
-    """A rich progress bar over environment steps with the curriculum's level beside it."""
+    """A rich progress bar over environment steps with the curriculum's level after it."""
 
     def __init__(self, total_steps: int, curriculum: Curriculum):
         super().__init__()
         self.total, self.curriculum = total_steps, curriculum
         self.notice = ""
-        self.finished = False  # did the run come to its end
+        self.bar: Progress | None = None
 
     def _on_training_start(self) -> None:
         self.bar = Progress(
@@ -161,15 +183,12 @@ class ProgressCallback(BaseCallback):
     def _on_rollout_end(self) -> None:
         notice = f"level {self.curriculum.level:.2f}{self.notice}"
         done = min(self.num_timesteps, self.total)
-        self.bar.update(self.item, completed=done, notice=notice)
+        if self.bar is not None:
+            self.bar.update(self.item, completed=done, notice=notice)
 
-    def _on_training_end(self) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop drawing (also after an interruption)."""
-        if getattr(self, "bar", None) is not None:
-            done = self.bar.tasks[0].completed
-            if self.finished:  # success ends a run before its most steps
-                self.bar.update(self.item, total=done)
+    def close(self, at_end: bool = False) -> None:
+        """Stop drawing; at_end: did success end the run before its most steps."""
+        if self.bar is not None:
+            if at_end:
+                self.bar.update(self.item, total=self.bar.tasks[0].completed)
             self.bar.stop()

@@ -13,16 +13,45 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections import deque
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import torch
+from msgspec import Meta, Struct
+from stable_baselines3 import PPO
 
-from inclined_landing.models import storage
+from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.plants import Snapshot
 
 FORMAT = 1
 _LARGEST = 2**30  # bytes
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's, of each parameter
+
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Row = dict[str, int | float]
+
+
+class State(Struct, forbid_unknown_fields=True):
+    """What state.json holds besides its format."""
+
+    steps: Count
+    updates: Count
+    start_rng: dict[str, Any]  # of the environment's generator
+    numpy_rng: tuple[Annotated[int, Meta(ge=0, le=624)], Annotated[int, Meta(ge=0, le=1)], float]
+    ended: list[tuple[float, Count]]  # reward and length of the latest episodes
+    successes: list[bool]
+    config: dict[str, Any]
+    vehicle: dict[str, Any]
+    ranges: dict[str, Any]
+    curriculum: dict[str, int | float | list[bool] | None]
+    history: list[Row]
+    evaluations: list[Row]
+    spent: dict[str, float]
+    cpu: float
 
 
 class Checkpoint(NamedTuple):
@@ -51,16 +80,18 @@ def read(path: Path) -> Checkpoint:
     content = storage.read_bytes(path, "checkpoint", _LARGEST)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-            names = [entry.filename for entry in entries]
-            if len(set(names)) < len(names) or any(entry.compress_type for entry in entries):
-                raise ValueError("entries are compressed or twice there")
-            read = {name: archive.read(name) for name in names}
-        state = json.loads(read.pop("state.json"))
-        best = read.pop("best.zip", None)
-        arrays = {name.removesuffix(".npy"): _array(data) for name, data in read.items()}
+            if any(entry.compress_type for entry in archive.infolist()):
+                raise ValueError("its entries are compressed")
+            entries = {name: archive.read(name) for name in archive.namelist()}
+        state = json.loads(entries.pop("state.json"))
+        best = entries.pop("best.zip", None)
+        arrays = {
+            name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+            for name, data in entries.items()
+        }
     except Exception as error:  # whatever zipfile, json and numpy raise for damaged bytes
-        raise refused(path, f"is damaged or none ({_first_line(error)})") from error
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise refused(path, f"is damaged or none ({reason})") from error
     if not isinstance(state, dict) or state.pop("format", None) != FORMAT:
         raise refused(path, "was written by another version of this package")
     return Checkpoint(state, arrays, best)
@@ -71,38 +102,88 @@ def refused(path: Path, why: str) -> UserError:
     return UserError(f"checkpoint {path} {shown(why, 120)}; begin a new run with another --out")
 
 
-def check_array(array: np.ndarray, like: np.ndarray, name: str) -> None:
-    """Raise UserError unless an array has the shape and type of `like`, and finite numbers if it has."""
-    if array.shape != like.shape or array.dtype != like.dtype:
-        raise UserError(f"{name} is {array.dtype} {array.shape}, not {like.dtype} {like.shape}")
-    if array.dtype.kind == "f" and np.isfinite(like).all() and not np.isfinite(array).all():
-        raise UserError(f"{name} holds NaN or infinity")
+def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.ndarray]]:
+    """Return what an exact continuation of the training needs: numbers (JSON types) and arrays."""
+    _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
+    numbers = {
+        "steps": int(model.num_timesteps),
+        "updates": int(model._n_updates),
+        "start_rng": env.env.rng.bit_generator.state,
+        "numpy_rng": [int(position), int(has_gauss), float(gauss)],
+        "ended": [[e["r"], e["l"]] for e in model.ep_info_buffer],
+        "successes": [bool(success) for success in model.ep_success_buffer],
+    }
+    arrays = _arrays(model, env) | {
+        "numpy_rng": key,
+        "last_obs": model._last_obs,
+        "last_episode_starts": model._last_episode_starts,
+    }
+    for k, moments in model.policy.optimizer.state_dict()["state"].items():
+        arrays |= {f"optimizer.{k}.{name}": moment.numpy() for name, moment in moments.items()}
+    return numbers, arrays
 
 
-def check_names(found: dict, needed, what: str) -> None:
-    """Raise UserError unless `found` is a table with exactly the names in `needed`."""
-    if not isinstance(found, dict):
-        raise UserError(f"{what} is not a table")
-    for wrong, verb in ((set(needed) - set(found), "lacks"), (set(found) - set(needed), "has an unknown")):
-        if wrong:
-            raise UserError(f"{what} {verb} {shown(min(wrong, key=str), 60)!r}")
+def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
+    """Return the arrays that a new model has as well."""
+    batch = env.env
+    parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
+    parts |= {"plant": batch.plant.save().arrays, "episodes": batch.episode_state()}
+    arrays = {f"{part}.{name}": array for part in parts for name, array in parts[part].items()}
+    return arrays | {"torch_rng": torch.get_rng_state().numpy()}
 
 
-def check_number(value, name: str, low: float, high: float, whole: bool = True):
-    """Return `value`; raises UserError unless it is a (whole) number from `low` to `high`."""
-    kinds = int if whole else (int, float)
-    if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
-        raise UserError(f"{name} is {shown(repr(value), 40)}, not a number from {low:g} to {high:g}")
-    return value
+def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> State:
+    """Carry a new model on to a checkpoint, for `learn(..., reset_num_timesteps=False)`; return its state.
+
+    Raises UserError for whatever is not of the names, shapes and types that this model and this environment
+    would have written.
+    """
+    state, arrays, batch = schema.parse(saved.state, State), saved.arrays, env.env
+    batch.reset()  # which makes room for the waves of moving platforms
+    moments = _checked_moments(model, env, arrays)
+
+    def part(name: str) -> dict[str, np.ndarray]:
+        return {k.removeprefix(f"{name}."): a for k, a in arrays.items() if k.startswith(f"{name}.")}
+
+    model.policy.load_state_dict({name: torch.as_tensor(a) for name, a in part("policy").items()})
+    optimizer = model.policy.optimizer
+    optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
+    batch.plant.restore(Snapshot(part("plant")))
+    batch.restore_episodes(part("episodes"))
+    model._last_obs = arrays["last_obs"]
+    model._last_episode_starts = arrays["last_episode_starts"]
+    model.num_timesteps, model._n_updates = state.steps, state.updates
+    size = model._stats_window_size
+    model.ep_info_buffer = deque(({"r": r, "l": l} for r, l in state.ended), maxlen=size)  # noqa: E741
+    model.ep_success_buffer = deque(state.successes, maxlen=size)
+    batch.rng.bit_generator.state = state.start_rng
+    torch.set_rng_state(torch.as_tensor(arrays["torch_rng"]))
+    np.random.set_state(("MT19937", arrays["numpy_rng"], *state.numpy_rng))  # noqa: NPY002
+    return state
 
 
-def _array(data: bytes) -> np.ndarray:
-    file = io.BytesIO(data)
-    array = np.lib.format.read_array(file, allow_pickle=False)
-    if file.read(1):
-        raise ValueError("an array is longer than it says")
-    return array
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).partition("\n")[0] or type(error).__name__
+def _checked_moments(model: PPO, env: BatchVecEnv, arrays: dict) -> dict[int, dict[str, torch.Tensor]]:
+    """Return the optimizer's moments by parameter; raises UserError for an array of another shape or type."""
+    n, observations = env.num_envs, env.observation_space.shape[0]
+    like = _arrays(model, env) | {
+        "numpy_rng": np.zeros(624, np.uint32),
+        "last_obs": np.zeros((n, observations), np.float32),
+        "last_episode_starts": np.zeros(n, bool),
+    }
+    learned = []  # the optimizer knows what has had a gradient
+    for k, parameter in enumerate(model.policy.optimizer.param_groups[0]["params"]):
+        if f"optimizer.{k}.step" in arrays:
+            learned.append(k)
+            for name in _MOMENTS:
+                shape = () if name == "step" else tuple(parameter.shape)
+                like[f"optimizer.{k}.{name}"] = np.zeros(shape, np.float32)
+    if wrong := set(arrays) ^ set(like):
+        raise UserError(f"it lacks the array {shown(min(wrong), 60)}, or has it without need")
+    for name, array in arrays.items():
+        if (array.shape, array.dtype) != (like[name].shape, like[name].dtype):
+            raise UserError(
+                f"{name} is {array.dtype} {array.shape}, not {like[name].dtype} {like[name].shape}"
+            )
+        if array.dtype.kind == "f" and np.isfinite(like[name]).all() and not np.isfinite(array).all():
+            raise UserError(f"{name} holds NaN or infinity")
+    return {k: {name: torch.as_tensor(arrays[f"optimizer.{k}.{name}"]) for name in _MOMENTS} for k in learned}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,6 @@ from inclined_landing.envs.shared import command_line
 from inclined_landing.models.errors import UserError, shown
 
 if TYPE_CHECKING:
-    from inclined_landing.train.config import TrainConfig
     from inclined_landing.train.run import Run
 
 
@@ -20,20 +20,17 @@ def main(arguments: list[str] | None = None) -> int:
     Ctrl-C, SIGTERM and the end of its terminal.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    begun: list[TrainConfig] = []
 
     def interrupted() -> str:
         if words[:1] == ["sweep"]:
             return "interrupted; the same command goes on"
-        if begun and not begun[0].resumable:
-            return f"interrupted; {begun[0].algorithm} keeps no checkpoint to go on from"
         return "interrupted; --resume with the same --out goes on from the last checkpoint"
 
-    return command_line.exit_code("landing-train", lambda: _train(words, begun), "train", interrupted)
+    return command_line.exit_code("landing-train", lambda: _train(words), "train", interrupted)
 
 
-def _train(words: list[str], begun: list[TrainConfig]) -> int:
-    """Do the work of `main` and return the exit code; the configuration of the run is noted in `begun`."""
+def _train(words: list[str]) -> int:
+    """Do the work of `main` and return the exit code."""
     if words and words[0] == "--version":
         print(command_line.versions("landing-train"))
         return 0
@@ -49,17 +46,12 @@ def _train(words: list[str], begun: list[TrainConfig]) -> int:
         )
         return 0
     if any(word in ("-h", "--help", "--help-all") for word in words):
-        from inclined_landing.train.config import HELP
-
-        groups = HELP if "--help-all" in words else {"options": next(iter(HELP.values()))}
-        print(command_line.grouped_help(TrainConfig, "landing-train", groups))
-        print("\nlanding-train --help-all tells all options." * ("--help-all" not in words))
+        print(help_page("--help-all" in words))
         return 0
     config = command_line.parse(TrainConfig, "landing-train", words)
     from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)
-    begun.append(run.config)
     due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
@@ -70,9 +62,22 @@ def _train(words: list[str], begun: list[TrainConfig]) -> int:
         word = "Training succeeded" if metrics.get("reached") else "Training"
         print(f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.")
         return 0
-    more = "" if metrics["finished"] or not run.config.resumable else "; --resume with the same --out goes on"
+    more = "" if metrics["finished"] else "; --resume with the same --out goes on"
     print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     return NOT_REACHED
+
+
+def help_page(complete: bool) -> str:
+    """Return the page of --help-all, or of --help, with the options that people change."""
+    from inclined_landing.train.config import COMMON, TrainConfig, flag_of
+
+    page = command_line.help_page(TrainConfig, "landing-train")
+    if complete:
+        return page
+    head, *options = re.split(r"\n(?=  --)", page)
+    flags = [flag_of(name) for name in COMMON]
+    chosen = [option for option in options if re.match(r"  (--[a-z-]+)", option)[1] in flags]  # type: ignore
+    return "\n".join([head, *chosen, "\nlanding-train --help-all tells all options."])
 
 
 def _report(run: Run, metrics: dict) -> None:
@@ -83,8 +88,8 @@ def _report(run: Run, metrics: dict) -> None:
     try:
         report = look_up("report")
     except UserError as error:
-        more = "; the same command with --resume then reports on the run" * run.config.resumable
-        print(f"landing-train: no report, as {error}{more}", file=sys.stderr)
+        again = "; the same command with --resume then reports on the run"
+        print(f"landing-train: no report, as {error}{again}", file=sys.stderr)
         return
     vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
     report(run.folder, metrics, vehicle, run.curriculum.stages())

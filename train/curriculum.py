@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -34,46 +34,6 @@ PARTS = {
 RISING = "paper"  # how the paper's discount is called
 
 
-class Curriculum(Protocol):
-    """What the training callback needs."""
-
-    name: str
-
-    @property
-    def level(self) -> float:
-        """0 easiest, 1 the task itself."""
-
-    def conditions(self) -> Any:
-        """Return the conditions of the next episodes; None where the task has none."""
-
-    def stages(self) -> list[tuple[str, Any]]:
-        """Return titles and conditions of some moments, for a figure; none without stages."""
-
-    def episode(self, success: bool, length: int) -> None:
-        """Take note of the end of a training episode."""
-
-    def advance(self, steps: int) -> None:
-        """Take note of the end of a rollout, after `steps` environment steps in all."""
-
-    def learning_rate_share(self, steps: int, total: int | None) -> float:
-        """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
-
-    def skip(self) -> None:
-        """Begin at the end of a curriculum that follows success, as the policy has learned the task."""
-
-    def gamma(self, steps: int) -> float:
-        """Return the discount factor of the next rollout, after `steps` environment steps."""
-
-    def log(self) -> dict[str, float]:
-        """Return numbers for the learning curves."""
-
-    def state(self) -> dict:
-        """Return everything `restore` needs, JSON types only."""
-
-    def restore(self, state: dict) -> None:
-        """Continue from a `state`."""
-
-
 def settling(steps: int) -> float:
     """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
 
@@ -88,52 +48,96 @@ def rising_gamma(steps: int) -> float:
     return 0.97 + 0.02 * min(1.0, steps / 800_000)
 
 
-class NoCurriculum:
-    """The task as it is, gamma as given, learning rate falling linearly to zero (or `settling`)."""
+def initial_gamma(gamma: float | str) -> float:
+    """Return the discount of the first rollout; the curriculum says the others."""
+    return rising_gamma(0) if gamma == RISING else float(gamma)
+
+
+class Curriculum:
+    """The task as it is, the discount as given, a learning rate that falls linearly to zero (or `settling`).
+
+    What other curricula do otherwise, they override: `stage` for the conditions of the moment.
+    """
 
     name = "none"
-    level = 1.0
+    level = 1.0  # 0 easiest, 1 the task itself
+    kept: tuple[str, ...] = ()  # attributes that `state` has
 
-    def __init__(self, gamma: float, conditions: Any = None):
-        self._gamma, self._conditions = gamma, conditions
+    def __init__(self, gamma: float | str, the_task: Any = None):
+        """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
+        self._gamma, self._the_task = gamma, the_task
+        self._without: list[str] = []  # fields of the conditions that are the task's from the first step on
 
-    def conditions(self) -> Any:
-        return self._conditions
+    def stage(self) -> Any:
+        """Return the conditions of the moment, before anything is left out; None where the task has none."""
+        return self._the_task
 
     def stages(self) -> list[tuple[str, Any]]:
-        return [] if self._conditions is None else [("the task", self._conditions)]
+        """Return titles and conditions of some moments, for a figure; none without stages."""
+        conditions = self.conditions()
+        return [] if conditions is None else [("the task", conditions)]
+
+    def conditions(self) -> Any:
+        """Return the conditions of the next episodes; None where the task has none."""
+        return self.but_for_parts(self.stage())
+
+    def leave_out(self, parts: list[str]) -> None:
+        """Let the parts, of PARTS, be the task's; without an out-of-bounds penalty, leaving truncates."""
+        stage = self.stage()
+        fields = {field.name for field in dataclasses.fields(stage)} if stage is not None else set()
+        known = [part for part, names in PARTS.items() if fields.issuperset(names)]
+        for part in parts:
+            if part not in known:
+                has = f"it has {', '.join(known)}" if known else "it has none"
+                raise UserError(
+                    f"--without: the curriculum {self.name} has no part {shown(part, 40)!r}; {has}"
+                )
+        self._without = [name for part in parts for name in PARTS[part]]
+
+    def but_for_parts(self, stage: Any) -> Any:
+        """Return conditions in which the parts that are left out are the task's."""
+        if not self._without:
+            return stage
+        task = type(stage)()
+        return dataclasses.replace(stage, **{name: getattr(task, name) for name in self._without})
 
     def episode(self, success: bool, length: int) -> None:
-        return
+        """Take note of the end of a training episode."""
 
     def advance(self, steps: int) -> None:
-        return
-
-    def skip(self) -> None:
-        return
+        """Take note of the end of a rollout, after `steps` environment steps in all."""
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
+        """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
         return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
 
+    def skip(self) -> None:
+        """Begin at the end of a curriculum that follows success, as the policy has learned the task."""
+
     def gamma(self, steps: int) -> float:
-        return self._gamma
+        """Return the discount factor of the next rollout, after `steps` environment steps."""
+        return rising_gamma(steps) if self._gamma == RISING else float(self._gamma)
 
     def log(self) -> dict[str, float]:
+        """Return numbers for the learning curves."""
         return {"level": self.level}
 
     def state(self) -> dict:
-        return {}
+        """Return everything `restore` needs, JSON types only."""
+        return {name: getattr(self, name) for name in self.kept}
 
     def restore(self, state: dict) -> None:
-        return
+        """Continue from a `state`."""
+        for name in self.kept:
+            setattr(self, name, state[name])
 
 
-def _stage(c: LandingConditions) -> dict[str, float]:
+def _shown(c: LandingConditions) -> dict[str, float]:
     """Return what the learning curves show of landing conditions."""
     return {name: getattr(c, name) for name in ("start_reach", "tilt", "goal_size", "platform")}
 
 
-class AdaptiveCurriculum:
+class AdaptiveCurriculum(Curriculum):
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
     With level l from 0 to 1: starts spread from 0.5 m to 3.3 m and platforms move, where they do, by l =
@@ -150,10 +154,11 @@ class AdaptiveCurriculum:
     """
 
     name = "adaptive"
+    kept = ("level", "full_at")
 
     def __init__(
         self,
-        gamma: float = 0.98,
+        gamma: float | str = 0.98,
         *,
         window: int = 60,
         gate: float = GATE[0],
@@ -162,13 +167,14 @@ class AdaptiveCurriculum:
         creep: float = 0.003,
         back: float = 0.01,
     ):
-        self._gamma, self.gate, self.floor = gamma, gate, floor
+        super().__init__(gamma)
+        self.gate, self.floor = gate, floor
         self.step, self.creep, self.back = step, creep, back
         self.level = 0.0
-        self._recent: deque[bool] = deque(maxlen=window)
-        self._full_at: int | None = None
+        self.recent: deque[bool] = deque(maxlen=window)
+        self.full_at: int | None = None
 
-    def conditions(self) -> LandingConditions:
+    def stage(self) -> LandingConditions:
         l = self.level  # noqa: E741
         shrink = np.clip((l - 0.4) / 0.6, 0.0, 1.0)
         return dataclasses.replace(
@@ -185,60 +191,52 @@ class AdaptiveCurriculum:
         other, moments = AdaptiveCurriculum(), []
         for level in (0.0, 0.25, 0.6, 1.0):
             other.level = level
-            moments.append((f"level {level:g}", other.conditions()))
+            moments.append((f"level {level:g}", self.but_for_parts(other.stage())))
         return moments
 
     @property
     def success(self) -> float:
         """Return the success rate of the window, 0 while it is empty."""
-        return float(np.mean(self._recent)) if self._recent else 0.0
+        return float(np.mean(self.recent)) if self.recent else 0.0
 
     def episode(self, success: bool, length: int) -> None:
         if not (success and length <= 2):
-            self._recent.append(bool(success))
+            self.recent.append(bool(success))
 
     def advance(self, steps: int) -> None:
-        full = len(self._recent) == self._recent.maxlen
+        full = len(self.recent) == self.recent.maxlen
         passed = full and self.success > self.gate
         if self.level >= 1.0 and passed:
-            self._full_at = steps if self._full_at is None else self._full_at
+            self.full_at = steps if self.full_at is None else self.full_at
         elif passed:
             self.level = min(1.0, self.level + self.step)
-            self._recent.clear()
+            self.recent.clear()
         elif self.success > self.floor:
             self.level = min(1.0, self.level + self.creep)
         elif full:
-            self.level, self._full_at = max(0.0, self.level - self.back), None
+            self.level, self.full_at = max(0.0, self.level - self.back), None
 
     def skip(self) -> None:
         self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
-        if self._full_at is None:
+        if self.full_at is None:
             return 1.0
         if total is None:
-            return settling(steps - self._full_at)
-        if total <= self._full_at:
+            return settling(steps - self.full_at)
+        if total <= self.full_at:
             return 1.0
-        return max(0.0, (total - steps) / (total - self._full_at))
-
-    def gamma(self, steps: int) -> float:
-        return self._gamma
+        return max(0.0, (total - steps) / (total - self.full_at))
 
     def log(self) -> dict[str, float]:
-        return {"level": self.level, "success": self.success} | _stage(self.conditions())
+        return super().log() | {"success": self.success} | _shown(self.conditions())
 
     def state(self) -> dict:
-        return {
-            "level": self.level,
-            "recent": [bool(x) for x in self._recent],
-            "full_at": self._full_at,
-        }
+        return super().state() | {"recent": list(self.recent)}
 
     def restore(self, state: dict) -> None:
-        self.level, self._full_at = state["level"], state["full_at"]
-        self._recent.clear()
-        self._recent.extend(state["recent"])
+        super().restore(state)
+        self.recent = deque(state["recent"], self.recent.maxlen)
 
 
 class FixedCurriculum(AdaptiveCurriculum):
@@ -249,12 +247,12 @@ class FixedCurriculum(AdaptiveCurriculum):
 
     def advance(self, steps: int) -> None:
         self.level = min(1.0, steps / self.RAMP)
-        full = len(self._recent) == self._recent.maxlen
-        if self.level >= 1.0 and full and self.success > self.gate and self._full_at is None:
-            self._full_at = steps
+        full = len(self.recent) == self.recent.maxlen
+        if self.level >= 1.0 and full and self.success > self.gate and self.full_at is None:
+            self.full_at = steps
 
 
-class PaperCurriculum:
+class PaperCurriculum(Curriculum):
     """The paper's schedule, by episodes and steps, whatever the success, with the numbers of its
     authors' public training code.
 
@@ -266,17 +264,19 @@ class PaperCurriculum:
     """
 
     name = "paper"
+    kept = ("episodes", "tilting_episodes", "steps")
 
     def __init__(self):
+        super().__init__(RISING)
         self.episodes = self.tilting_episodes = self.steps = 0
 
     @property
-    def level(self) -> float:
-        c = self.conditions()
+    def level(self) -> float:  # type: ignore[override]
+        c = self.stage()
         shrink = (EASIEST_GOAL_SIZE - c.goal_size) / (EASIEST_GOAL_SIZE - GOAL_SIZE)
         return float(np.mean([min(1.0, c.start_reach / 3.3), c.tilt, shrink, c.platform]))
 
-    def conditions(self) -> LandingConditions:
+    def stage(self) -> LandingConditions:
         shrink = np.clip((self.episodes - 2500) / 5000, 0.0, 1.0)
         reach = 0.2 + self.episodes / 6000
         return LandingConditions(
@@ -298,7 +298,7 @@ class PaperCurriculum:
             (19_000, 6000, 3_000_000, "3 M steps"),
         ):
             other.episodes, other.tilting_episodes, other.steps = episodes, tilting, steps
-            moments.append((title, other.conditions()))
+            moments.append((title, self.but_for_parts(other.stage())))
         return moments
 
     def episode(self, success: bool, length: int) -> None:
@@ -308,31 +308,14 @@ class PaperCurriculum:
     def advance(self, steps: int) -> None:
         self.steps = steps
 
-    def skip(self) -> None:
-        return
-
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0
 
-    def gamma(self, steps: int) -> float:
-        return rising_gamma(steps)
-
     def log(self) -> dict[str, float]:
-        return {"level": self.level} | _stage(self.conditions())
-
-    def state(self) -> dict:
-        return {
-            "episodes": self.episodes,
-            "tilting_episodes": self.tilting_episodes,
-            "steps": self.steps,
-        }
-
-    def restore(self, state: dict) -> None:
-        self.episodes, self.steps = state["episodes"], state["steps"]
-        self.tilting_episodes = state["tilting_episodes"]
+        return super().log() | _shown(self.conditions())
 
 
-class EffortCurriculum(NoCurriculum):
+class EffortCurriculum(Curriculum):
     """Set-point: no stages, but two training aids.
 
     The task divides the effort by the distance to the goal, down to 1 mm: a policy that still
@@ -343,14 +326,14 @@ class EffortCurriculum(NoCurriculum):
 
     name = "effort"
 
-    def conditions(self) -> setpoint.SetpointConditions:
+    def stage(self) -> setpoint.SetpointConditions:
         return setpoint.SetpointConditions(effort_floor=0.5, episode_limit=150)
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return min(1.0, super().learning_rate_share(steps, total) / 0.4)
 
 
-class TouchdownCurriculum(NoCurriculum):
+class TouchdownCurriculum(Curriculum):
     """Touchdown: by steps, whatever the success, as the policy lands from the first step on.
 
     The price of a hard touchdown grows to the task's over the first half of a run of RAMP steps, so that
@@ -365,13 +348,14 @@ class TouchdownCurriculum(NoCurriculum):
     """
 
     name = "touchdown"
+    kept = ("level",)
     RAMP = 400_000  # environment steps
 
-    def __init__(self, gamma: float):
+    def __init__(self, gamma: float | str):
         super().__init__(gamma)
         self.level = 0.0
 
-    def conditions(self) -> touchdown.TouchdownConditions:
+    def stage(self) -> touchdown.TouchdownConditions:
         return touchdown.TouchdownConditions(
             contact_limit=8,
             leave_limit=0.3,
@@ -390,60 +374,9 @@ class TouchdownCurriculum(NoCurriculum):
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return min(1.0, super().learning_rate_share(steps, total) / 0.6)
 
-    def state(self) -> dict:
-        return {"level": self.level}
-
-    def restore(self, state: dict) -> None:
-        self.level = state["level"]
-
-
-class Changed:
-    """A curriculum but for parts that are left out: in those, every episode is the task itself.
-
-    parts: of PARTS; without an out-of-bounds penalty, leaving truncates. rising: the paper's discount instead
-    of its own.
-    """
-
-    def __init__(self, whole: Curriculum, parts: Sequence[str], rising: bool):
-        self._whole, self._rising = whole, rising
-        conditions = whole.conditions()
-        fields = {field.name for field in dataclasses.fields(conditions)} if conditions is not None else set()
-        known = [part for part, names in PARTS.items() if fields.issuperset(names)]
-        for part in parts:
-            if part not in known:
-                has = f"it has {', '.join(known)}" if known else "it has none"
-                raise UserError(
-                    f"--without: the curriculum {whole.name} has no part {shown(part, 40)!r}; {has}"
-                )
-        self._left_out = [name for part in parts for name in PARTS[part]]
-
-    def __getattr__(self, name: str):
-        return getattr(self._whole, name)
-
-    def conditions(self) -> Any:
-        return self._but(self._whole.conditions())
-
-    def stages(self) -> list[tuple[str, Any]]:
-        """Return the curriculum's, changed."""
-        return [(title, self._but(conditions)) for title, conditions in self._whole.stages()]
-
-    def gamma(self, steps: int) -> float:
-        return rising_gamma(steps) if self._rising else self._whole.gamma(steps)
-
-    def log(self) -> dict[str, float]:
-        """Return the curriculum's, changed."""
-        shown_as, conditions = self._whole.log(), self.conditions()
-        return shown_as | {name: getattr(conditions, name) for name in self._left_out if name in shown_as}
-
-    def _but(self, conditions: Any) -> Any:
-        if not self._left_out:
-            return conditions
-        task = type(conditions)()
-        return dataclasses.replace(conditions, **{name: getattr(task, name) for name in self._left_out})
-
 
 # Curricula by name, made from gamma; "none" is known besides. Tasks say which of them know them.
-_CURRICULA: dict[str, Callable[[float], Curriculum]] = {
+_CURRICULA: dict[str, Callable[[float | str], Curriculum]] = {
     "adaptive": AdaptiveCurriculum,
     "fixed": FixedCurriculum,
     "paper": lambda gamma: PaperCurriculum(),
@@ -453,7 +386,7 @@ _CURRICULA: dict[str, Callable[[float], Curriculum]] = {
 
 
 def make_curriculum(
-    name: str, task: str, gamma: float | str, without: str = "", *, drawn: bool = False
+    name: str, task: str, gamma: float | str, without: str | None = None, *, drawn: bool = False
 ) -> Curriculum:
     """Return a curriculum by name, one of those that the task names.
 
@@ -464,13 +397,9 @@ def make_curriculum(
     if name not in kind.curricula:
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
-    rising = gamma == RISING
-    first = rising_gamma(0) if rising else float(gamma)
-    if name == "none":
-        curriculum: Curriculum = NoCurriculum(first, kind.training_conditions)
-    else:
-        curriculum = _CURRICULA[name](first)
+    curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
     if isinstance(curriculum, AdaptiveCurriculum) and drawn:
         curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
-    parts = [part.strip() for part in without.split(",")] if without else []
-    return Changed(curriculum, parts, rising) if parts or rising else curriculum
+    if without:
+        curriculum.leave_out([part.strip() for part in without.split(",")])
+    return curriculum

@@ -36,7 +36,7 @@ from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train import descent
-from inclined_landing.train.config import IN_THE_PLANE
+from inclined_landing.train.config import PLANE
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -62,7 +62,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
         return Descent(task)
     usual = task.training.start_from
     if usual == descent.NAME:
-        usual = IN_THE_PLANE["start_from"]  # in the law's place any policy of this task
+        usual = PLANE["start_from"]  # in the law's place any policy of this task
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
     return policy

@@ -14,7 +14,7 @@ from typing import Any
 from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.train.callbacks import CurriculumCallback
-from inclined_landing.train.config import REWARD_SCALE, TrainConfig
+from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.curriculum import make_curriculum
 from inclined_landing.train.ppo import ppo_kwargs
 
@@ -41,7 +41,7 @@ class TaskCurriculum(CurriculumCallback):
 
 def scaled(reward: float) -> float:
     """Return a reward as PPO sees it."""
-    return REWARD_SCALE["ppo"] * reward
+    return TrainConfig.reward_scale * reward
 
 
 def _parameters(name: str, steps: int) -> dict[str, Any]:

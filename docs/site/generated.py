@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 
 from inclined_landing.envs.history import input_names
-from inclined_landing.envs.shared.command_line import bound, grouped_help, help_page
+from inclined_landing.envs.shared.command_line import bound, help_page
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, make_task
 from inclined_landing.envs.tasks import manual as task_manual
@@ -19,7 +19,7 @@ from inclined_landing.eval import cli
 from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle
-from inclined_landing.train.config import HELP, TrainConfig
+from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 
 
@@ -54,7 +54,7 @@ def commands() -> str:
                 *([f"[`landing-eval {name}`](#{name})", line] for name, (_, line) in cli.COMMANDS.items()),
             ],
         ),
-        _section("landing-train", grouped_help(TrainConfig, "landing-train", HELP)),
+        _section("landing-train", help_page(TrainConfig, "landing-train")),
         _section("landing-train sweep", help_page(bound(sweep), "landing-train sweep")),
     ]
     for name in cli.COMMANDS:

@@ -5,7 +5,6 @@ Imports nothing heavy: the packages and tyro are imported when a command is run.
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import dataclasses
 import errno
@@ -16,7 +15,6 @@ import io
 import itertools
 import logging
 import math
-import operator
 import os
 import platform
 import re
@@ -96,48 +94,28 @@ def _tidy(page: str) -> str:
     width = shutil.get_terminal_size().columns
     lines = [line.rstrip() for line in page.splitlines()]
     text = "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines)
-    return re.sub(r"\n{3,}", "\n\n", text).strip()
+    return re.sub(r"\n{3,}", "\n\n", _wrapped_helps(text, width)).strip()
 
 
-def grouped_help(config: type, prog: str, groups: Mapping[str, Sequence[str]]) -> str:
-    """Return a page with the options of a dataclass under a title for each group.
-
-    groups: names of fields by title; the first page also describes the program and its arguments.
-    """
-    pages = []
-    for k, (title, names) in enumerate(groups.items()):
-        head, _, options = help_page(_only(config, names), prog).partition("\n options\n")
-        _, rule, options = options.partition(next(line for line in options.splitlines() if "--" in line))
-        _, _, options = options.partition("show this help message and exit\n")
-        pages.append(f"{head}\n" * (k == 0) + f" {title}\n{rule}\n{options}")
-    return "\n\n".join(pages)
-
-
-def _only(config: type, names: Sequence[str]) -> type:
-    """Return a dataclass whose help shows these fields alone, each text as one paragraph."""
-    import tyro
-
-    hints, texts = typing.get_type_hints(config, include_extras=True), _attribute_texts(config)
-    annotations: dict[str, Any] = {}
-    for name, hint in hints.items():
-        if name not in names:
-            annotations[name] = operator.getitem(tyro.conf.Suppress, hint)
-        elif name in texts:
-            annotations[name] = operator.getitem(typing.Annotated, (hint, tyro.conf.arg(help=texts[name])))
-    body = {"__annotations__": annotations, "__doc__": config.__doc__, "__module__": config.__module__}
-    fields = {field.name: field for field in dataclasses.fields(config) if field.name in annotations}
-    return dataclasses.dataclass(type(config.__name__, (config,), body | fields))
+def _wrapped_helps(page: str, width: int) -> str:
+    """Return a page with the text of each option as one paragraph: tyro keeps the lines of docstrings."""
+    column = next((line.index("show this") for line in page.splitlines() if "show this help" in line), width)
+    rows: list[str] = []
+    for line in page.splitlines():
+        if rows and _text(rows[-1], column) and line.strip() and not line[:column].strip():
+            rows[-1] += " " + line.strip()
+        else:
+            rows.append(line)
+    for k, row in enumerate(rows):
+        if text := _text(row, column):
+            lines = textwrap.wrap(text, width - column, break_on_hyphens=False)
+            rows[k] = row[:column] + ("\n" + " " * column).join(lines)
+    return "\n".join(rows)
 
 
-def _attribute_texts(config: type) -> dict[str, str]:
-    """Return the docstrings below the fields of a dataclass, each as one paragraph."""
-    (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
-    assert isinstance(parsed, ast.ClassDef)
-    return {
-        ast.unparse(field.target): " ".join(ast.literal_eval(text.value).split())
-        for field, text in itertools.pairwise(parsed.body)
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)
-    }
+def _text(row: str, column: int) -> str:
+    """Return the text of a row in the column of texts; "" where it has none."""
+    return row[column:] if row[column - 2 : column].isspace() else ""
 
 
 def _joined(target: Any) -> None:

@@ -19,42 +19,21 @@ from inclined_landing.models.vehicle import Vehicle
 class LandingOptions(TaskOptions):
     """Options of the landing and of what it becomes with them."""
 
-    inclination: float | None = option(
-        None,
-        "Of the platform in degrees, where it differs from the vehicle file's.",
-        degrees=True,
-        kind=Annotated[float, Meta(ge=-90, le=90)],
-        more={"metavar": "DEG"},
-        recorded=True,
-    )
-    steepest: float | None = option(
-        None,
-        "Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, "
-        "to both sides; in three dimensions to all sides.",
-        degrees=True,
-        kind=Annotated[float, Meta(gt=0, lt=90)],
-        more={"metavar": "DEG"},
-        trained_with=True,
-    )
-    dimensions: Literal[2, 3] = option(
-        2,
-        "3: fly in space, with roll, and not in a plane (default: 2, touchdown 3).",
-        more={"metavar": "{2,3}"},
-        trained_with=True,
-    )
-    azimuth: float = option(0.0)  # direction that the slope faces, from +x, rad
-    random_yaw: bool = option(False, "With three dimensions: every episode begins with a heading of its own.")
-    fastest: Annotated[float, Meta(ge=0, le=10)] | None = option(
-        None,
-        "With three dimensions: platforms that travel steadily, any way, at up to this speed (observed).",
-        more={"metavar": "M/S"},
-        trained_with=True,
-    )
-    swell: Annotated[float, Meta(ge=0, le=2)] = option(
-        0.0,
-        "With --fastest: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0).",
-        trained_with=True,
-    )
+    inclination: float | None = option(None, recorded=True)
+    """Of the platform [rad], where it differs from the vehicle file's."""
+    steepest: float | None = option(None, trained_with=True)
+    """Every episode has a slope, which the policy observes, of up to this inclination [rad], to both sides;
+    in three dimensions to all sides."""
+    dimensions: Literal[2, 3] = option(2, trained_with=True)
+    """With 3 it flies in space, with roll, and not in a plane."""
+    azimuth: float = 0.0
+    """Direction that the slope faces, from +x [rad]."""
+    random_yaw: bool = False
+    """With three dimensions: every episode begins with a random heading."""
+    fastest: Annotated[float, Meta(ge=0, le=10)] | None = option(None, trained_with=True)
+    """With three dimensions: platforms travel steadily, any way, at up to this speed [m/s] (observed)."""
+    swell: Annotated[float, Meta(ge=0, le=2)] = option(0.0, trained_with=True)
+    """With `fastest`: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg."""
 
     def check(self) -> None:
         """Raise UserError for a value beyond its limits, or for options that do not go together."""

@@ -1,0 +1,154 @@
+"""run.json, metadata and metrics: what a run folder says of its run, and what `--resume` reads of it."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import itertools
+import json
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.tasks import is_path
+from inclined_landing.models import schema, storage
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
+from inclined_landing.train.config import COPIED, ENDING, TrainConfig, flag_of
+
+RECORD = "run.json"
+# Options that may differ from those the run was begun with.
+FREE = ("out", "max_seconds", "max_cpu_seconds", "report", "threads")
+
+
+class Record(schema.Table, frozen=True):
+    """The content of run.json."""
+
+    config: dict
+    command: str
+    versions: dict
+
+
+class NotNamed(UserError):
+    """A run folder alone does not have code imported."""
+
+
+def new_record(config: TrainConfig) -> dict:
+    """Return the content of run.json of a new run; raises UserError if its folder could not become one."""
+    folder = config.folder
+    if os.path.isfile(folder / RECORD) and not os.path.isfile(folder / "metrics.json"):
+        raise UserError(
+            f"the run folder {folder} exists and is not empty; choose another name, or go on with its run: "
+            f"landing-train --resume --out {shlex.quote(str(folder))}"
+        )
+    runs.check_new_run(folder)
+    return {
+        "config": config.as_json(),
+        "command": shlex.join(["landing-train", *sys.argv[1:]]),
+        "versions": runs.versions(),
+    }
+
+
+def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
+    """Return configuration and run.json of the run to resume.
+
+    The limits of time are those of `config`, and its steps where it has any: the run then has that length.
+    """
+    folder = config.folder
+    path = folder / RECORD
+    if os.path.exists(folder) and not folder.is_dir():
+        raise UserError(f"nothing to resume: {folder} is a file, not a run folder")
+    if not os.path.lexists(path):
+        raise UserError(f"nothing to resume: {folder} holds no {RECORD}")
+    storage.check_folder(folder)
+    record = storage.read_json(path, "run record", storage.LARGEST)
+    try:
+        found = schema.parse(record, Record)
+        for package, now in runs.packages().items():
+            then = found.versions.get(package)
+            if then != now:
+                raise UserError(f"it was begun with {package} {then}, and {now} would go on otherwise")
+        fields = {field.name for field in dataclasses.fields(TrainConfig)}
+        if wrong := fields ^ set(found.config):
+            raise UserError(f"its configuration lacks {min(wrong)}, or has it without need")
+        begun = TrainConfig(**found.config)
+        _check_named(config, begun)
+        if begun.resolved().as_json() != found.config:
+            raise UserError("its configuration is not as it was written")
+    except NotNamed:
+        raise
+    except UserError as error:
+        raise cannot_continue(path, error) from error
+    _check_same(config, begun)
+    if config.steps not in (None, begun.steps):
+        length: dict[str, Any] = dict.fromkeys(ENDING) | {"steps": config.steps}
+        begun = dataclasses.replace(begun, **length)
+    begun = dataclasses.replace(
+        begun.resolved(),
+        out=folder,
+        max_seconds=config.max_seconds,
+        max_cpu_seconds=config.max_cpu_seconds,
+        resume=False,
+    )
+    for name, file in COPIED.items():
+        if getattr(begun, name) is not None and (folder / file).is_file():
+            setattr(begun, name, folder / file)  # unless the run was stopped before it was made
+    return begun, record | {"config": record["config"] | {name: getattr(begun, name) for name in ENDING}}
+
+
+def _check_named(config: TrainConfig, begun: TrainConfig) -> None:
+    if is_path(begun.task) and begun.task != config.task:
+        task, out = shlex.quote(shown(begun.task, 60)), shlex.quote(str(config.out))
+        raise NotNamed(
+            f"{config.out} trains the task {task}; if you trust that code, name it: "
+            f"landing-train {task} --resume --out {out}"
+        )
+
+
+def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
+    """Raise UserError where options were given with --resume that are not those of the run."""
+    for field in dataclasses.fields(TrainConfig):
+        asked, recorded = getattr(config, field.name), getattr(begun, field.name)
+        if field.name in (*FREE, "steps", "resume") or asked in (field.default, recorded):
+            continue
+        if str(asked) == str(recorded) or (field.name == "net_arch" and list(asked) == list(recorded)):
+            continue
+        was = f"has {shown(recorded, 40)}" if recorded is not None else "has none"
+        final = shlex.quote(str(config.folder / "final.zip"))
+        raise UserError(
+            f"--resume goes on with the options of the run, which {was} for {flag_of(field.name)}, not "
+            f"{shown(asked, 40)}; begin a new run with another --out, perhaps --from {final}"
+        )
+
+
+def cannot_continue(path: Path, error: UserError) -> UserError:
+    """Return the error for a run.json that cannot be continued."""
+    why = shown(error, 120)
+    return UserError(f"run record {path} cannot be continued: {why}; begin a new run with another --out")
+
+
+def changed_entries(vehicle: Vehicle) -> dict:
+    """Return the entries in which a vehicle is not the shipped one, JSON types only."""
+    shipped, flown = dataclasses.asdict(load_vehicle()), dataclasses.asdict(vehicle)
+    return json.loads(storage.to_json({k: value for k, value in flown.items() if value != shipped[k]}))
+
+
+def ranges_of(config: TrainConfig) -> dict:
+    """Return what differs from episode to episode, as the file says it."""
+    return {} if config.randomise is None else read_ranges(config.randomise).given
+
+
+def as_csv(rows: Sequence[Mapping[str, float]]) -> str:
+    """Return rows as CSV; a number that is missing or NaN is empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(itertools.chain(*rows))), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: "" if x != x else x for name, x in row.items()} for row in rows)
+    return text.getvalue()
