@@ -370,14 +370,12 @@ def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict
         before = action_map(policy)
         centre = before[0] if centre is None else centre
         span = before[1] if span is None else span
-    vehicle = load_vehicle(config.vehicle)
     if preset.all_commands and centre is None and span is None:
-        low, high = vehicle.command_pwm_range
+        low, high = load_vehicle(config.vehicle).command_pwm_range
         centre, span = 0.5 * (low + high), 0.5 * (high - low)
-    return {
-        "pwm_centre": "hover" if centre is None else centre,
-        "pwm_span": vehicle.command_pwm_span if span is None else span,
-    }
+    if span is None:
+        span = load_vehicle(config.vehicle).command_pwm_span
+    return {"pwm_centre": "hover" if centre is None else centre, "pwm_span": span}
 
 
 def _net_arch(policy: str | None) -> list[int]:

@@ -3,10 +3,8 @@
 import dataclasses
 import json
 import math
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +18,8 @@ from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from inclined_landing.train import cli, run, warm_start
-from inclined_landing.train.config import ALGORITHMS, CARRIED_ON, ENDING, TrainConfig
+from inclined_landing.train import cli, ppo, trials, warm_start
+from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig
 from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
 from tests.training import assert_same_policy, weights
@@ -121,40 +119,39 @@ def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
 
 def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_path):
     out = tmp_path / "cut"
-    _, metrics = train(config(out, seed=3, max_seconds=1e-6))
-    assert not metrics["finished"] and metrics["steps"] < 512
+    _, first = train(config(out, seed=3, max_cpu_seconds=1e-6))
+    assert not first["finished"] and load_policy(out / "final.zip").metadata["steps"] == first["steps"] < 512
     resumed, metrics = train(TrainConfig(out=out, resume=True))
-    assert metrics["finished"] and metrics["steps"] == 512
+    assert metrics["finished"] and metrics["steps"] == 512 and metrics["cpu_seconds"] > first["cpu_seconds"]
+    assert pd.read_csv(out / "learning.csv")["cpu_seconds"].is_monotonic_increasing
     assert_same_policy(landing_run[0] / "final.zip", resumed / "final.zip")
 
 
-def test_stopped_by_the_clock_ends_properly_and_resumes(tmp_path):
-    out = tmp_path / "cut"
-    _, metrics = train(config(out, max_seconds=1e-6))
-    assert not metrics["finished"] and metrics["steps"] < 512
-    assert load_policy(out / "final.zip").metadata["steps"] == metrics["steps"]
-    _, metrics = train(TrainConfig(out=out, resume=True))
-    assert metrics["finished"] and metrics["steps"] >= 512
+@pytest.mark.parametrize("length", [{"steps": 256}, {"steps": None, "max_steps": 256, "evaluate_every": 2}])
+def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
+    """One of fixed length, or one that was to end by success; one that is killed then goes on as any other."""
+    monkeypatch.setattr(trials, "ENDING_STARTS", 2)
+    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
+    folder, first = train(config(tmp_path / "a", **length))
+    assert first["finished"] and first["steps"] == 256
+    with pytest.raises(UserError, match="has 256 steps, more than the 128 asked for"):
+        Run(TrainConfig(out=folder, resume=True, steps=128))
+    _, stopped = train(TrainConfig(out=folder, resume=True, steps=512, max_seconds=1e-6))
+    assert not stopped["finished"] and json.loads((folder / "run.json").read_text())["config"]["steps"] == 512
+    _, last = train(TrainConfig(out=folder, resume=True))
+    assert last["finished"] and last["steps"] == 512 and last["reached"] is None
+    assert pd.read_csv(folder / "learning.csv")["steps"].tolist() == [128, 256, 384, 512]
+    assert load_policy(folder / "final.zip").metadata["steps"] == 512
 
 
-@pytest.mark.slow
-def test_a_process_killed_with_signal_9_resumes(tmp_path):
-    options = ["--environments", "8", "--rollout", "16", "--batch-size", "64", "--epochs", "2",
-               "--steps", "6400", "--threads", "1", "--evaluate-every", "0", "--video-every", "0",
-               "--checkpoint-every", "5", "--no-report"]  # fmt: skip
-    command = [sys.executable, "-m", "inclined_landing.train", "landing", *options]
-    subprocess.run([*command, "--out", str(tmp_path / "whole")], check=True, capture_output=True)
-    process = subprocess.Popen([*command, "--out", str(tmp_path / "cut")], stdout=subprocess.DEVNULL)
-    for _ in range(600):
-        time.sleep(0.1)
-        if (tmp_path / "cut" / CHECKPOINT).exists():
-            break
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not (tmp_path / "cut" / "final.zip").exists()
-    resume = [sys.executable, "-m", "inclined_landing.train", "--no-report", "--resume"]
-    subprocess.run([*resume, "--out", str(tmp_path / "cut")], check=True, capture_output=True)
-    assert_same_policy(tmp_path / "whole" / "final.zip", tmp_path / "cut" / "final.zip")
+@pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8, 7), "stock")])
+def test_networks_of_other_sizes(net_arch, update, tmp_path):
+    """They are trained, evaluated, read, flown, and gone on with."""
+    folder, _ = train(config(tmp_path / "a", net_arch=net_arch, update=update, evaluate_every=4, steps=128))
+    policy = load_policy(folder / "final.zip")
+    assert [len(bias) for bias in policy.biases] == [*net_arch, 2]
+    assert np.isfinite(policy.predict(np.zeros((3, 5)))).all()
+    assert Run(config(tmp_path / "b", start_from=str(folder / "final.zip"))).config.net_arch == net_arch
 
 
 def test_policy_files_need_no_training_code(landing_run):
@@ -200,12 +197,17 @@ def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):
     write_vehicle(file, heavy)
     out = tmp_path / "run"
     begun = Run(config(out, vehicle=file, max_seconds=1e-6))
-    assert begun.env.env.plant.vehicle == begun._judge.plant.vehicle == begun._judge.task.vehicle == heavy
+    assert (
+        begun.env.env.plant.vehicle
+        == begun.evaluation.plant.vehicle
+        == begun.evaluation.task.vehicle
+        == heavy
+    )
     assert begun.env.env.task.pwm_centre == heavy.hover_pwm
     begun.execute()
     file.unlink()  # the run has its own
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.env.env.plant.vehicle == resumed._judge.task.vehicle == heavy
+    assert resumed.env.env.plant.vehicle == resumed.evaluation.task.vehicle == heavy
     resumed.execute()
     policy = load_policy(out / "final.zip")
     assert policy.metadata["vehicle"] == {"body_mass": heavy.body_mass}
@@ -215,7 +217,7 @@ def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):
 
 def test_a_run_trains_evaluates_and_is_stamped_for_another_slope(tmp_path):
     begun = Run(config(tmp_path / "a", inclination=15, steps=128))
-    assert begun.env.env.task.inclination == begun._judge.task.inclination == math.radians(15)
+    assert begun.env.env.task.inclination == begun.evaluation.task.inclination == math.radians(15)
     begun.execute()
     policy = load_policy(tmp_path / "a" / "final.zip")
     assert policy.task.inclination == policy.metadata["task_options"]["inclination"] == math.radians(15)
@@ -256,7 +258,7 @@ def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_pa
     """And with the same one where none is asked for; never with a shorter one."""
     begun = Run(config(tmp_path / "a", start_from="landing-nominal", history=2, steps=256))
     task = begun.env.env.task
-    assert task.history == 2 and begun._judge.task.options == task.options
+    assert task.history == 2 and begun.evaluation.task.options == task.options
     given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5 + 2 * 7)).astype(np.float32)
     taken, _ = begun.model.predict(given, deterministic=True)
     np.testing.assert_allclose(
@@ -318,10 +320,12 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
 def test_half_of_the_evaluated_flights_have_drawn_vehicles(tmp_path):
     """Others than the training's; a shipped file goes by its name."""
     begun = Run(config(tmp_path / "run", randomise=Path("robust"), steps=256, evaluate_every=1))
-    plant = begun._judge.plant
+    plant = begun.evaluation.plant
     assert (plant.choice[::2] == 0).all() and len(set(plant.choice[1::2])) == plant.n // 2
     assert not set(plant.pool) & set(begun.env.env.plant.pool)
-    np.testing.assert_allclose(begun._judge.starts.state[:, LAG], plant.hover_share * plant.vehicle.hover_lag)
+    np.testing.assert_allclose(
+        begun.evaluation.starts.state[:, LAG], plant.hover_share * plant.vehicle.hover_lag
+    )
     begun.execute()
     last = begun.evaluations[-1]
     assert last["score"] == pytest.approx((last["score_nominal"] + last["score_drawn"]) / 2)
@@ -379,12 +383,12 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
 
 @pytest.mark.parametrize(
     "options",
-    [{"steps": 1024}, {"seed": 9}, {"task": "setpoint"}, {"inclination": 9.0}, {"start_from": "landing"}],
+    [{"net_arch": (9,)}, {"seed": 9}, {"task": "setpoint"}, {"inclination": 9.0}, {"start_from": "landing"}],
 )
 def test_resume_with_other_options_is_refused_by_name(options, landing_run):
     folder = landing_run[0]
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    name = {"start_from": "from"}.get(*options, *options)
+    name = {"start_from": "from", "net_arch": "net-arch"}.get(*options, *options)
     with pytest.raises(
         UserError, match=f"goes on with the options of the run, which has .* for --{name}, not"
     ):
@@ -399,8 +403,8 @@ def test_training_applies_the_curriculum_and_evaluation_does_not(tmp_path):
     begun.execute()
     assert begun.env.env.task.conditions == begun.curriculum.conditions()
     assert not begun.env.env.task.conditions.platform
-    assert begun._judge.task.conditions == type(begun._judge.task.conditions)()
-    plant = begun._judge.plant
+    assert begun.evaluation.task.conditions == type(begun.evaluation.task.conditions)()
+    plant = begun.evaluation.plant
     assert plant.keep_out == 0.0 and plant.kind == "hybrid" and plant.attitude == "rate_loop"
     assert begun.env.env.plant.keep_out == 0.04
 
@@ -414,9 +418,9 @@ OPEN = {"steps": None, "evaluate_every": 2, "environments": 4, "curriculum": "no
 def scores(monkeypatch):
     """Scores of the evaluations to come, instead of flights; the last one is repeated."""
     said = [0.0]
-    monkeypatch.setattr(run, "ENDING_STARTS", 2)
+    monkeypatch.setattr(trials, "ENDING_STARTS", 2)
     monkeypatch.setattr(
-        run._Judge, "__call__", lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]}
+        trials.PeriodicEvaluation, "score", lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]}
     )
     return said
 
@@ -439,10 +443,10 @@ def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, m
     drawn = iter(
         [0.50, 0.60, 0.70, 0.80, 0.80, 0.81, 0.80]
     )  # sums of pairs: 1.5 after 1.1, ..., 1.61 after 1.6
-    monkeypatch.setattr(run, "ENDING_STARTS", 4)
+    monkeypatch.setattr(trials, "ENDING_STARTS", 4)
     monkeypatch.setattr(
-        run._Judge,
-        "__call__",
+        trials.PeriodicEvaluation,
+        "score",
         lambda *_: {"score": 0.9, "score_nominal": next(nominal), "score_drawn": next(drawn)},
     )
     options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
@@ -556,27 +560,62 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
 
 
 def test_evaluation_starts_are_neither_training_starts_nor_another_seeds(tmp_path):
-    judges = [Run(config(tmp_path / str(seed), seed=seed))._judge for seed in (0, 1)]
+    judges = [Run(config(tmp_path / str(seed), seed=seed)).evaluation for seed in (0, 1)]
     assert not np.array_equal(judges[0].starts.state, judges[1].starts.state)
     trained = Run(config(tmp_path / "c", seed=0, curriculum="none"))
     trained.env.reset()
     assert not set(trained.env.env.plant.state[:, 0]) & set(judges[0].starts.state[:, 0])
 
 
+# --- a policy that observes its vehicle's parameters -------------------------------------------------
+
+
+def test_a_run_records_what_its_policy_observes(tmp_path):
+    privileged = {"observe_vehicle": True, "pwm_centre": "own", "history": 0, "randomise": "vehicles"}
+    Run(config(tmp_path / "a", steps=128, **privileged)).execute()
+    policy = load_policy(tmp_path / "a" / "final.zip", vehicle=load_vehicle("hummingbird"))
+    assert policy.task.observe_vehicle and policy.task.per_vehicle_hover and len(policy.centre) == 11
+    assert policy.task.pwm_centre == load_vehicle("hummingbird").hover_pwm
+    assert policy.metadata["ranges"]["vehicles"][0] == "crazyflie-2.0"
+    on = TrainConfig(start_from=str(tmp_path / "a" / "final.zip")).resolved()
+    assert on.observe_vehicle and on.pwm_centre == "own"
+
+
+def test_a_named_vehicle_is_copied_into_the_run():
+    resolved = TrainConfig(vehicle="hummingbird", nominal=True).resolved()
+    copied = resolved.copied()["vehicle.toml"]
+    assert copied.name == "hummingbird.toml" and copied.is_file()
+    assert ppo.build_task(resolved).pwm_centre == load_vehicle("hummingbird").hover_pwm
+
+
+@pytest.mark.parametrize("options, sentence", [
+    ({"observe_vehicle": True}, "goes on without --observe-vehicle"),
+    ({"pwm_centre": "own"}, "goes on with its own PWM at action 0 only"),
+])  # fmt: skip
+def test_a_policy_goes_on_with_what_it_observed(options, sentence, tmp_path):
+    with pytest.raises(UserError, match=sentence):
+        Run(config(tmp_path / "on", start_from="landing-nominal", **options))
+
+
 # --- wrong input -------------------------------------------------------------------------------------
 
 WRONG = {
     "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
-    "--plant gazebo": "unknown plant 'gazebo'; known are mujoco, hybrid, analytic",
-    "--algorithm dqn": "unknown algorithm 'dqn'; known are ppo, sac, td3",
-    "--update slow": "unknown update 'slow'; known are fast and stock",
-    "--integrator rk4": "unknown integrator 'rk4'; known are RK4, implicitfast, Euler",
+    "--plant gazebo": "gazebo",
+    "--net-arch 64 0": "--net-arch",
+    "--from landing-nominal --net-arch 32": "has another network than training uses",
+    "--update slow": "slow",
+    "--learning-rate 2": "--learning-rate must be a number above 0 and below 1, not 2",
+    "--gamma nan": "--gamma must be",
+    "--environments 99999999": "--environments must be",
+    "--colour red": "red",
+    "landing setpoint": "setpoint",
     "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
     "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",
     "--resume": "nothing to resume",
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
-    "--pwm-centre static": "pwm_centre must be",
+    "--pwm-centre static": "pwm-centre",
     "--inclination 80": "--inclination: platform inclination 80 deg is outside the supported range",
     "setpoint --inclination 10": "--inclination is no option of the task setpoint",
     "setpoint --steepest 10": "--steepest is no option of the task setpoint",
@@ -591,7 +630,7 @@ WRONG = {
 
 def refuse(arguments, sentence, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run, "EVALUATION_STARTS", 2)
+    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
     # Options that would be taken by mistake then end soon.
     tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 8 --evaluate-every 0 --no-report".split()
     given = arguments.split()
@@ -623,13 +662,6 @@ def test_what_does_not_fit_into_memory_is_refused(tmp_path):
         Run(config(tmp_path / "a", environments=16_384, rollout=65_536))
 
 
-@pytest.mark.parametrize("arguments", [["--steps", "many"], ["--colour", "red"], ["landing", "setpoint"]])
-def test_arguments_that_do_not_parse_end_with_2(arguments, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(arguments) == 2 and not list(tmp_path.iterdir())
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_an_existing_run_is_not_overwritten(landing_run, capsys):
     folder = landing_run[0]
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
@@ -647,18 +679,12 @@ def test_an_interruption_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     assert "--resume" in capsys.readouterr().err
 
 
-def test_resolved_configurations_stay_as_they_are(tmp_path):
-    for task, kind in TASKS.items():
-        once = TrainConfig(task=task).resolved()
-        assert once.resolved() == once
-        left = {f.name for f in dataclasses.fields(once) if getattr(once, f.name) is None}
-        free = {"max_seconds", "max_cpu_seconds", "vehicle", "inclination", "randomise", "without"} | (
-            set() if kind.training.start_from else {"start_from"}
-        )
-        free -= {"randomise"} if kind.drawn_vehicles else set()
-        free |= {"steepest", "angle_limit", "fastest", "swell"}
-        free |= {"dimensions"} if 2 in kind.drawn_vehicles or not kind.drawn_vehicles else set()
-        free |= set().union(*ALGORITHMS.values()) - set(ALGORITHMS["ppo"])
-        assert left == free | set(ENDING[:1] if kind.training.success else ENDING[1:])
-    with pytest.raises(UserError):
-        TrainConfig(task="").resolved()
+@pytest.mark.parametrize("options", [
+    *({"task": task} for task in TASKS), {"nominal": True}, {"dimensions": 3, "fastest": 1.0},
+    {"start_from": "landing-vehicles"}, {"task": "touchdown", "nominal": True}, {"net_arch": [32]},
+])  # fmt: skip
+def test_resolved_configurations_stay_as_they_are(options):
+    """Also through the JSON of a run folder."""
+    once = TrainConfig(**options).resolved()
+    assert once.resolved() == once
+    assert TrainConfig(**json.loads(json.dumps(once.as_json()))).resolved() == once
