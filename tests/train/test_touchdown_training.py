@@ -15,7 +15,6 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.config import TrainConfig
-from inclined_landing.train.curriculum import TouchdownCurriculum, make_curriculum
 from inclined_landing.train.descent import Descent
 from inclined_landing.train.run import train
 
@@ -73,22 +72,6 @@ def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
         np.testing.assert_array_equal(left, right)
     started = load_policy("landing-nominal").weights
     assert not all(np.array_equal(left, right) for left, right in zip(a.weights, started))
-
-
-def test_curriculum():
-    curriculum = make_curriculum("touchdown", "touchdown", 0.99)
-    first = curriculum.conditions()
-    assert (
-        first.impact == 0.0 and first.out_of_bounds_penalty > 0.0 and first.close > 0.0 and first.beside > 0.0
-    )
-    assert first.friction == (0.5, 1.2)
-    curriculum.advance(TouchdownCurriculum.RAMP)
-    last = curriculum.conditions()
-    assert curriculum.level == 1.0 and last.impact_share == 1.0 and last.close == 0.0
-    again = TouchdownCurriculum(0.99)
-    again.restore(curriculum.state())
-    assert again.conditions() == last
-    assert curriculum.learning_rate_share(0, 100) == 1.0 and curriculum.learning_rate_share(100, 100) == 0.0
 
 
 @pytest.mark.parametrize(

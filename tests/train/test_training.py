@@ -129,7 +129,7 @@ def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_
 
 @pytest.mark.parametrize("length", [{"steps": 256}, {"steps": None, "max_steps": 256, "evaluate_every": 2}])
 def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
-    """One of fixed length, or one that was to end by success; one that is killed then goes on as any other."""
+    """One of fixed length, or one that was to end by success; interrupted, it then goes on as any other."""
     monkeypatch.setattr(trials, "ENDING_STARTS", 2)
     monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
     folder, first = train(config(tmp_path / "a", **length))
