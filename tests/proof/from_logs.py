@@ -24,11 +24,11 @@ from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, write_csv
+from tests.proof.shared import check_known
 
 FLIGHTS, SEED = 10, 7
 # Sizes at which the shipped policy fails, of vehicles that there are: the paper's own gap; the delay of the
@@ -67,16 +67,9 @@ def run(name: str, number: int, folder: Path) -> dict:
     seconds = [
         timed("landing-eval", "gap", *logs, "--out", str(report)),
         timed(
-            *(
-                "landing-train",
-                "landing",
-                "--nominal",
-                "--vehicle",
-                str(report / "vehicle.toml"),
-                "--from",
-                "landing-nominal",
-            ),
-            *("--seed", str(number), "--out", str(policy), "--no-report", *OPTIONS.get(name, ())),
+            *("landing-train", "landing", "--nominal", "--vehicle", str(report / "vehicle.toml")),
+            *("--from", "landing-nominal", "--seed", str(number), "--out", str(policy), "--no-report"),
+            *OPTIONS.get(name, ()),
         ),
     ]
     diagnosis = json.loads((report / "report.json").read_text("utf-8"))
@@ -139,9 +132,7 @@ def command(
         out: folder for a JSON file and the files of each case.
         cases: one or more of thrust_scale, attitude_delay, com_offset and battery_voltage.
     """
-    for name in cases:
-        if name not in CASES:
-            raise UserError(f"unknown case {name!r}; known are {', '.join(CASES)}")
+    check_known("case", cases, CASES)
     style.make_folder(out)
     for name in cases:
         result = run(name, list(CASES).index(name), out / name)

@@ -21,12 +21,12 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests.proof import simulator
 from tests.proof.gap_blind import cases as blind
 from tests.proof.gap_blind import generate
 from tests.proof.gap_blind.causes import Drawn
+from tests.proof.shared import check_known, table
 
 FLIGHTS = 10
 CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight
@@ -61,8 +61,7 @@ def command(
         cases: realities; each gives a set of every kind.
         seed: of realities and flights.
     """
-    if family not in blind.SETS:
-        raise UserError(f"unknown family {family!r}; known are {', '.join(blind.SETS)}")
+    check_known("family", [family], blind.SETS)
     runs.check_new_run(out)
     rows = []
     for k in track(range(cases), console=Console(stderr=True), transient=True):
@@ -116,14 +115,11 @@ def judged(said: tuple[InconsistentFlights, ...], flights: frozenset[str], truth
 
 def markdown(rows: list[dict]) -> str:
     """The table of all kinds."""
-    lines = [
-        "| differs | sets | found | other flights said | interval holds the difference |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
-        own = [row for row in rows if row["kind"] == kind]
-        inside = [x for row in own for x in row["inside"]]
-        found = str(sum(row["found"] for row in own)) if MIXED[kind][1] else ""
-        held = f"{sum(inside)} of {len(inside)}" if inside else ""
-        lines.append(f"| {kind} | {len(own)} | {found} | {sum(row['other'] > 0 for row in own)} | {held} |")
-    return "\n".join(lines) + "\n"
+        same = [row for row in rows if row["kind"] == kind]
+        inside = [x for row in same for x in row["inside"]]
+        found = str(sum(row["found"] for row in same)) if MIXED[kind][1] else ""
+        hits = f"{sum(inside)} of {len(inside)}" if inside else ""
+        lines.append([kind, str(len(same)), found, str(sum(row["other"] > 0 for row in same)), hits])
+    return table(["differs", "sets", "found", "other flights said", "interval holds the difference"], lines)

@@ -21,9 +21,9 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.effects import apply
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from tests.proof.gap_blind.accepted import accepted, entailed
+from tests.proof.shared import check_known, table
 
 # Small enough that one landing leaves them in doubt, as looked at with seed 100; the last one because
 # ordinary flights do not go where it is.
@@ -72,9 +72,7 @@ def command(
         seed: of the flights.
         causes: hidden one after the other.
     """
-    for name in causes:
-        if name not in CAUSES:
-            raise UserError(f"unknown cause {name!r}; known are {', '.join(CAUSES)}")
+    check_known("cause", causes, CAUSES)
     runs.check_new_run(out)
     out.mkdir(parents=True, exist_ok=True)
     shell = _Shell()
@@ -145,16 +143,12 @@ def right(cause: str, sets: Sequence[Mapping]) -> float:
 
 def markdown(rows: Sequence[Mapping]) -> str:
     """Return the table."""
-    lines = [
-        "| hidden cause | P before | one planned flight | two ordinary flights | planning | lowest |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = []
     for row in rows:
         values = ", ".join(f"{name} {value:g}" for name, value in row["values"].items())
         planned = "not planned" if row["planned"] is None else f"{row['planned']:.2f}"
         lowest = f"{row['lowest']:.2f} m" if "lowest" in row else ""
-        lines.append(
-            f"| {row['cause']} ({values}) | {row['before']:.2f} | {planned} | {row['ordinary']:.2f} "
-            f"| {row['plan_seconds']:.0f} s | {lowest} |"
-        )
-    return "\n".join(lines) + "\n"
+        ends = [f"{row['before']:.2f}", planned, f"{row['ordinary']:.2f}", f"{row['plan_seconds']:.0f} s"]
+        lines.append([f"{row['cause']} ({values})", *ends, lowest])
+    header = ("hidden cause", "P before", "one planned flight", "two ordinary flights", "planning", "lowest")
+    return table(header, lines)

@@ -7,16 +7,12 @@ a few ordinary flights the right name is one of several in doubt. From there two
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Annotated
 
 import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
@@ -31,13 +27,13 @@ from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.proof import simulator
 from tests.proof.gap_blind import cases as blind
 from tests.proof.gap_blind import causes, generate
 from tests.proof.gap_blind.accepted import accepted, entailed
+from tests.proof.shared import check_known, in_processes, table
 from tests.proof.simulator import control
 
 ALONE = 0.95  # probability from which the right name stands alone ...
@@ -49,7 +45,6 @@ SECONDS = 20.0
 # Told by the scale and not by flights.
 WEIGHED = ("thrust_scale", "thrust_bias", "mass")
 WAYS = ("planned", "ordinary")
-_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
 
 
 def command(
@@ -68,17 +63,10 @@ def command(
         seed: of the cases.
         processes: cases at a time.
     """
-    if family not in blind.SETS:
-        raise UserError(f"unknown family {family!r}; known are {', '.join(blind.SETS)}")
+    check_known("family", [family], blind.SETS)
     runs.check_new_run(out)
-    context = multiprocessing.get_context("spawn")
-    rows = []
-    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("cases", total=cases)
-        with ProcessPoolExecutor(processes, mp_context=context) as pool:
-            for job in as_completed([pool.submit(race, family, (seed, k)) for k in range(cases)]):
-                rows.append(job.result())
-                bar.advance(task)
+    calls = [(family, (seed, k)) for k in range(cases)]
+    rows = [row for _, row in in_processes(race, calls, processes)]
     rows.sort(key=lambda row: row["seed"])
     text = markdown(rows)
     with runs.staged_run(out) as folder:
@@ -187,36 +175,34 @@ def flown(told: Sequence[tuple[float, float]]) -> int:
 def markdown(rows: Sequence[dict], seed: int = 0) -> str:
     """The table: flights of both ways with 95 % intervals over cases drawn with replacement."""
     doubtful = [row for row in rows if "planned" in row]
-    lines = [
+    text = (
         f"{len(rows)} cases; in {len(doubtful)} the right name is in doubt after {BEFORE} ordinary flight "
-        f"(probability {DOUBT[0]:g} to {DOUBT[1]:g}).",
-        "",
-        "| further flights | resolved | mean until the right name stands alone (95 %) | median | after one |",
-        "|---|---|---|---|---|",
-    ]
+        f"(probability {DOUBT[0]:g} to {DOUBT[1]:g}).\n"
+    )
     if not doubtful:
-        return lines[0] + "\n"
+        return text
     counts = {way: np.array([flown(row[way]) for row in doubtful]) for way in WAYS}
     draws = np.random.default_rng(seed).integers(0, len(doubtful), (2000, len(doubtful)))
+    means = []
     for way, n in counts.items():
         low, high = np.quantile(n[draws].mean(axis=1), [0.025, 0.975])
-        lines.append(
-            f"| {way} | {(n <= MOST).sum()} of {len(n)} | {n.mean():.1f} ({low:.1f} to {high:.1f}) | "
-            f"{np.median(n):.0f} | {(n == 1).sum()} |"
-        )
+        resolved, mean = f"{(n <= MOST).sum()} of {len(n)}", f"{n.mean():.1f} ({low:.1f} to {high:.1f})"
+        means.append([way, resolved, mean, f"{np.median(n):.0f}", str((n == 1).sum())])
     ratio = counts["planned"][draws].sum(axis=1) / counts["ordinary"][draws].sum(axis=1)
     low, high = np.quantile(ratio, [0.025, 0.975])
     share = counts["planned"].sum() / counts["ordinary"].sum()
-    lines += [
-        "",
-        f"Planned flights needed: {share:.2f} times the ordinary ones (95 %: {low:.2f} to {high:.2f}). "
-        f"What was not resolved after {MOST} flights counts as {MOST + 1}.",
-        "",
-        "| cause | size | family | P before | planned | ordinary |",
-        "|---|---|---|---|---|---|",
+    header = ("further flights", "resolved", "mean until the right name stands alone (95 %)", "median")
+    every = [
+        [row["cause"], row["size"], row["family"], f"{row['before'][0]:.2f}"]
+        + [" ".join(f"{p:.2f}" for p, _ in row[way]) for way in WAYS]
+        for row in doubtful
     ]
-    for row in doubtful:
-        told = " | ".join(" ".join(f"{p:.2f}" for p, _ in row[way]) for way in WAYS)
-        case = f"{row['cause']} | {row['size']} | {row['family']} | {row['before'][0]:.2f}"
-        lines.append(f"| {case} | {told} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(
+        (
+            text,
+            table([*header, "after one"], means),
+            f"Planned flights needed: {share:.2f} times the ordinary ones (95 %: {low:.2f} to {high:.2f}). "
+            f"What was not resolved after {MOST} flights counts as {MOST + 1}.\n",
+            table(["cause", "size", "family", "P before", *WAYS], every),
+        )
+    )

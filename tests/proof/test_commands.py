@@ -1,5 +1,6 @@
-"""The commands of `python -m tests.proof`, and that the shipped flights are those of their generator."""
+"""The commands of `python -m tests.proof`, and what they were run for: flights, vehicles, a page."""
 
+import re
 import subprocess
 import sys
 
@@ -7,51 +8,42 @@ import pandas
 import pytest
 
 from inclined_landing.eval import cli
+from inclined_landing.eval.logs.flights.convert import public_sets
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
 from tests.proof import __main__ as proof
-from tests.proof import gap_example
+from tests.proof import from_logs, gap_example
+from tests.proof.causes.rows import _expanded
+from tests.proof.identified.command import vehicles
+from tests.proof.simulator import World
 
 
 def test_one_command_runs_them_from_the_root():
     words = [sys.executable, "-m", "tests.proof", "-h"]
     done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0 and done.stderr == ""
-    assert all(name in done.stdout for name in proof.COMMANDS)
-    assert all(proof.find(name).__doc__ for name in proof.COMMANDS)
+    assert all(name in done.stdout and proof.find(name).__doc__ for name in proof.COMMANDS)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "no command; python -m tests.proof --help lists them"),
-        (
-            ["gap-blin"],
-            "unknown command 'gap-blin', perhaps gap-blind; python -m tests.proof --help",
-        ),
-        (["plan-proof"], "Missing from python -m tests.proof plan-proof: --out DIR"),
-        (["flight-table", "--flights", "nan"], "Error parsing --flights"),
-        (["gap-agreement", "--out", "{out}", "--cases", "0"], "--cases must be "),
-        (["plan-proof", "--out", "{out}", "--family", "moon"], "unknown family 'moon'; known are dev, fresh"),
-        (
-            ["plan-loop", "--out", "{out}", "--causes", "moon"],
-            "unknown cause 'moon'; known are attitude_delay, ",
-        ),
-        (["from-logs", "--out", "{out}", "--cases", "moon"], "unknown case 'moon'; known are thrust_scale, "),
-        (
-            ["identified", "{folder}", "--out", "{out}", "--only", "moon"],
-            "unknown vehicle 'moon'; known are ",
-        ),
-        (["gap-blind", "--out", "{file}"], "the run folder {file} exists and is not a folder; choose "),
-        (["gap-example", "--out", "{folder}"], "the run folder {folder} exists and is not empty; choose "),
+        ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; python -m tests.proof --help"),
+        ("plan-proof --out {out} --family moon", "unknown family 'moon'; known are dev, fresh"),
+        ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
+        ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),
+        ("causes {folder}/none --out {out}", "{folder}/none: no folder"),
+        ("gap-real {folder} --out {out} --only moon", "unknown part 'moon'"),
     ],
 )
 def test_wrong_words_are_one_sentence(words, sentence, tmp_path, capsys):
     (tmp_path / "file").touch()
     places = {"out": tmp_path / "out", "file": tmp_path / "file", "folder": tmp_path}
-    assert proof.main([word.format(**places) for word in words]) == 2
+    assert proof.main(words.format(**places).split()) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
-    assert printed.err.startswith("python -m tests.proof: " + sentence.format(**places)), printed.err
+    assert sentence.format(**places) in printed.err
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -68,3 +60,32 @@ def test_the_shipped_flights_are_what_the_generator_makes(tmp_path, capsys):
         flights = [pandas.read_csv(folder / name) for folder in folders]
         # The last of six decimals, where another processor rounds another way; of a PWM of 40 000 more.
         pandas.testing.assert_frame_equal(*flights, rtol=1e-9, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", vehicles())
+def test_a_shipped_vehicle_is_what_its_entry_says(name):
+    entry, vehicle = vehicles()[name], load_vehicle(name)
+    assert vehicle.body_mass == entry["mass"] and vehicle != load_vehicle(entry["base"])
+    text = locate_vehicle(name).read_text("utf-8")
+    assert f'based_on = "{entry["base"]}"' in text
+    assert public_sets()[entry["set"]].commit[:7] in text
+
+
+def test_no_flight_of_the_heldout_half_of_the_causes_is_among_them():
+    """Those are the odd ones from log100 on, and of the flights with a load."""
+    for entry in vehicles().values():
+        patterns = [*entry["fitted"], *(p for one in entry["judged"] for p in one["flights"])]
+        flights = [flight for pattern in patterns for flight in _expanded(pattern)]
+        assert not any("payload" in flight for flight in flights)
+        numbers = [int(n) for flight in flights for n in re.findall(r"logs/log(\d+)", flight)]
+        assert all(n < 100 or n % 2 == 0 for n in numbers)
+        fitted = {flight for pattern in entry["fitted"] for flight in _expanded(pattern)}
+        assert not fitted & {f for one in entry["judged"] for p in one["flights"] for f in _expanded(p)}
+
+
+@pytest.mark.parametrize("name", from_logs.CASES)
+def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
+    hidden = from_logs.CASES[name]
+    assert set(hidden.world) <= set(World._fields)
+    assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
+    assert f"| {name.replace('_', ' ')} |" in (ROOT / "docs/from_logs_to_policy.md").read_text("utf-8")

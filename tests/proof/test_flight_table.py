@@ -20,7 +20,7 @@ from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, VX, X, Z
 from inclined_landing.models.plants import make_plant
-from tests.proof.flight_table import faults, table
+from tests.proof.flight_table import faults
 from tests.proof.flight_table.chain import Flown, fly_once, truth_of
 
 G = 9.81
@@ -115,12 +115,6 @@ def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
         farthest = max(farthest, np.abs(plant.state[:, X]).max() - v.arena_x[1])
     assert plant.contacts.touch[:, 2].any(axis=1).all(), "all are down"
     assert 0.95 * faults.ALONE < farthest < faults.ALONE
-
-
-def test_seeds_are_shared_by_policies_and_differ_otherwise():
-    seeds = table.seeds_of(5, 3, 10)
-    assert (seeds == table.seeds_of(5, 3, 10)).all() and len(np.unique(seeds)) == 30
-    assert not np.isin(seeds, table.seeds_of(6, 3, 10)).any()
 
 
 # --- positions that do not fit the accelerometer -----------------------------------------------------

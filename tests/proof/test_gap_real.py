@@ -6,9 +6,7 @@ import pytest
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
-from tests.proof.__main__ import main
 from tests.proof.gap_real import attitude, halves, pads, thrust
-from tests.proof.gap_real.alignment import align_pose
 from tests.proof.gap_real.command import MOTORS, flights
 
 DATA = ROOT.parent / "shared" / "data"
@@ -55,26 +53,6 @@ def test_tilt_of_the_motion_capture_shows_on_the_floor_too():
 
 
 @needs_data
-def test_tracked_point_above_the_centre_of_mass_repeats():
-    """Eleven NanoBench flights that tilt enough agree within 3 mm; attitude is not 10 ms late."""
-    logs = flights(DATA / "nanobench", "nb_*.csv.gz")
-    found = [align_pose(log) for log in logs if "linear_ramp" not in log.name]
-    heights = np.array([p.height.value for p in found])
-    assert len(heights) == 11
-    np.testing.assert_allclose(heights, 0.013, atol=0.003)
-    assert abs(np.median([p.delay.value for p in found])) < 0.01
-
-
-@needs_data
-def test_onboard_estimate_is_short_of_the_tilt_in_the_direction_of_flight():
-    """Two axes and twelve flights agree; drag over weight, 0.04 rad s/m, is the most it could be."""
-    paths = sorted((DATA / "nanobench").glob("nb_*.csv.gz"))
-    lean = attitude.lean(paths, flights(DATA / "nanobench", "nb_*.csv.gz"), load_vehicle())
-    for value, half in ((lean.roll[0], lean.roll[1]), (-lean.pitch[0], lean.pitch[1])):
-        assert 0.005 < value - half and value + half < 0.04
-
-
-@needs_data
 def test_thrust_follows_voltage_and_floor():
     result = thrust.law(flights(DATA / "nanobench", "nb_*.csv.gz", str(MOTORS)), load_vehicle())
     value, half = result.voltage
@@ -93,31 +71,3 @@ def test_known_changes_of_the_hardware():
         assert says[change] == "more force, M3 works harder"
     for change in ("E8 tape_on_propeller_M1_M3_M4", "E8 cut_propeller_M3_1mm", "E9 cut_propeller_M3_1mm"):
         assert says[change] == "nothing"
-
-
-def test_motor_lag_is_found(tmp_path):
-    """Made-up accelerations of a lag of 12 1/s; with the rows' own time step the rate is exact."""
-    dt, rate = 0.001, 12.0
-    t = np.arange(4000) * dt
-    pwm = np.where(np.sin(7.0 * t) > 0.0, 50000.0, 20000.0) + 3000.0 * np.sin(40.0 * t)
-    u = thrust.lagged(pwm / 65535.0, dt, rate)
-    table = np.column_stack([t, 4.0 * u + 9.0 * u**2, *[pwm] * 4])
-    path = tmp_path / "arp_made.csv"
-    header = "t,imu_az,m1_pwm,m2_pwm,m3_pwm,m4_pwm"
-    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
-    assert thrust.motor_lag(path).rate == pytest.approx(rate, rel=1e-3)
-
-
-def test_command_refuses_missing_data(tmp_path, capsys):
-    assert main(["gap-real", str(tmp_path), "--out", str(tmp_path / "out"), "--only", "crazypad"]) == 2
-    assert "is missing" in capsys.readouterr().err
-    assert main(["gap-real", str(tmp_path), "--out", str(tmp_path / "out"), "--only", "moon"]) == 2
-    assert "unknown part 'moon'" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_flights_left_out_need_effects_that_are_given(tmp_path, capsys):
-    words = ["gap-real", str(tmp_path), "--heldout", "a.csv", "--out", str(tmp_path / "out")]
-    for only in ([], ["--only", "crazypad"], ["--only", "utias_given", "nanobench_given"]):
-        assert main([*words, *only]) == 2
-        assert "--only nanobench_given" in capsys.readouterr().err

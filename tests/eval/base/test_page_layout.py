@@ -20,9 +20,6 @@ from inclined_landing.train.cli import main as train
 from tests.eval.base.test_pages import claims_page, identification_page
 from tests.eval.gap.test_report import example
 from tests.eval.landings.test_run import STUDY
-from tests.proof.causes import page as causes
-from tests.proof.test_causes import RESULT
-from tests.proof.test_gap_blind import page_of_cases
 
 ROOMS = Path(inclined_landing.eval.__file__).parent
 PHONE = 390  # CSS pixels
@@ -76,20 +73,13 @@ def _command(file: str, *words: str):
     return write
 
 
-def _causes(folder: Path) -> str:
-    causes.write(folder, [RESULT])
-    return (folder / "report.html").read_text("utf-8")
-
-
 def _landings(folder: Path) -> str:
     (folder / "study.toml").write_text(STUDY, "utf-8")
     return _command("index.html", "landings", "{folder}/study.toml", "--out", "{out}")(folder)
 
 
 PAGES = {
-    "causes": _causes,
     "gap": lambda _: gap_page(example("unknown"), None, versions={"python": "3"}),
-    "gap_blind": lambda _: page_of_cases(),
     "identify": lambda _: identification_page("a word"),
     "landings": _landings,
     "moving": _command(

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from inclined_landing.eval.base import style
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
+from ..shared import in_processes
 from . import page
 from .rows import Row, answer, known_rows
 
@@ -30,7 +31,7 @@ def command(
 
     Args:
         data: folder with the clones of the five repositories (`landing-eval flights` says which).
-        out: folder for table.md, causes.json, figures and report.html; rows that are in it are kept.
+        out: folder for table.md, causes.json, and figures; rows that are in it are kept.
         half: flights that the workflow was looked at with, those that were held out, or those that came last.
         only: names of repositories.
         processes: rows at a time.
@@ -44,19 +45,13 @@ def command(
     if not data.is_dir():
         raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
     folder = out / "rows"
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out} is a file; give a folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    style.make_folder(folder)
     missing = [r for r in rows if not (folder / f"{r.key}.json").exists()]
-    with ProcessPoolExecutor(processes) as pool:
-        jobs = {pool.submit(_row, data, row): row for row in missing}
-        for job in as_completed(jobs):
-            row, result = jobs[job], job.result()
-            storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
-            print(page.line(result), file=sys.stderr, flush=True)
+    for (_, row), result in in_processes(_row, [(data, row) for row in missing], processes):
+        storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
+        print(page.line(result), file=sys.stderr, flush=True)
     results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
     page.write(out, results)
-    print(f"The page is {out / 'report.html'}.")
     print(page.summary_text(results))
 
 

@@ -1,4 +1,4 @@
-"""Table, figures and page of known causes in real flights."""
+"""Table and figures of known causes in real flights."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base import style
-from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.models import storage
+
+from ..shared import table
 
 BARS = {
     "sure": ("known causes of medium size or more, named sure", 0.80),
@@ -23,19 +23,8 @@ BARS = {
 }
 BASELINES = {"tuning": "parameter tuning", "sparse": "sparse regression"}
 HEADER = (
-    *(
-        "set",
-        "told",
-        "flights",
-        "verdict",
-        "sure",
-        "possible",
-        "told size",
-        "found",
-        "rough",
-        "error after 1 s, cm",
-    ),
-    *("tuning", "sparse regression"),
+    *("set", "told", "flights", "verdict", "sure", "possible", "told size", "found", "rough"),
+    *("error after 1 s, cm", "tuning", "sparse regression"),
 )
 
 
@@ -173,9 +162,7 @@ def _baseline(one: dict | None) -> str:
 
 def markdown(results: Sequence[dict]) -> str:
     """Return the table and the counts."""
-    rows = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
-    rows += ["| " + " | ".join(row) + " |" for row in cells(results)]
-    return summary_text(results) + "\n\n" + "\n".join(rows) + "\n"
+    return summary_text(results) + "\n\n" + table(HEADER, cells(results))
 
 
 def draw(results: Sequence[dict]) -> Figure:
@@ -238,7 +225,7 @@ def _told_against_found(axes, rows: Sequence[dict]) -> None:
 
 
 def write(out: Path, results: Sequence[dict]) -> None:
-    """Write table.md, causes.json, causes.png, gains.png and report.html into a folder."""
+    """Write table.md, causes.json, causes.png and gains.png into a folder."""
     figure, gains = draw(results), draw_gains(results)
     storage.write_text(out / "table.md", markdown(results))
     storage.write_text(
@@ -246,15 +233,3 @@ def write(out: Path, results: Sequence[dict]) -> None:
     )
     style.save_figure(figure, out / "causes.png")
     style.save_figure(gains, out / "gains.png")
-    page = render(
-        __package__,
-        "report.html.j2",
-        title="Known causes in real flights",
-        header=list(HEADER),
-        lines=cells(results),
-        summary=summary_text(results).splitlines(),
-        figure=embedded(png(figure)),
-        gains=embedded(png(gains)),
-        versions=runs.versions(),
-    )
-    storage.write_text(out / "report.html", page)

@@ -7,14 +7,12 @@ from typing import Annotated
 
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs, tables
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.models import storage
+from tests.proof.shared import progress
 
-_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 
 
@@ -47,7 +45,7 @@ def command(
     loaded, settings = table.read(policies, vehicles)
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # it reports lost links, which are meant here
     count = flights * (len(trouble.CASES) if faults else len(policies) * len(vehicles) * 3)
-    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as bar:
+    with progress() as bar:
         task = bar.add_task("flights", total=count)
 
         def done() -> None:

@@ -5,19 +5,14 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import multiprocessing
-import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base import style
@@ -26,16 +21,16 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
+from ..shared import check_known, in_processes
 from . import score, summary
 from .cases import CURVE, ROTORPY, SETS, STRATA, Case, Flown, of_set
-from .page import markdown, page, reliability
+from .page import markdown, reliability
 
 if TYPE_CHECKING:
     from inclined_landing.eval.gap.search.reference import VehiclePosterior
 
 METHODS = ("workflow", "tuning", "sparse")
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
-_COLUMNS = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
 
 
 def command(
@@ -51,8 +46,7 @@ def command(
     """Hidden causes in flights of independent simulators: what gap names (minutes).
 
     Args:
-        out: folder for results.json, table.md, reliability.png and report.html; an interrupted run goes on in
-            it.
+        out: folder for results.json, table.md and reliability.png; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
             structure; flights of a simulator by others (needs rotorpy); or the same causes in 3, 10 and 30
             flights and in three levels of noise, in vehicles of all families.
@@ -62,11 +56,8 @@ def command(
         processes: cases diagnosed at a time.
     """
     methods = method
-    if set not in (*SETS, ROTORPY, CURVE):
-        raise UserError(f"unknown set {set!r}; known are {', '.join((*SETS, ROTORPY, CURVE))}")
-    for method in methods:
-        if method not in METHODS:
-            raise UserError(f"unknown method {method!r}; known are {', '.join(METHODS)}")
+    check_known("set", [set], (*SETS, ROTORPY, CURVE))
+    check_known("method", methods, METHODS)
     if "sparse" in methods and importlib.util.find_spec("pysindy") is None:
         raise UserError("--method sparse needs pysindy; pip install 'inclined-landing[baselines]'")
     needed = ("rotorpy", "torch", "torchdiffeq", "roma") if set == ROTORPY else ()
@@ -85,9 +76,8 @@ def command(
     figure = reliability(results)
     if figure is not None:
         style.save_figure(figure, out / "reliability.png")
-    storage.write_text(out / "report.html", page(results, figure))
     Console().print(markdown(results), markup=False, highlight=False, soft_wrap=True)
-    print(f"{len(drawn)} cases were judged; the page is {out / 'report.html'}.")
+    print(f"{len(drawn)} cases were judged; the table is {out / 'table.md'}.")
 
 
 def _open_set(out: Path, description: dict, labels: dict) -> None:
@@ -111,26 +101,11 @@ def _diagnose_all(drawn, labels: dict, methods, out: Path, processes: int) -> No
         style.make_folder(out / "reports" / method)
     todo = []
     for case in drawn:
-        left = [m for m in methods if not _scored(out, m, case.name, labels[case.name])]
-        if left:
-            todo.append((case, left))
-    # A spawned process starts clean: threads of libraries do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"  # the processes share the cores already
-    with Progress(*_COLUMNS, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("cases", total=len(drawn), completed=len(drawn) - len(todo))
-        with ProcessPoolExecutor(processes, mp_context=context) as pool:
-            jobs = [pool.submit(_case, case, left, out) for case, left in todo]
-            try:
-                for job in as_completed(jobs):
-                    job.result()
-                    progress.advance(bar)
-            except BrokenProcessPool as error:
-                raise UserError(f"a process was killed ({error}); the same command goes on") from error
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        missing = [m for m in methods if not _scored(out, m, case.name, labels[case.name])]
+        if missing:
+            todo.append((case, missing, out))
+    for _ in in_processes(_case, todo, processes, len(drawn) - len(todo)):
+        pass
 
 
 def _report(out: Path, method: str, name: str) -> Path:

@@ -1,12 +1,12 @@
-"""The tables of a blind set, as Markdown, as a figure and as one self-contained HTML page."""
+"""The tables of a blind set in Markdown, and the figure of its probabilities."""
 
 from __future__ import annotations
 
 from matplotlib.figure import Figure
 
 from inclined_landing.eval.base import style
-from inclined_landing.eval.base.page import embedded, png, render
 
+from ..shared import table
 from .score import OUTCOMES
 
 _TITLES = {
@@ -22,33 +22,21 @@ def markdown(results: dict) -> str:
     for method, result in results["methods"].items():
         parts.append(f"### {_TITLES[method]}\n")
         for header, lines in (cells(result["table"]), family_cells(result["families"])):
-            parts.append("| " + " | ".join(header) + " |")
-            parts.append("|" + "---|" * len(header))
-            parts += ["| " + " | ".join(line) + " |" for line in lines]
-            parts.append("")
+            parts.append(table(header, lines))
         if words := calibrated(result["calibration"]):
             parts.append(words + "\n")
     return "\n".join(parts)
 
 
-def cells(table: list[dict]) -> tuple[list[str], list[list[str]]]:
+def cells(counts: list[dict]) -> tuple[list[str], list[list[str]]]:
     """Header and lines of a table as text; outcomes that never occur are left out."""
-    shown = [name for name in OUTCOMES if any(line[name] for line in table)]
-    plants = sorted({plant for line in table for plant in line["closed"]})
-    header = [
-        "stratum",
-        "cases",
-        *shown,
-        "good [95 %]",
-        "right cause found",
-        "among sure and possible",
-        "sure names wrong",
-        "also flagged",
-        "parameter error",
-    ]
+    shown = [name for name in OUTCOMES if any(line[name] for line in counts)]
+    plants = sorted({plant for line in counts for plant in line["closed"]})
+    header = ["stratum", "cases", *shown, "good [95 %]", "right cause found", "among sure and possible"]
+    header += ["sure names wrong", "also flagged", "parameter error"]
     header += ["intervals that hold", *(f"gap closed, {plant}" for plant in plants), "seconds"]
     lines = []
-    for line in table:
+    for line in counts:
         row = [line["stratum"], str(line["cases"]), *(str(line[name]) for name in shown)]
         row += [_share(line["good"]), _share(line["first"], interval=False)]
         row += [_share(line["among"], interval=False), _count(line["sure"]), str(line["also flagged"])]
@@ -122,26 +110,3 @@ def reliability(results: dict) -> Figure | None:
         axes.set(xlabel="probability of the likeliest set", ylabel="share of the cases where it is right")
         style.legend_below(axes, ncols=1)
     return figure
-
-
-def page(results: dict, figure: Figure | None) -> str:
-    """One self-contained HTML page: the tables, the reliability, then every case with label and answer."""
-    methods = [
-        {
-            "title": _TITLES[name],
-            "table": cells(result["table"]),
-            "families": family_cells(result["families"]),
-            "calibrated": calibrated(result["calibration"]),
-            "cases": result["cases"],
-        }
-        for name, result in results["methods"].items()
-    ]
-    return render(
-        __package__,
-        "report.html.j2",
-        title="Blind test of the gap workflow",
-        results=results,
-        methods=methods,
-        figure=None if figure is None else embedded(png(figure)),
-        versions=results.get("versions", {}),
-    )

@@ -24,6 +24,7 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.proof.gap_real import alignment, attitude, figures, halves, pads, tables, thrust
 from tests.proof.gap_real.halves import Fleet
+from tests.proof.shared import check_known
 
 MOTORS = Path(__file__).with_name("nanobench_motors.toml")
 _DAY1, _UTIAS, _NANOBENCH = "utias_20250421_*.csv.gz", "utias_*.csv.gz", "nb_*.csv.gz"
@@ -55,6 +56,7 @@ NANOBENCH_GIVEN = {
     "thrust_fade": {"rate": 0.0005},
     "translational_lift": {"coefficient": 0.005},
 }
+NANOBENCH_MOTORS_GIVEN = NANOBENCH_GIVEN | {"thrust_scale": {"scale": 0.7}, "thrust_bias": {"force": -0.04}}
 
 
 class Part(NamedTuple):
@@ -86,9 +88,7 @@ def command(
     """
     if heldout and not (len(only) == 1 and only[0].endswith("_given")):
         raise UserError("--heldout goes with one part whose effects are given: --only nanobench_given, say")
-    for name in only:
-        if name not in PARTS:
-            raise UserError(f"unknown part {name!r}; known are {', '.join(PARTS)}")
+    check_known("part", only, PARTS)
     chosen = {name: PARTS[name] for name in only or PARTS}
     if heldout:
         (name,) = only
@@ -145,7 +145,8 @@ def _given(
     gap, vehicle = halves.judged(logs, nominal, values, others)
     rows = [] if heldout else halves.stability(logs, nominal, values)
     plain = {"gap": dataclasses.asdict(gap), "stability": _stability(rows)}
-    return Part(plain, None, tables.given(name, gap, rows), vehicle)
+    text = tables.section(name, [tables.gap_row("left out", gap)], tables.stability(rows))
+    return Part(plain, None, text, vehicle)
 
 
 def _attitude(folder: Path, nominal: Vehicle) -> Part:
@@ -153,7 +154,7 @@ def _attitude(folder: Path, nominal: Vehicle) -> Part:
     found = [loop for log in logs for loop in attitude.loops(log, nominal)]
     tilts = [attitude.tilt(log, nominal) for log in logs]
     plain = {"loops": list(map(dataclasses.asdict, found)), "tilts": list(map(dataclasses.asdict, tilts))}
-    return Part(plain, None, tables.loops(found, tilts, nominal))
+    return Part(plain, None, tables.section("attitude", found, tilts))
 
 
 def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
@@ -163,7 +164,13 @@ def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
         log.name: {"pose": dataclasses.asdict(p), "commands": dataclasses.asdict(c)}
         for log, p, c in zip(logs, poses, late)
     }
-    text = tables.streams(name, [log.name for log in logs], poses, late)
+    pairs = [
+        {"flight": log.name}
+        | {key: (e.value, e.half_width) for key, e in (("attitude late s", p.delay), ("commands late s", c))}
+        | {"tracked point above m": (p.height.value, p.height.half_width)}
+        for log, p, c in zip(logs, poses, late)
+    ]
+    text = tables.section(name, pairs)
     if name == "nanobench_streams":
         lean = attitude.lean(sorted(folder.glob(pattern)), logs, nominal)
         plain["lean"], text = dataclasses.asdict(lean), text + tables.lean(lean)
@@ -179,24 +186,29 @@ def _thrust(folder: Path, nominal: Vehicle) -> Part:
 def _pads(folder: Path, nominal: Vehicle) -> Part:
     table, slopes = pads.compare(folder, nominal)
     plain = {"conditions": table.to_dict("records"), "per_volt": slopes}
-    return Part(plain, figures.pads(table), tables.pads(table, slopes))
+    rows = [
+        {"vehicle": r["vehicle"], "change": r["condition"]}
+        | {key: (r[key], r[f"{key}_half"]) for key in pads.QUANTITIES}
+        | {"told": r["says"]}
+        for r in plain["conditions"]
+    ]
+    per_volt = f"Request per volt: {slopes['total']:.1f} ± {slopes['total_half']:.1f} %/V."
+    return Part(plain, figures.pads(table), tables.section("crazypad", rows, per_volt))
 
 
 def _lags(folder: Path, nominal: Vehicle) -> Part:
     lags = [thrust.motor_lag(path) for path in sorted(folder.glob("arp_*.csv.gz"))]
-    return Part(list(map(dataclasses.asdict, lags)), None, tables.lags(lags, nominal))
+    text = f"Motor lag; the vehicle file has {nominal.thrust_lag_rate:.1f} 1/s."
+    return Part(list(map(dataclasses.asdict, lags)), None, tables.section("arp_sysid", text, lags))
 
 
 # Part -> folder of its data set, and what is done with it. Flights of one day are one vehicle as it was: on
 # the second day of utias_fmpc it hovers at 7 % less PWM and the motion capture holds another pitch for level.
-PARTS: dict[str, tuple[str, Callable[[Path, Vehicle], Part]]] = {
+PARTS: dict[str, tuple[str, Callable[..., Part]]] = {
     "utias_day1": ("utias_fmpc", functools.partial(_fleet, "utias_day1", _DAY1, None)),
     "utias_all": ("utias_fmpc", functools.partial(_fleet, "utias_all", _UTIAS, None)),
     "nanobench": ("nanobench", functools.partial(_fleet, "nanobench", _NANOBENCH, None)),
-    "nanobench_motors": (
-        "nanobench",
-        functools.partial(_fleet, "nanobench_motors", _NANOBENCH, str(MOTORS)),
-    ),
+    "nanobench_motors": ("nanobench", functools.partial(_fleet, "nanobench_motors", _NANOBENCH, str(MOTORS))),
     "utias_given": ("utias_fmpc", functools.partial(_given, "utias_given", _DAY1, None, GIVEN)),
     "nanobench_given": (
         "nanobench",
@@ -204,10 +216,7 @@ PARTS: dict[str, tuple[str, Callable[[Path, Vehicle], Part]]] = {
     ),
     "nanobench_motors_given": (
         "nanobench",
-        functools.partial(
-            *(_given, "nanobench_motors_given", _NANOBENCH, str(MOTORS)),
-            NANOBENCH_GIVEN | {"thrust_scale": {"scale": 0.7}, "thrust_bias": {"force": -0.04}},
-        ),
+        functools.partial(_given, "nanobench_motors_given", _NANOBENCH, str(MOTORS), NANOBENCH_MOTORS_GIVEN),
     ),
     "attitude": ("utias_fmpc", _attitude),
     "thrust": ("nanobench", _thrust),
