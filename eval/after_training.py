@@ -15,8 +15,10 @@ from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding
 from inclined_landing.envs.tasks.landing import LandingConditions
+from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import figure, video
-from inclined_landing.eval.pictures.figures import curriculum_figure, learning_curves, save_figure
+from inclined_landing.eval.pictures.curves import learning_curves
+from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import (
     flight_view,

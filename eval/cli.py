@@ -40,9 +40,11 @@ COMMANDS = {
         "",
         "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",
     ),
-    "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, or one whole picture."),
+    "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
+    "picture": ("pictures", "One picture of a whole flight, with copies of the vehicle along its way."),
     "video": ("pictures", "Video of flights, one after the other."),
-    "replay": ("", "Flights of policies and logs in 3D: as one page for the browser, or in a window."),
+    "replay": ("", "Flights of policies and logs in 3D, as one page for the browser."),
+    "view": ("replay", "Flights of a policy in MuJoCo's viewer, in real time; needs a display."),
     "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
     "equivalence": (
         "truth",
@@ -74,7 +76,7 @@ COMMANDS = {
 GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
-    "Pictures": ("figure", "video", "replay", "curves"),
+    "Pictures": ("figure", "picture", "video", "replay", "view", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "flights", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly", "crazyflie"),

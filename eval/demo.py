@@ -66,7 +66,7 @@ def command(
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             look = Look(**LOOK)
             video.command(POLICY, out=folder / "landing.mp4", start=points, look=look, gif=True)
-            picture.draw(policy, folder / "landing.png", points[0], look, "rest", "mujoco")
+            picture.command(POLICY, out=folder / "landing.png", start=points[0], look=look)
             replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began

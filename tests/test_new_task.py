@@ -54,7 +54,7 @@ def test_it_is_evaluated_and_its_goal_is_reached_by_climbing(run, tmp_path, caps
 def test_it_is_pictured(run, tmp_path, capsys):
     out = tmp_path / "climb.png"
     size = ["--width", "96", "--height", "64", "--backend", "ray", "--plant", "analytic"]
-    whole = ["figure", str(run / "final.zip"), "--whole", "--out", str(out), "--start", "0.5,0,1"]
+    whole = ["picture", str(run / "final.zip"), "--out", str(out), "--start", "0.5,0,1"]
     assert evaluate([*whole, *size]) == 0
     with Image.open(out) as image:
         assert image.size == (96, 64)

@@ -34,7 +34,7 @@ MISFIT = 0.05  # m by which positions may differ from the integral of the veloci
 
 
 @dataclasses.dataclass(frozen=True)
-class Reference:
+class Trajectory:
     """A trajectory of m rows and the commands that fly it on the vehicle it was planned for."""
 
     t: np.ndarray  # (m,) s, from 0
@@ -65,7 +65,7 @@ class Reference:
         return "\n".join([",".join(COLUMNS), *rows]) + "\n"
 
 
-def read_reference(path: Path) -> Reference:
+def read_trajectory(path: Path) -> Trajectory:
     """Return the trajectory of a file as `landing-eval plan` writes it.
 
     Raises UserError for a file that is none, and for numbers that cannot be flown.
@@ -98,7 +98,7 @@ def read_reference(path: Path) -> Reference:
         )
     attitude = table[:, 4:7].copy()
     attitude[:, 2] = np.unwrap(attitude[:, 2])
-    return Reference(t, position, attitude, table[:, 7:11], velocity, table[:, 14:17])
+    return Trajectory(t, position, attitude, table[:, 7:11], velocity, table[:, 14:17])
 
 
 def thrust_and_angles(acceleration: np.ndarray, yaw: np.ndarray, gravity: float) -> tuple:
@@ -117,7 +117,7 @@ def thrust_and_angles(acceleration: np.ndarray, yaw: np.ndarray, gravity: float)
 class Tracker:
     """PID controller of n vehicles along one reference, with the reference's commands as feed-forward."""
 
-    def __init__(self, reference: Reference, vehicle: Vehicle, n: int = 1):
+    def __init__(self, reference: Trajectory, vehicle: Vehicle, n: int = 1):
         self.reference, self._vehicle = reference, vehicle
         self._integral = np.zeros((n, 3))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED
 from inclined_landing.eval.base.fence import beyond_fence
-from inclined_landing.eval.base.tracking import Reference, read_reference
+from inclined_landing.eval.base.tracking import Trajectory, read_trajectory
 from inclined_landing.eval.flying.surroundings import Surroundings
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, YAW, X, Z
 from inclined_landing.models.errors import UserError
@@ -23,7 +23,7 @@ _CHECKED = 5  # every so many rows: 0.15 m at the largest speed
 class PlannedFlight:
     """A planned flight in a room; present: whether the platform stands there."""
 
-    reference: Reference
+    reference: Trajectory
     vehicle: Vehicle
     inclination: float  # of the platform, rad
     present: bool = True
@@ -34,7 +34,7 @@ def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool
 
     Raises UserError for one that does not begin and end at rest, leaves the fence or touches something.
     """
-    flight = PlannedFlight(read_reference(path), vehicle, inclination, present)
+    flight = PlannedFlight(read_trajectory(path), vehicle, inclination, present)
     r, where = flight.reference, f"planned flight {path}"
     if np.linalg.norm(r.velocity[[0, -1]], axis=1).max() > HAND_OVER_SPEED or abs(r.attitude[0, 2]) > 0.1:
         raise UserError(f"{where} must begin and end at rest, and begin at heading 0")

@@ -16,10 +16,8 @@ from msgspec import Meta, field, structs
 from inclined_landing.eval.logs import clock as clocks
 from inclined_landing.eval.logs import limits, units
 from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.schema import Table
-
-DEEPEST = 20  # mapping files that inherit one another
 
 
 class Source(Table, frozen=True):
@@ -70,7 +68,7 @@ class ColumnMap(Table, frozen=True):
 
     description: str = ""
     detect: tuple[str, ...] = ()
-    inherit: str = ""  # a mapping whose columns are taken too
+    inherit: str = ""  # a shipped mapping whose columns are taken too
     euler: Literal["ZXY", "ZYX"] = "ZXY"
     notes: tuple[str, ...] = ()
     attitude_pid: AttitudePid | None = None  # where roll and pitch were not logged
@@ -92,7 +90,7 @@ def shipped() -> Mapping[str, ColumnMap]:
     """Return the mappings that come with this package, by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
-    return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8")), ()) for f in files}
+    return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8"))) for f in files}
 
 
 def load(name: str | Path) -> ColumnMap:
@@ -102,23 +100,10 @@ def load(name: str | Path) -> ColumnMap:
     """
     if str(name) in shipped():
         return shipped()[str(name)]
-    return _load(storage.as_path(name, "mapping"), ())
-
-
-def _load(path: Path, heirs: tuple[Path, ...]) -> ColumnMap:
-    """Return the mapping file, or the shipped mapping of that name, which `heirs` inherit."""
-    if str(path) in shipped():
-        return shipped()[str(path)]
+    path = storage.as_path(name, "mapping")
     if not os.path.lexists(path):
-        whose = f"{heirs[-1]}: inherit: " if heirs else ""
-        files = f"neither a file nor one of {', '.join(shipped())}"
-        raise UserError(f"{whose}no mapping {shown(path, 120)}: {files}")
-    real = Path(os.path.realpath(path))
-    if real in heirs:
-        raise UserError(f"{heirs[0]}: inherit leads back to {path}")
-    if len(heirs) > DEEPEST:
-        raise UserError(f"{heirs[0]}: inherit goes through more than {DEEPEST} files")
-    return _parse(str(path), storage.read_toml(path, "mapping"), (*heirs, real))
+        raise UserError(f"no mapping {shown(path, 120)}: neither a file nor one of {', '.join(shipped())}")
+    return _parse(str(path), storage.read_toml(path, "mapping"))
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
@@ -173,19 +158,21 @@ def patterns(column_map: ColumnMap | None) -> list[str]:
     return [column for source in sources for column in source.columns]
 
 
-def _parse(where: str, data: dict, heirs: tuple[Path, ...]) -> ColumnMap:
-    given = schema.parse(data, ColumnMap, f"{where}: ")
-    columns = (_load(Path(given.inherit), heirs).columns if given.inherit else {}) | given.columns
-    for canonical in given.columns:
+def _parse(where: str, data: dict) -> ColumnMap:
+    read = schema.parse(data, ColumnMap, f"{where}: ")
+    if read.inherit and read.inherit not in shipped():
+        raise UserError(f"{where}: inherit {shown(read.inherit, 40)}: {choices(shipped(), read.inherit)}")
+    for canonical in read.columns:
         if canonical not in units.COLUMNS:
             raise UserError(f"{where}: [columns] {shown(canonical)} is not one of {', '.join(units.COLUMNS)}")
-        if not given.sources(canonical):
+        if not read.sources(canonical):
             raise UserError(f"{where}: [columns] {canonical} names no column")
-        for source in given.sources(canonical):
+        for source in read.sources(canonical):
             _check_source(source, canonical, f"{where}: [columns] {canonical}")
-    if not columns and given.refuse is None:
+    columns = (shipped()[read.inherit].columns if read.inherit else {}) | read.columns
+    if not columns and read.refuse is None:
         raise UserError(f"{where}: no [columns]")
-    return structs.replace(given, columns=columns)
+    return structs.replace(read, columns=columns)
 
 
 def _check_source(source: Source, canonical: str, where: str) -> None:

@@ -34,7 +34,7 @@ STILL, STANDS = 0.03, 0.5  # m/s below which, and s for which at least, a vehicl
 PLACE = 0.005  # m that the measured position of a vehicle that stands may stray
 # Of the command in flight, by which that of a vehicle that does not move differs from it only where something
 # holds the vehicle: near the ground, and with another battery voltage, it differs by less.
-HELD = 0.2
+STANDING_DIFFERENCE = 0.2
 LEAST_QW = 0.1  # which few quaternions of level vehicles are below, those that face backwards
 CLEARANCE = 0.1  # m above the lowest row, from which a vehicle that climbs is in the air
 
@@ -84,12 +84,12 @@ def standing(log: FlightLog) -> np.ndarray:
     if len(flown) < log.rate:
         return result
     level = float(np.median(flown))
-    for piece, own in zip(pieces, still):
+    for piece, slow in zip(pieces, still):
         first = int(np.searchsorted(log.t, piece.t[0]))
-        for a, b in _runs(own):
+        for a, b in _runs(slow):
             if (
                 piece.t[b - 1] - piece.t[a] < STANDS
-                or abs(piece.command[a:b, 0].mean() - level) < HELD * level
+                or abs(piece.command[a:b, 0].mean() - level) < STANDING_DIFFERENCE * level
             ):
                 continue
             distance = np.linalg.norm(piece.position - np.median(piece.position[a:b], axis=0), axis=1)

@@ -246,7 +246,7 @@ def _display() -> Finding:
     return Finding(
         "display",
         bool(names) or sys.platform == "darwin",
-        ", ".join(names) or "none; everything but landing-eval replay --window goes without one",
+        ", ".join(names) or "none; everything but landing-eval view goes without one",
         "without one, landing-eval replay and landing-eval video show flights",
         needed=False,
     )

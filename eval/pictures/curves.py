@@ -1,21 +1,68 @@
-"""`landing-eval curves`: what trainings learned."""
+"""`landing-eval curves`: learning curves of training runs, seeds of one kind, or kinds beside each other."""
 
 from __future__ import annotations
 
+import io
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+import pandas as pd
 import tyro
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.shared.tables import say
+from inclined_landing.envs.tasks import is_path, known, task_class
+from inclined_landing.envs.tasks.base import ScoreCurve
 from inclined_landing.eval.base.options import File
-from inclined_landing.eval.pictures.figures import (
-    comparison_curves,
-    final_scores,
-    learning_curves,
+from inclined_landing.eval.base.style import (
+    BLUE,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    literal,
     save_figure,
+    styled,
 )
 from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+_LARGEST = 1e12  # number in the tables of a run
+
+
+class _Abscissa(NamedTuple):
+    """The horizontal axis of curves: a column of the tables, its unit and label."""
+
+    column: str
+    unit: float
+    label: str
+
+
+class _Run(NamedTuple):
+    """A training run as it is drawn."""
+
+    task: str
+    group: str  # values of the options it is compared by
+    learning: pd.DataFrame
+    evaluations: pd.DataFrame
+    cut: list[Path]  # its tables that end within a row
+
+
+_STEPS = _Abscissa("steps", 1e6, "environment steps [10⁶]")
+_STEPS_AND_TIME = (_STEPS, _Abscissa("cpu_seconds", 1.0, "CPU time of the training [s]"))
+_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
+
+_LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
+_LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
+_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
+_LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
 
 
 def command(
@@ -37,3 +84,246 @@ def command(
     save_figure(comparison_curves(runs, names) if by else learning_curves(runs), out)
     scores = final_scores(runs)
     say(*scores[:-1], f"{scores[-1]} The curves are in {out}.")
+
+
+def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by: Sequence[str] = ()) -> _Run:
+    """Return a training run from its folder, with the columns that are drawn over `abscissae`.
+
+    by: options whose values name its group. Raises UserError, naming the file, if the folder is not a run.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UserError(f"the run folder {folder} does not exist")
+    record = storage.read_json(folder / "run.json", "run")
+    try:
+        task = record["config"]["task"]
+        score = _score_curve(task)
+    except (TypeError, KeyError, UserError) as error:
+        raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
+    x = [abscissa.column for abscissa in abscissae]
+    cut: list[Path] = []
+    learning = _read_table(folder / "learning.csv", [*x, *(curve.column for curve in _LEARNING)], cut)
+    evaluations = _read_table(folder / "evaluations.csv", [*x, score.column], cut)
+    if learning.empty:
+        raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
+    for name in by:
+        if name not in record["config"]:
+            raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
+    values = (record["config"][name] for name in by)
+    group = ", ".join("-" if value is None else shown(value, 40) for value in values)
+    return _Run(task, group, learning, evaluations, cut)
+
+
+def _score_curve(task: str) -> ScoreCurve:
+    """Return the score curve of a task; the default one for a user's task that was not imported."""
+    return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
+
+
+def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame:
+    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
+
+    The row that the table ends within, as after a copy that was cut short, is left out; `path` is then added
+    to `cut`.
+    """
+    text = storage.read_text(path, "table", storage.LARGEST_JSON)
+    rows, _, last = text.rstrip("\0").rpartition("\n")
+    if rows and (last or text.endswith("\0")) and last.count(",") < rows.partition("\n")[0].count(","):
+        text = rows + "\n"
+        cut.append(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+            table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
+    except (ValueError, pd.errors.ParserWarning) as error:
+        raise UserError(f"{path} is no table: rows of different length, or a quotation mark") from error
+    if table.empty:
+        return pd.DataFrame({column: [] for column in columns}, dtype=float)
+    numbers = {}
+    for column in columns:
+        if column not in table:
+            raise UserError(f"{path} lacks the column {column}")
+        values = pd.to_numeric(table[column], errors="coerce").astype(float)
+        missing = table[column].isna() & (column != "steps")
+        wrong = ~(values.abs() <= _LARGEST) & ~missing | (values < 0.0) & (column == "steps")
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            value = shown(table[column].iloc[row], 40)
+            raise UserError(f"{path}: {column} is {value} in row {row + 1}, which no run writes")
+        numbers[column] = values
+    return pd.DataFrame(numbers)
+
+
+def learning_curves(runs: Sequence[str | Path]) -> Figure:
+    """Return a figure of score, curriculum level, episode length and reward over environment steps.
+
+    runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
+    median is a thick line and the range from the lowest to the highest a band, as far as all runs
+    reach. The curriculum's level and the episodes' length are left out where they never change. Shaded: the
+    steps in which the level still moves, during which a policy that learns may have less reward.
+    Raises UserError for no runs, runs of different tasks and folders that are no runs.
+    """
+    if not runs:
+        raise UserError("learning curves need at least one run folder")
+    loaded = [_read_run(folder) for folder in runs]
+    tasks = sorted({run.task for run in loaded})
+    if len(tasks) > 1:
+        raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
+    curves = [(_score_curve(tasks[0]), BLUE, [run.evaluations for run in loaded])]
+    for curve, colour in _LEARNING.items():
+        if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
+            curves.append((curve, colour, [run.learning for run in loaded]))
+    with styled():
+        columns = 2 if len(curves) == 4 else len(curves)  # two to four
+        rows = len(curves) // columns
+        figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
+            _draw_curves(axes, curve, colour, tables, _STEPS)
+            _format_axes(axes, curve)
+        for axes in grid[-1]:
+            axes.set_xlabel(_STEPS.label)
+        final = max(run.learning["steps"].max() for run in loaded) / 1e6
+        grid[0, 0].set_xlim(0, 1.01 * final)
+        if changing := max(_curriculum_end(run.learning) for run in loaded):
+            for axes in grid.ravel():
+                axes.axvspan(0, changing / _STEPS.unit, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
+            words = "curriculum level still moving: the task gets harder, and the reward may fall"
+            patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=words)
+            figure.legend(handles=[patch], loc="outside lower center")
+        if len(loaded) > 1:
+            handles = [
+                *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(loaded)} seeds"),
+                grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="lowest to highest"),
+                *grid[0, 0].plot([], [], color=MUTED, lw=0.7, alpha=0.7, label="each seed"),
+            ]
+            figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _curriculum_end(learning: pd.DataFrame) -> float:
+    """Return the steps after which the curriculum's level stays as it is, 0 where it never moves."""
+    rows = learning[["steps", "level"]].dropna().to_numpy(float)
+    moving = np.flatnonzero(rows[:, 1] != rows[-1:, 1])
+    return float(rows[moving[-1] + 1, 0]) if len(moving) else 0.0
+
+
+def final_scores(runs: Sequence[str | Path]) -> list[str]:
+    """Return a sentence for each task of the runs: the score of the last evaluation, median and range.
+
+    Others say which tables are cut short.
+    """
+    loaded = [_read_run(folder) for folder in runs]
+    found = []
+    for task in dict.fromkeys(run.task for run in loaded):
+        curve = _score_curve(task)
+        columns = [run.evaluations[curve.column].dropna() for run in loaded if run.task == task]
+        ends = [curve.factor * column.iloc[-1] for column in columns if len(column)]
+        count = f"{len(columns)} run{'s' * (len(columns) != 1)} of {task}"
+        if not ends:
+            found.append(f"{count}, not evaluated yet.")
+            continue
+        spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
+        found.append(f"{count}; {curve.label} at the end: {np.median(ends):.3g}{spread}.")
+    cut = [path for run in loaded for path in run.cut]
+    return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
+
+
+def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
+    """Return a figure of score and curriculum level over environment steps and CPU time of the training.
+
+    runs: run folders; those with the same values of the options `by`, as run.json calls them, are seeds of
+    one group and have one colour: thin lines, their median, and the range from the lowest to the highest.
+    Tasks have a row each, and one for the level where it moves. Raises UserError for folders that are no
+    runs, unknown options and too many groups.
+    """
+    if not runs:
+        raise UserError("curves need at least one run folder")
+    loaded = [_read_run(folder, _STEPS_AND_TIME, by) for folder in runs]
+    groups = list(dict.fromkeys(run.group for run in loaded))
+    if len(groups) > len(_COLOURS):
+        raise UserError(f"the runs are of {len(groups)} kinds; at most {len(_COLOURS)} are told apart")
+    rows = []
+    for task in dict.fromkeys(run.task for run in loaded):
+        rows.append((task, _score_curve(task)))
+        if any(run.task == task and run.learning["level"].nunique() > 1 for run in loaded):
+            rows.append((task, _LEVEL))
+    with styled():
+        figure = Figure(figsize=(6.8, 0.75 + 1.9 * len(rows)), layout="constrained")
+        grid = figure.subplots(len(rows), len(_STEPS_AND_TIME), sharex="col", sharey="row", squeeze=False)
+        for line, (task, curve) in zip(grid, rows):
+            for axes, abscissa in zip(line, _STEPS_AND_TIME):
+                for group, colour in zip(groups, _COLOURS):
+                    seeds = [run for run in loaded if (run.task, run.group) == (task, group)]
+                    tables = [run.learning if curve is _LEVEL else run.evaluations for run in seeds]
+                    _draw_curves(axes, curve, colour, tables, abscissa)
+                _format_axes(axes, curve)
+                axes.set_xlim(left=0)
+            line[1].set_ylabel("")
+            if curve is not _LEVEL:
+                line[0].set_title(task, loc="left")
+        for axes, abscissa in zip(grid[-1], _STEPS_AND_TIME):
+            axes.set_xlabel(abscissa.label)
+        handles = []
+        for group, colour in zip(groups, _COLOURS):
+            count = sum(run.group == group for run in loaded)
+            label = f"{literal(group)}, {count} run{'s' if count > 1 else ''}"
+            handles += grid[0, 0].plot([], [], color=colour, lw=2.2, label=label)
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
+    return figure
+
+
+def _draw_curves(
+    axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame], abscissa: _Abscissa
+) -> None:
+    """Draw the curves of several seeds: a thin line each, from two on their median and range."""
+    lines = []
+    for table in tables:
+        rows = table[[abscissa.column, curve.column]].dropna()
+        if len(rows):
+            values = rows.to_numpy(float)
+            lines.append((values[:, 0] / abscissa.unit, curve.factor * values[:, 1]))
+    several = len(lines) > 1
+    for x, y in lines:
+        style: dict[str, Any] = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
+        style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
+        axes.plot(x, y, color=colour, gid="run", **style)
+    if several:
+        x, middle, low, high = median_and_range(lines)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
+        axes.plot(x, middle, color=colour, lw=2.2, gid="median")
+
+
+def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
+    """Set labels, limits and scale of axes, and draw the reference value of their curve."""
+    axes.grid(True)
+    axes.set_ylabel(curve.label)
+    if not axes.lines:
+        axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
+    if curve.reference:
+        value, text = curve.reference
+        axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference")
+        axes.annotate(
+            text, (0.02, value), xycoords=axes.get_yaxis_transform(), xytext=(0, 2), size=8.5,
+            textcoords="offset points", ha="left", va="bottom",
+        )  # fmt: skip
+    if curve.limits:
+        axes.set_ylim(*curve.limits)
+    if curve.logarithmic:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def median_and_range(
+    lines: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return common abscissae (m,) of curves (x, y), and their median, lowest and highest values there.
+
+    Curves are interpolated linearly; only the range that all of them cover is used.
+    """
+    start, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    steps = np.unique(np.concatenate([x for x, _ in lines]))
+    steps = steps[(steps >= start) & (steps <= end)]
+    values = np.array([np.interp(steps, x, y) for x, y in lines])
+    return steps, np.median(values, axis=0), values.min(axis=0), values.max(axis=0)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
-import tyro
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 
-_UNTIL = ("rest", "goal")
-Until = Annotated[str, tyro.conf.arg(metavar="{rest,goal}")]
+Until = Literal["rest", "goal"]
 
 
 def start_points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
@@ -45,13 +43,7 @@ def check_random_starts(drawn: int, starts: Sequence[str]) -> None:
         raise UserError("give either --start or --drawn")
 
 
-def check_ending(until: str) -> None:
-    """Raise UserError for an unknown --until."""
-    if until not in _UNTIL:
-        raise UserError(f"--until is {' or '.join(_UNTIL)}, not {shown(until)}")
-
-
-def continue_flights(flights: Sequence[Flight], until: str) -> list[Flight]:
+def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
     """Return the flights up to the end that --until names: "rest" or "goal"."""
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
 

@@ -1,40 +1,51 @@
-"""One picture of a whole flight: copies of the vehicle along its way (`landing-eval figure --whole`)."""
+"""`landing-eval picture`: one rendered picture of a whole flight."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
+from typing import Annotated
 
-from inclined_landing.envs.policy import Policy
-from inclined_landing.eval.base.options import Look
+import tyro
+
+from inclined_landing.eval.base.options import File, Flat, Flown, Look
+from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flights import (
-    check_ending,
+    Until,
     continue_flights,
     fly_from,
     say_outcomes,
     start_points,
 )
-from inclined_landing.eval.pictures.frames import checked_look, strobe, write_picture
+from inclined_landing.eval.pictures.frames import FITTED, checked_look, strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 
-def check(out: Path, look: Look, until: str) -> Look:
-    """Return the look as it can be drawn.
+def command(
+    policy: AnyPolicy,
+    /,
+    *,
+    out: File,
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Z")] = None,
+    look: Flat[Look] = Look(camera=FITTED),
+    until: Until = "rest",
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """One picture of a whole flight, with copies of the vehicle along its way.
 
-    Raises UserError for a file that is no .png or cannot be written, or for an unknown look or end.
+    Args:
+        policy: file, or the name of a shipped one.
+        out: .png file.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; by default the task's first start.
+        until: where a landing ends: rest goes on after the goal box with the motors cut, by MuJoCo, until the
+            vehicle is at rest; goal ends with the policy's flight.
     """
     if out.suffix.lower() != ".png":
         raise UserError(f"a picture is a .png file, not {out.name!r}")
-    check_ending(until)
     storage.check_file(out)
-    return checked_look(look)
-
-
-def draw(policy: Policy, out: Path, start: str | None, look: Look, until: str, plant: str) -> None:
-    """Fly from `start`, X,Z or (setpoint) X,Y,Z in metres, and write the picture of the flight."""
-    flown_from = start_points([] if start is None else [start], policy.task)
-    flight = continue_flights(fly_from(policy, flown_from, plant), until)[0]
-    drawn = strobe(flight, **dataclasses.asdict(look))
-    write_picture(out, drawn)
+    look = checked_look(look)
+    loaded = flown.load(policy)
+    flights = fly_from(loaded, start_points([] if start is None else [start], loaded.task), flown.plant)
+    flight = continue_flights(flights, until)[0]
+    write_picture(out, strobe(flight, **dataclasses.asdict(look)))
     say_outcomes({"flight 1": flight}, f"the picture is {out}")

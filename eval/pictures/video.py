@@ -21,7 +21,6 @@ from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, L
 from inclined_landing.eval.base.policies import AnyPolicy
 from inclined_landing.eval.pictures.flights import (
     Until,
-    check_ending,
     check_random_starts,
     choose_starts,
     continue_flights,
@@ -85,7 +84,6 @@ def command(
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
-    check_ending(until)
     check_random_starts(drawn, start)
     storage.check_file(out)
     if look.camera == FITTED and forces:

@@ -34,8 +34,9 @@ from inclined_landing.eval.base.options import (
     Seed,
     VehicleFile,
 )
+from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import video
-from inclined_landing.eval.pictures.figures import mission_figure, save_figure
+from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z

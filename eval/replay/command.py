@@ -18,7 +18,7 @@ from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base.options import Drawn, Flag, Flat, Flown, Seed, Starts
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Seed, Starts
 from inclined_landing.eval.gap.search.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.command import parse_units
@@ -26,7 +26,6 @@ from inclined_landing.eval.pictures.flights import check_random_starts, choose_s
 from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
 from inclined_landing.eval.replay.recording import Recording, from_flight
-from inclined_landing.eval.replay.view import InWindow, show
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
@@ -41,7 +40,7 @@ def command(
     sources: Sources,
     /,
     *,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    out: File,
     start: Starts = (),
     drawn: Drawn = 0,
     seed: Seed = 0,
@@ -49,10 +48,9 @@ def command(
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
     platform: Flag = False,
-    in_window: Flat[InWindow] = InWindow(),
     flown: Flat[Flown] = Flown(),
 ) -> None:
-    """Flights of policies and logs in 3D: as one page for the browser, or in a window.
+    """Flights of policies and logs in 3D, as one page for the browser.
 
     The page holds everything it needs and opens from a file. A policy flies from --start, or from its task's
     usual starts, and is followed at the engine's steps with its contact forces until it is at rest. A log is
@@ -60,7 +58,7 @@ def command(
 
     Args:
         sources: policy files or names of shipped ones, and flight logs of any known kind.
-        out: .html file; not with --window.
+        out: .html file.
         start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
             flights.
         drawn: number of flights of each policy from random starts instead, over random slopes where it
@@ -73,13 +71,6 @@ def command(
     """
     if not sources:
         raise UserError("name at least one policy or log")
-    if in_window.window:
-        _in_window(sources, out, start, drawn, in_window, flown)
-        return
-    if in_window != InWindow():
-        raise UserError("--slow and --again are of a window: add --window, or leave them out")
-    if out is None:
-        raise UserError("the page is written to --out FILE.html; --window shows policies in a window instead")
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
@@ -117,19 +108,6 @@ def command(
         say(f"{recording.name}: {recording.outcome}")
     count = len(recordings)
     say(f"{out} shows {count} flight{'s' * (count != 1)}; open it in a browser.")
-
-
-def _in_window(
-    sources: tuple[str, ...], out: Path | None, start: Starts, drawn: int, how: InWindow, flown: Flown
-) -> None:
-    """Show the flights of policies one after the other; raises UserError for what a window cannot show."""
-    if logs := [source for source in sources if Path(source).is_file() and not _is_policy(source)]:
-        raise UserError(f"--window shows policies alone, and {shown(logs[0], 100)} is none")
-    if out is not None or drawn:
-        raise UserError("--window shows flights from --start and writes nothing: leave --out and --drawn out")
-    for source in sources:
-        policy = flown.load(source)
-        show(policy, start_points(start, policy.task), flown.plant, how)
 
 
 def _is_policy(source: str) -> bool:

@@ -1,52 +1,51 @@
-"""MuJoCo's viewer with a policy's flights, in real time (`landing-eval replay --window`)."""
+"""`landing-eval view`: MuJoCo's viewer with a policy's flights, in real time."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from typing import Annotated
 
 from msgspec import Meta
 
 from inclined_landing.envs.flights import Flight, resimulate
-from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Flag
-from inclined_landing.eval.pictures.flights import fly_from, say_outcome, succeeded
+from inclined_landing.eval.base.options import Flag, Flat, Flown, Starts
+from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.pictures.flights import fly_from, say_outcome, start_points, succeeded
 from inclined_landing.eval.pictures.to_rest import to_rest
 
 _FPS = 50.0  # moments shown in a second
 _LINGERS = 1.5  # s that the last moment of a flight stays
 
 
-@dataclasses.dataclass(frozen=True)
-class InWindow:
-    """A window instead of a page, which needs a display. Closing it ends the command.
+def command(
+    policy: AnyPolicy,
+    /,
+    *,
+    start: Starts = (),
+    slow: Annotated[float, Meta(ge=0.1, le=100)] = 1.0,
+    again: Flag = False,
+    flown: Flat[Flown] = Flown(),
+) -> None:
+    """Flights of a policy in MuJoCo's viewer, in real time; needs a display.
+
+    Closing the window ends the command.
 
     Args:
-        window: show policies in MuJoCo's viewer, in real time.
+        policy: file, or the name of a shipped one.
+        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
         slow: 2 plays at half speed.
         again: begin again after the last flight, until the window is closed.
     """
-
-    window: Flag = False
-    slow: Annotated[float, Meta(ge=0.1, le=100)] = 1.0
-    again: Flag = False
-
-
-def show(policy: Policy, where: Sequence[tuple[float, ...]], plant: str, how: InWindow) -> None:
-    """Show flights of a policy from points of its task's start axes [m].
-
-    Raises UserError without a display.
-    """
+    loaded = flown.load(policy)
+    where = start_points(start, loaded.task)
     check_display()
-    flights = fly_from(policy, where, plant)
-    with Window(policy.task.vehicle) as window:
+    flights = fly_from(loaded, where, flown.plant)
+    with Window(loaded.task.vehicle) as window:
         first = True
-        while window.open and (first or how.again):
+        while window.open and (first or again):
             for k, flight in enumerate(flights):
-                play(window, flight, plant, how.slow)
+                play(window, flight, flown.plant, slow)
                 if first:
                     say_outcome(flight, f"flight {k + 1}")
             first = False

@@ -33,6 +33,7 @@ LINES |= {
 LINES |= {
     "curves": "curves {place} --out {place}/out.png",
     "replay": "replay {place}/log.csv --out {place}/a",
+    "view": "view landing",
 }
 NUMBERS = (
     "nan",

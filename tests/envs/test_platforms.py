@@ -9,7 +9,7 @@ import pytest
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.rendering import make_renderer, pose_from_state
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.eval.pictures.figures import trajectory_figure
+from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import pose_at
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.replay.recording import from_flight

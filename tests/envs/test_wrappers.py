@@ -196,11 +196,11 @@ def test_windows_open_follow_and_close_cleanly(kind):
     """On a virtual display with OpenGL in software: seconds for a picture."""
     if shutil.which("xvfb-run") is None:
         pytest.skip("no virtual display here (Debian: apt-get install xvfb)")
-    view = [sys.executable, "-m", "inclined_landing.eval", "replay", "touchdown", "--start", "0.3,1.5"]
+    view = [sys.executable, "-m", "inclined_landing.eval", "view", "touchdown", "--start", "0.3,1.5"]
     words = {
         "human": [sys.executable, "-c", HUMAN],
-        "view": [*view, "--window", "--slow", "0.1"],
-        "interrupted": ["timeout", "-s", "INT", "60", *view, "--window", "--again"],
+        "view": [*view, "--slow", "0.1"],
+        "interrupted": ["timeout", "-s", "INT", "60", *view, "--again"],
     }[kind]
     screen = ["xvfb-run", "-a", "-s", "-screen 0 320x240x24"]
     done = subprocess.run([*screen, *words], capture_output=True, text=True, timeout=500)

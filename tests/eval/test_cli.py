@@ -68,7 +68,7 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success", "x", "--seed"], "Missing value for argument '--seed'"),
     (["success", "x", "--sed", "3"], "Unrecognized options: --sed, 3; Perhaps you meant: --seed INT"),
     (["success", "x", "--\nsed", "\udcff" * 200], "Unrecognized options: --"),
-    (["logs"], "name at least one log"),
+    (["logs"], "Error parsing source: name at least one log"),
     (["landings"], "Missing from landing-eval landings: STUDY.toml"),
 ])  # fmt: skip
 def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.eval.base.tracking import Reference, thrust_and_angles
+from inclined_landing.eval.base.tracking import Trajectory, thrust_and_angles
 from inclined_landing.eval.gap.plan.pieces import RATE, Path
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.vehicle import Vehicle
@@ -23,10 +23,10 @@ class Setpoints:
     command: np.ndarray  # (m, 4) PWM, roll, pitch [rad], yaw rate [rad/s]
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> Trajectory:
         """Return what the pilot tracks."""
         p = self.path
-        return Reference(p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration)
+        return Trajectory(p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration)
 
     def log(self, name: str, noise: np.ndarray) -> FlightLog:
         """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -72,17 +71,6 @@ def test_help_of_a_training_is_one_screen(monkeypatch, capsys):
     assert set(OPTION.findall(full)) == flags | {"-h"}
 
 
-def test_help_is_printed_for_the_terminal_there_is(monkeypatch, capsys):
-    for width in (80, 120):
-        monkeypatch.setenv("COLUMNS", str(width))
-        with pytest.raises(SystemExit) as end:
-            cli.main(["success", "--help"])
-        printed = capsys.readouterr()
-        assert end.value.code == 0 and printed.err == ""
-        lengths = [len(line) for line in printed.out.splitlines()]
-        assert width - 15 < max(lengths) <= width
-
-
 def test_versions_of_both_programs(capsys):
     assert cli.main(["--version"]) == 0 and train(["--version"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -120,13 +108,6 @@ def test_bash_completes(scripts, line, expected):
     )
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, cwd="/", check=True)
     assert done.stderr == "" and set(done.stdout.split()) == expected
-
-
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_read_their_script(scripts, shell):
-    if shutil.which(shell) is None:
-        pytest.skip(f"{shell} is not installed")
-    subprocess.run([shell, "-n", scripts[shell]], check=True)
 
 
 def test_what_is_asked_for_is_printed_and_another_shell_refused(capsys):

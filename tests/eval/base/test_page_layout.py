@@ -16,7 +16,6 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.page import embedded, png
 from inclined_landing.eval.gap.report.page import page as gap_page
-from inclined_landing.train.cli import main as train
 from tests.eval.base.test_pages import claims_page, identification_page
 from tests.eval.gap.test_report import example
 from tests.eval.landings.test_run import STUDY
@@ -65,9 +64,8 @@ def _command(file: str, *words: str):
     """Return what writes the page `file` into a folder by a command; {out}: the folder."""
 
     def write(folder: Path) -> str:
-        main = train if words[0] == "sweep" else cli.main
         out = folder / ("out.html" if file == "out.html" else "out")
-        assert main([word.format(out=out, folder=folder) for word in words]) == 0
+        assert cli.main([word.format(out=out, folder=folder) for word in words]) == 0
         return (out if out.is_file() else out / file).read_text("utf-8")
 
     return write
@@ -82,26 +80,12 @@ PAGES = {
     "gap": lambda _: gap_page(example("unknown"), None, versions={"python": "3"}),
     "identify": lambda _: identification_page("a word"),
     "landings": _landings,
-    "moving": _command(
-        "index.html", *("robustness", "planner", "--over", "moving", "--scenario", "ship_5_bow"),
-        *("still_20_deg", "travel_050_cm_s", "--flights", "2", "--out", "{out}"),
-    ),
     "replay": _command("out.html", "replay", "landing", "--out", "{out}"),
     "robustness": _command(
         "index.html", *("robustness", "landing-nominal", "landing", "--every", "125"),
         *("--thrust", "1.0", "--effect", "mass", "--out", "{out}"),
     ),
 }  # fmt: skip
-
-
-def test_tables_and_pictures_of_all_templates_scroll():
-    found = 0
-    for template in ROOMS.rglob("*.j2"):
-        text = template.read_text("utf-8")
-        wide = re.findall(r'<div class="wide(?: drawn)?" tabindex="0"><(table|img)', text)
-        assert len(wide) == len(re.findall(r"<(?:table|img)\b", text)), template.name
-        found += len(wide)
-    assert found >= 5
 
 
 @pytest.mark.browser

@@ -172,13 +172,6 @@ def test_mistakes_are_refused_in_words(mistake, tmp_path, capsys):
         assert "bad.csv: lasts only 0.5 s" in captured.err and captured.err.count("\n") == 1
 
 
-def test_a_flight_in_one_plane_shows_the_sign_of_one_axis():
-    log = flight(planar=True, heading=0.0)
-    assert found(log, "refuse") == []
-    wrong = change(log, pitch=-log.attitude[:, 1])
-    assert "wrong" in found(wrong, "refuse")[0]
-
-
 def test_limits_are_noted_and_what_cannot_be_believed_is_left_out():
     log = flight()
     roll_rate = np.gradient(log.position[:, 1], log.t)
@@ -351,7 +344,7 @@ def test_motors_that_run_on_the_floor_are_no_flight(begin, seconds, pwm):
 
 @pytest.mark.parametrize("level", [True, False])
 def test_a_hover_is_no_standing(level):
-    """As still as the noise lets one see, at the command that it flies with, within the HELD of standing."""
+    """As still as the noise lets one see, at nearly the command that it flies with."""
     for share in (0.85, 1.15):
         log = flight(level=level)
         log.position[400:900], log.command[400:900, 0] = log.position[400], share * 42_000
@@ -374,16 +367,6 @@ def test_a_quaternion_in_another_order_is_refused(named, order, heading, tmp_pat
     assert not any("order" in note for note in read_log(right).notes)
     with pytest.raises(UserError, match=r"numbers lie in the order|upside down .* order of the quaternion"):
         read_log(wrong)
-
-
-def test_a_vehicle_that_faces_backwards_is_believed_where_it_moves(tmp_path):
-    for log, doubted in (
-        (flight(heading=np.pi), False),
-        (flight(heading=np.pi, planar=True, level=True), True),
-    ):
-        at_rest = np.mean(log.position, axis=0) + 1e-3 * (log.position - np.mean(log.position, axis=0))
-        log = dataclasses.replace(log, from_quaternion=True, position=at_rest if doubted else log.position)
-        assert any("qw stays near 0" in text for text in found(log, "limit")) == doubted
 
 
 @pytest.mark.parametrize("moves", [True, False])

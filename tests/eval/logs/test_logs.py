@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags import rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -21,7 +21,6 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
-from inclined_landing.eval.logs.mapping import shipped
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
@@ -117,15 +116,6 @@ def test_what_is_written_comes_back(tmp_path, suffix):
     for field in ("t", "position", "attitude", "command", "velocity", "voltage"):
         assert np.allclose(getattr(back, field), getattr(log, field), atol=1e-12), field
     assert np.array_equal(back.contact, log.contact)
-
-
-def test_columns_that_were_not_logged_stay_away(tmp_path):
-    log = a_log()
-    log.command[:, 3] = np.nan
-    write_log(tmp_path / "a.csv", log)
-    back = read(tmp_path / "a.csv")
-    assert back.missing == ("cmd_yaw_rate",)
-    assert back.velocity is None and back.voltage is None and back.contact is None
 
 
 def test_a_row_of_units_or_the_option_says_degrees(tmp_path):
@@ -266,21 +256,6 @@ def test_files_that_are_no_tables_are_refused_in_words(tmp_path):
         read_log(tmp_path / "binary.csv")
 
 
-@given(data=st.data())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_damage_to_a_table_is_answered_with_a_traceback(tmp_path, data):
-    write_log(tmp_path / "a.csv", a_log(8))
-    text = bytearray((tmp_path / "a.csv").read_bytes())
-    for _ in range(data.draw(st.integers(1, 6))):
-        place = data.draw(st.integers(0, len(text) - 1))
-        text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
-    (tmp_path / "damaged.csv").write_bytes(bytes(text))
-    try:
-        read_log(tmp_path / "damaged.csv")
-    except UserError as error:
-        assert str(error)
-
-
 def written(folder: Path, log: FlightLog) -> str:
     write_log(folder / "good.csv", log)
     return (folder / "good.csv").read_text()
@@ -409,15 +384,6 @@ def test_time_by_other_names_and_in_other_units(tmp_path, kind):
     assert kind == "date" or any(word in " ".join(back.notes) for word in ("time is the column", "t = t_ms"))
 
 
-def test_time_that_no_column_is_called_by_is_asked_for(tmp_path):
-    text = written(tmp_path, a_log()).replace("t,", "frame,", 1)
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(UserError, match=r'have no time: .* inherit = "documented" .* t = "NAME"'):
-        read(tmp_path / "a.csv")
-    (tmp_path / "m.toml").write_text('inherit = "documented"\n[columns]\nt = "frame"\n')
-    assert len(read(tmp_path / "a.csv", mapping=tmp_path / "m.toml")) == 40
-
-
 def test_rows_in_order_of_arrival_are_sorted_and_two_flights_are_not(tmp_path):
     log = a_log(400)
     head, *rows = written(tmp_path, log).splitlines()
@@ -541,6 +507,10 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
         ("[columns", "is not TOML"),
         ("", r"no \[columns\]"),
+        ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
+        ("[columns]\nx = { column = 'x', full = 2.0 }", "full is for a thrust command or a request"),
+        ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
+        ("inherit = 'mine'", "inherit mine: .*documented"),
     ],
 )
 def test_bad_mappings_are_refused_in_words(tmp_path, text, words):
@@ -586,26 +556,6 @@ def test_micro_sd_logs(tmp_path, version):
     back = read(path)
     assert_is(back, log, atol=1e-5)  # single precision, degrees
     assert back.notes == ()
-
-
-@given(cut=st.integers(1, 3000), damage=st.integers(5, 3000))
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_damaged_micro_sd_logs_are_read_as_far_as_they_go(tmp_path, cut, damage):
-    log = a_log()
-    data = sd_card(firmware_values(log), log.t, 2, {"pm.state": 1.0})
-    path = tmp_path / "cut"
-    path.write_bytes(data[: max(len(data) - cut, 1)])
-    try:
-        back = read(path)
-    except UserError as error:
-        assert str(path) in str(error)
-    else:
-        assert len(back) <= 40 and "the checksum is wrong" in " ".join(back.notes)
-    path.write_bytes(data[: damage % len(data)] + b"\xa5" + data[damage % len(data) + 1 :])
-    try:
-        read(path)
-    except UserError as error:
-        assert str(error)
 
 
 @pytest.mark.parametrize("lost", [0, 4, 200])  # bytes before the zeros: the checksum, several events
@@ -737,18 +687,6 @@ def test_a_needed_topic_that_cannot_be_decoded_is_named_with_its_type(tmp_path):
         read(path, mapping=tmp_path / "m.toml")
 
 
-def test_a_bags_file_is_read_without_its_metadata(tmp_path):
-    log = a_log()
-    path = write_bag(tmp_path / "bag", log, 2)
-    (path / "metadata.yaml").unlink()
-    (file,) = path.iterdir()
-    assert np.allclose(read(file).position, log.position)
-    assert np.allclose(read(path).position, log.position)
-    (path / f"more{file.suffix}").write_bytes(file.read_bytes())
-    with pytest.raises(UserError, match="`ros2 bag reindex bag`"):
-        read(path)
-
-
 # --- measured flights -------------------------------------------------------------------------------
 
 
@@ -776,11 +714,3 @@ def test_a_flight_without_pose_is_refused_and_says_what_it_is_good_for(capsys):
     assert main(["logs", str(DATA / "arp_sysid" / "arp_log10a.csv.gz")]) == 2
     error = capsys.readouterr().err
     assert "no position and no attitude were logged" in error and "the motors' lag" in error
-
-
-def test_every_shipped_mapping_says_what_it_is_for():
-    assert set(shipped()) >= {"documented", "crazyflie", "crazyswarm2", "utias_fmpc", "nanobench", "crazypad"}
-    assert all(column_map.description for column_map in shipped().values())
-    # What was commanded in flights that are read by their rotor speeds otherwise: only when asked for.
-    undetected = {name for name, column_map in shipped().items() if not column_map.detect}
-    assert undetected == {"crazyflie_data_collection_command"}

@@ -254,19 +254,3 @@ def test_columns_of_lists(tmp_path):
     path.write_text(path.read_text().replace('"[0, 0, 0]"', '"[0, 0]"', 1))
     with pytest.raises(UserError, match="the lists in column v are not all of one length"):
         read_log(path)
-
-
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
-        ('cmd_thrust_pwm = { mean_square = ["a", "b"] }', "mean_square needs full"),
-        ('x = { column = "x", full = 2.0 }', "full is for a thrust command or a request"),
-        ('cmd_thrust_pwm = { column = "a", full = 2.0, unit = "PWM" }', "in place of a unit"),
-        ('cmd_thrust_pwm = { column = "a", full = 0.0 }', "full"),
-    ],
-)
-def test_wrong_mappings_are_one_sentence(tmp_path, line, sentence):
-    (tmp_path / "map.toml").write_text(f"[columns]\n{line}\n")
-    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
-    with pytest.raises(UserError, match=sentence):
-        read_log(tmp_path / "a.csv", mapping=tmp_path / "map.toml")

@@ -20,20 +20,16 @@ from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.options import Flown
-from inclined_landing.eval.base.style import STAMP_DPI
-from inclined_landing.eval.pictures import video
-from inclined_landing.eval.pictures.figures import (
+from inclined_landing.eval.base.style import STAMP_DPI, save_figure
+from inclined_landing.eval.pictures.curves import (
     comparison_curves,
-    curriculum_figure,
     final_scores,
     learning_curves,
-    save_figure,
-    trajectory_figure,
+    median_and_range,
 )
-from inclined_landing.eval.pictures.figures.curves import median_and_range
+from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.scene import platform_outline
-from inclined_landing.eval.pictures.flights import fly_from
+from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import flight_view, render_flight
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -154,12 +150,6 @@ def test_setpoint_video_has_no_platform():
     assert dark == [False, True]
 
 
-def test_flight_at_rest_has_a_figure():
-    flight = setpoint_flight()
-    flight.state[:] = flight.state[-1]
-    assert len(trajectory_figure(flight).axes) == 4
-
-
 def test_stamp_tilts_as_the_vehicle_does():
     """Positive pitch lowers the nose (+x, right); positive roll lowers the right wing (-y, left)."""
     for across, attitude in ((0, (0.0, 0.4, 0.0)), (1, (-0.4, 0.0, 0.0))):
@@ -171,16 +161,6 @@ def test_stamp_tilts_as_the_vehicle_does():
         assert height[0] - height[1] > 5
         assert 0.02 < level.mean() < 0.5
         assert not cover[[0, -1]].any() and not cover[:, [0, -1]].any()  # the whole vehicle is in it
-
-
-def test_stamp_is_the_vehicle_s_size():
-    """Front and rear motors are 65 mm apart: at scale 3 the feet are, too."""
-    maker = SpriteRenderer(pixels=400)
-    stamp = maker((0, 0, 0))
-    feet = np.flatnonzero(stamp.rgba[:, :, 3].any(axis=1))[-3]
-    columns = np.flatnonzero(stamp.rgba[feet, :, 3] > 128)
-    pixel = 2 * stamp.half / 400
-    assert pixel * (columns.max() - columns.min()) == pytest.approx(3 * 0.065, abs=3 * 0.006)
 
 
 def test_png_and_pdf(tmp_path):
@@ -285,23 +265,11 @@ def test_band_covers_common_steps_only():
     np.testing.assert_allclose(middle_, [1, 1.5, 2])
 
 
-def test_setpoint_runs_show_the_error(tmp_path):
-    axes = learning_curves([write_run(tmp_path / "a", "setpoint")]).axes
-    assert axes[0].get_ylabel() == "mean error after 3 s [cm]" and axes[0].get_yscale() == "log"
-    assert len(axes) == 4
-
-
 def test_level_is_shown_where_it_moves(tmp_path):
     run = write_run(tmp_path / "a", rate=0.0)
     axes = learning_curves([run]).axes
     assert len(axes) == 2 and "curriculum level" not in [a.get_ylabel() for a in axes]
     assert not by_gid(axes[1].patches, "curriculum")
-
-
-def test_run_without_evaluations(tmp_path):
-    run = write_run(tmp_path / "a")
-    (run / "evaluations.csv").write_text("\n")
-    assert learning_curves([run]).axes[0].texts[0].get_text() == "no evaluations yet"
 
 
 def of_kind(folder, algorithm, curriculum="adaptive", task="landing", seconds=10.0):
@@ -357,25 +325,6 @@ def test_comparisons_name_what_is_wrong(tmp_path):
             comparison_curves([good], ["algorithm"])
 
 
-def test_learning_curves_name_what_is_wrong(tmp_path):
-    good, other = write_run(tmp_path / "good"), write_run(tmp_path / "other", "setpoint")
-    with pytest.raises(UserError, match="at least one"):
-        learning_curves([])
-    with pytest.raises(UserError, match=r"nowhere does not exist"):
-        learning_curves([tmp_path / "nowhere"])
-    with pytest.raises(UserError, match=r"different tasks \(landing and setpoint\)"):
-        learning_curves([good, other])
-    pd.read_csv(good / "learning.csv").drop(columns="level").to_csv(good / "learning.csv", index=False)
-    with pytest.raises(UserError, match=r"learning\.csv lacks the column level"):
-        learning_curves([good])
-    (other / "run.json").write_text("{")
-    with pytest.raises(UserError, match=r"run\.json is not JSON"):
-        learning_curves([other])
-    (other / "run.json").unlink()
-    with pytest.raises(UserError, match=r"run\.json does not exist"):
-        learning_curves([other])
-
-
 @pytest.mark.parametrize("end", ["", ",", "\0" * 90])
 def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
     run = write_run(tmp_path / "a")
@@ -388,14 +337,6 @@ def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
     (run / "learning.csv").write_text(text[:-1])  # an editor's last line
     assert len(by_gid(learning_curves([run]).axes[1].lines, "run")[0].get_xdata()) == 40
     assert len(final_scores([run])) == 1
-
-
-def test_levels_that_are_missing_are_no_end_of_the_curriculum(tmp_path):
-    run = write_run(tmp_path / "a")
-    table = pd.read_csv(run / "learning.csv")
-    table.loc[len(table) - 1, "level"] = np.nan
-    table.to_csv(run / "learning.csv", index=False)
-    assert len(by_gid(learning_curves([run]).axes[1].lines, "run")[0].get_xdata()) == 39
 
 
 # --- curriculum -----------------------------------------------------------------------------------
@@ -484,19 +425,10 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
         assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 4 + 1.0), abs=0.1)
 
 
-def test_slow_video_has_every_sample_once(hover_policy):
-    flights = fly_from(Flown().load(hover_policy), [(1.5, 1.8)], "analytic", steps=10)
-    look = {"camera": "side", "width": 64, "height": 48, "backend": "ray"}
-    frames, total, rate = video.film(flights, 50.0, 2.0, **look)
-    frames = list(frames)
-    assert len(frames) == 11 + 25 == total and rate == 25.0
-    assert (frames[10] == frames[-1]).all()
-
-
 def test_picture_and_curves_commands(hover_policy, tmp_path):
     out = tmp_path / "new" / "picture.png"
     size = ["--width", "160", "--height", "90", "--backend", "ray", "--plant", "analytic"]
-    assert cli.main(["figure", "--whole", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
+    assert cli.main(["picture", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
     with Image.open(out) as image:
         assert image.size == (160, 90)
     run, curves = write_run(tmp_path / "run"), tmp_path / "curves.pdf"
@@ -521,9 +453,7 @@ def test_picture_and_curves_commands(hover_policy, tmp_path):
             ["video", "--out", "file/a.mp4", "--width", "64", "--height", "64"],
             "cannot write into file: file is not a folder",
         ),
-        (["figure", "--whole", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
-        (["figure", "--whole", "--out", "a.png", "--start", "1,2", "--start", "1,2"], "give --start once"),
-        (["figure", "--out", "new", "--camera", "side"], "add --whole, or leave them out"),
+        (["picture", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
         (["figure", "--out", "file"], "cannot write into file: file is not a folder"),
         (["figure", "--out", "new", "--plant", "paper"], "unknown plant 'paper'"),
         (["figure", "--out", "new", "--inclination", "70"], "outside the supported range"),

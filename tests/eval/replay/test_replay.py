@@ -80,25 +80,6 @@ def test_a_landing_is_followed_to_rest(landing):
     assert "motors cut there, at rest" in recording.outcome
 
 
-def test_other_plants_are_shown_as_they_flew():
-    policy = load_policy("landing-nominal")
-    flight = record_flights(policy, "analytic", policy.task.states_at([(0.9, 1.7)]))[0]
-    recording = from_flight(flight, "x", "analytic")
-    np.testing.assert_array_equal(recording.position[: len(flight.t)], flight.state[:, :3])
-    assert recording.forces is None
-
-
-def test_thinning_keeps_ends_and_parts(landing):
-    whole = from_flight(landing, "x", "mujoco")
-    parts = dataclasses.replace(whole, restarts=np.array([101, 303]))
-    thin = parts.downsampled(50)
-    assert 50 <= len(thin.t) <= 60 and thin.t[0] == whole.t[0] and thin.t[-1] == whole.t[-1]
-    np.testing.assert_array_equal(thin.t[thin.restarts], whole.t[[101, 303]])
-    np.testing.assert_array_equal(thin.t[thin.restarts - 1], whole.t[[100, 302]])
-    assert len(thin.forces) == len(thin.points) == len(thin.t)
-    assert whole.downsampled(10**6) is whole
-
-
 # --- a log and its simulation --------------------------------------------------------------------------
 
 

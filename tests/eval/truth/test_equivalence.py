@@ -103,13 +103,6 @@ def test_plugin_free_twin(flights):
     check(twin.section(V, flights[0].commands).claims)
 
 
-def test_a_twin_with_another_lag_is_not_a_twin(flights):
-    commands = flights[0].commands[:50]
-    plain = dataclasses.replace(V, drag_coefficients=isolated.NO_DRAG)
-    other = dataclasses.replace(plain, thrust_lag_rate=V.thrust_lag_rate * (1 + 1e-6))
-    assert np.abs(twin.fly(other, commands) - twin.fly(plain, commands)).max() > twin.LIMIT
-
-
 def test_discrete_motor_function():
     part, drawn = motor.section(V, 0)
     check(part.claims)
@@ -169,16 +162,6 @@ def test_inconsistencies(flights):
     check(part.claims)
     assert len(part.tables[0].rows) == 6
     assert drawn.apart[-1] > drawn.apart[50] > 0
-
-
-def test_the_public_codes_motion_without_drag_is_the_papers(flights):
-    """Only the drag differs in the plane: without it both fly alike."""
-    plain = dataclasses.replace(V, drag_coefficients=isolated.NO_DRAG)
-    commands = flights[0].commands[:100, :2]
-    code = inconsistencies.fly_code(plain, commands)
-    paper = flying.fly(flying.equations(2, "kinematic", vehicle=plain), commands)[..., [0, 2]]
-    # RK4 at 4 ms against 1 ms: the tolerance of the flights
-    assert np.abs(code - paper).max() < levels.FLIGHT_LIMITS["kinematic"][0]
 
 
 @pytest.mark.parametrize("measured, low, high, passed", [
