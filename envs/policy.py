@@ -11,15 +11,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import re
 import shutil
 import zipfile
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numba
 import numpy as np
+from msgspec import Meta, Struct
 
 from inclined_landing.envs import weights
 from inclined_landing.envs.batch import as_floats
@@ -27,8 +27,8 @@ from inclined_landing.envs.history import input_names
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.envs.weights import METADATA
-from inclined_landing.models import storage
+from inclined_landing.envs.weights import ACTIVATIONS, LARGEST_WEIGHT, METADATA
+from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -41,11 +41,8 @@ SHIPPED = tuple(
         + sorted(file.stem for file in _FOLDER.glob("*.zip"))
     )
 )
-_ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop
-_LIMIT = 10.0  # of `features.ScaledObservation`
-NORMALISATION = "normalisation"  # entry of the metadata: what a VecNormalize did, or null if nothing
-# Beyond, sums of products could overflow.
-_LARGEST_WEIGHT, _DEEPEST, _WIDEST = 1e6, 16, 8192
+_DEEPEST, _WIDEST = 16, 8192
+_Word = Annotated[str, Meta(max_length=99)]
 
 
 class _Network(NamedTuple):
@@ -56,7 +53,7 @@ class _Network(NamedTuple):
     limit: float
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
-    activation: int  # index into _ACTIVATIONS
+    activation: int  # index into ACTIVATIONS
     squashed: bool
     bound: float
 
@@ -95,9 +92,9 @@ class Policy:
         if not (np.isfinite(self.scale).all() and (self.scale > 0).all()):
             raise UserError(f"policy {self.path} divides observations by a scale that is not positive")
         for array in (self.centre, *self.weights, *self.biases):
-            if not (np.abs(array) <= _LARGEST_WEIGHT).all():  # NaN neither
-                raise UserError(f"policy {self.path} has weights that are NaN or beyond {_LARGEST_WEIGHT:g}")
-        if self.activation not in _ACTIVATIONS or not self.limit > 0:
+            if not (np.abs(array) <= LARGEST_WEIGHT).all():  # NaN neither
+                raise UserError(f"policy {self.path} has weights that are NaN or beyond {LARGEST_WEIGHT:g}")
+        if self.activation not in ACTIVATIONS or not self.limit > 0:
             raise UserError(f"policy {self.path} has an unknown activation or no limit for observations")
 
     @property
@@ -119,7 +116,7 @@ class Policy:
 
     @functools.cached_property
     def _network(self) -> _Network:
-        activation = _ACTIVATIONS.index(self.activation)
+        activation = ACTIVATIONS.index(self.activation)
         scaling = self.centre, self.scale, self.limit
         return _Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
 
@@ -244,9 +241,7 @@ def load_policy(
     path = locate(path)
     file = weights.read_file(path)
     metadata = _checked(file.metadata, path)
-    _check_header(file.header, metadata, path)
-    network = _actor(file.tensors, file.header, path)
-    network |= _normalisation(metadata, network["limit"], path)
+    network = weights.read_network(file, path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
@@ -383,22 +378,16 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
         raise UserError(f"policy {path}: {error}") from error
 
 
+class _Metadata(Struct):
+    """What is read of the metadata; other entries say where a policy comes from."""
+
+    task: _Word | None = None
+    task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
+
+
 def _checked(metadata: dict, path: Path) -> dict:
     """Return the metadata of a policy file, whose values are validated."""
-    if not _shallow(metadata, 5):
-        raise UserError(f"policy {path}: {METADATA} in it is nested too deeply")
-    name, options = metadata.get("task"), metadata.get("task_options", {})
-    if name is not None and not (isinstance(name, str) and len(name) < 100):
-        raise _unknown_task(metadata, path)
-    if not isinstance(options, dict):
-        raise UserError(f"policy {path}: task_options in its {METADATA} is not a table")
-    for option, value in options.items():
-        number = isinstance(value, (int, float)) and abs(value) < 1e9
-        if not (number or value is None or (isinstance(value, str) and len(value) < 100)):
-            raise UserError(
-                f"policy {path}: {shown(option, 40)} in its task_options must be a number or a short text, "
-                f"not {shown(value, 40)}"
-            )
+    schema.parse(metadata, _Metadata, f"policy {path}: {METADATA} in it: ")
     return metadata
 
 
@@ -414,150 +403,3 @@ def _unknown_task(metadata: dict, path: Path) -> UserError:
         f"policy {path}: {METADATA} in it names an unknown task, {shown(name, 40)}; "
         f"known are {' and '.join(TASKS)}"
     )
-
-
-def _shallow(value, levels: int) -> bool:
-    if isinstance(value, (dict, list)):
-        return levels > 0 and all(
-            _shallow(x, levels - 1) for x in (value.values() if isinstance(value, dict) else value)
-        )
-    return True
-
-
-# What Stable-Baselines3's header may name, so that the network is what its tensors say: modules of policies,
-# features extractors, activations, and the bounds of actions.
-_POLICIES = (
-    r"stable_baselines3\.(common|sac|td3|ppo|a2c|ddpg)\.policies|sb3_contrib\.(common|tqc|trpo)\.policies"
-)
-_EXTRACTORS = (
-    r"<class '(stable_baselines3\.[\w.]+\.FlattenExtractor|inclined_landing\.[\w.]+\.ScaledObservation)'>"
-)
-_ACTIVATION = "<class 'torch.nn.modules.activation."
-_BOUNDS = {"low": r"-1(\.0*)?", "high": r"1(\.0*)?"}
-# Tensors that are read, or that no action without noise depends on.
-_TENSORS = (
-    r"((pi_|vf_)?features_extractor|mlp_extractor\.(policy|value)_net|action_net|value_net|log_std"
-    r"|actor(_target)?\.(features_extractor|latent_pi|mu|log_std)|critic(_target)?)(\.|$)"
-)
-
-
-def _check_header(header: dict, metadata: dict, path: Path) -> None:
-    """Raise UserError where a policy computes what the tensors do not say, by SB3's header."""
-
-    def entry(name: str) -> dict:
-        value = header.get(name)
-        return value if isinstance(value, dict) else {}
-
-    # Algorithms with a replay buffer write a last observation in any case.
-    on_policy = "gae_lambda" in header
-    if on_policy and header.get("_last_original_obs") is not None and NORMALISATION not in metadata:
-        raise UserError(
-            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load the "
-            "model with env=VecNormalize.load(statistics, env), and save it with save_policy(model, path)"
-        )
-    module = entry("policy_class").get("__module__")
-    if module is not None and not re.fullmatch(_POLICIES, str(module)):
-        raise UserError(
-            f"policy {path} is of a class in {shown(module, 60)}, which may compute anything; only those of "
-            "Stable-Baselines3's MlpPolicy are evaluated"
-        )
-    extractor = entry("policy_kwargs").get("features_extractor_class")
-    if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):
-        raise UserError(
-            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; "
-            "only FlattenExtractor and this package's ScaledObservation are evaluated"
-        )
-    space = entry("observation_space").get(":type:")
-    if space is not None and not str(space).endswith(".Box'>"):
-        raise UserError(f"policy {path} observes a {shown(space, 60)}, where only a Box is read")
-    for end, one in _BOUNDS.items():
-        bounds = str(entry("action_space").get(end, "")).strip("[]").split()
-        if not all(re.fullmatch(one, bound) for bound in bounds):
-            raise UserError(
-                f"policy {path} was trained on actions that are not from -1 to 1; train on those of the task"
-            )
-
-
-def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
-    """Return the fields of `Policy` that stand for the statistics of a VecNormalize, where there was one.
-
-    limit: of the network's own scaling; infinite without one.
-    """
-    given = metadata.get(NORMALISATION)
-    if given is None:
-        return {}
-    if limit < np.inf:
-        raise UserError(f"policy {path} scales its observations twice, by VecNormalize and by its extractor")
-    try:
-        centre, scale = (np.array(given[name], float) for name in ("centre", "scale"))
-        limit = np.inf if given["limit"] is None else float(given["limit"])
-    except (TypeError, KeyError, ValueError, OverflowError) as error:
-        raise UserError(
-            f"policy {path}: {NORMALISATION} in its {METADATA} has no centre, scale and limit"
-        ) from error
-    return {"centre": centre, "scale": scale, "limit": limit}
-
-
-# Which tensors make up the actor that answers without noise: of PPO and A2C, of SAC, of TD3 and DDPG.
-_KINDS = (
-    # begin of the marker, extractor, hidden layers, output, activation by default, squashed
-    ("log_std", "features_extractor.", "mlp_extractor.policy_net.", "action_net", "Tanh", False),
-    ("actor.log_std", "actor.features_extractor.", "actor.latent_pi.", "actor.mu", "ReLU", True),
-    ("actor.mu.0.weight", "actor.features_extractor.", "actor.mu.", None, "ReLU", True),
-)
-_CLIP_MEAN = 2.0  # SAC's default limit of the mean with state-dependent exploration, before tanh
-
-
-def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
-    """Return the fields of `Policy` that make up the network."""
-    refused = UserError(
-        f"policy {path} is not a PPO, SAC or TD3 policy with a plain network and continuous actions"
-    )
-    kind = next((kind for kind in _KINDS if any(name.startswith(kind[0]) for name in tensors)), None)
-    if kind is None:
-        raise refused
-    _, scaling, hidden, output, activation, squashed = kind
-    unknown = next((name for name in tensors if not re.match(_TENSORS, name)), None)
-    if unknown is not None:
-        raise UserError(
-            f"policy {path} has {shown(unknown, 60)} in its network, where only dense layers are evaluated"
-        )
-    options = header.get("policy_kwargs") or {}
-    if not isinstance(options, dict):
-        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
-    bound = np.inf
-    if output is not None and f"{output}.0.weight" in tensors:
-        output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)
-        if not (isinstance(bound, (int, float)) and 0 < bound <= _LARGEST_WEIGHT):
-            raise UserError(f"policy {path}: clip_mean in its policy_kwargs is {shown(bound, 40)}")
-    numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
-    extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
-    plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)
-    layers = [f"{hidden}{k}" for k in sorted(numbers, key=int)] if plain else []
-    layers += [output] if output is not None and plain else []
-    complete = plain and all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
-    if not complete or extractor not in (set(), {"centre", "scale"}):
-        raise refused
-    matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
-    inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
-    return {
-        "centre": tensors[f"{scaling}centre"] if scaled else np.zeros(inputs),
-        "scale": tensors[f"{scaling}scale"] if scaled else np.ones(inputs),
-        "limit": _LIMIT if scaled else np.inf,
-        "weights": matrices,
-        "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
-        "activation": _activation(options.get("activation_fn"), activation, path),
-        "squashed": squashed or options.get("squash_output") is True,  # of PPO with `use_sde`
-        "bound": float(bound),
-    }
-
-
-def _activation(named: Any, usual: str, path: Path) -> str:
-    """Return the activation named in SB3's header, one of those that `Policy` evaluates."""
-    activation = usual if named is None else str(named).removeprefix(_ACTIVATION).removesuffix("'>")
-    if activation not in _ACTIVATIONS:
-        raise UserError(
-            f"policy {path} has a network this package cannot evaluate "
-            f"(activation {shown(named, 80)}; it evaluates {' and '.join(_ACTIVATIONS)})"
-        )
-    return activation

@@ -13,9 +13,10 @@ import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, as_floats, check_seed, is_whole, reset_option
 from inclined_landing.envs.features import ScaledObservation
-from inclined_landing.envs.policy import NORMALISATION, write_metadata
+from inclined_landing.envs.policy import write_metadata
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks.base import OWN, Task
+from inclined_landing.envs.weights import NORMALISATION
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, optional, shown
 

@@ -1,8 +1,8 @@
 """Reader of a policy file: metadata, header, tensors, without torch and without running anything from it.
 
 Stable-Baselines3 keeps the network as a zip that torch writes: `data.pkl`, a pickle that says how tensors
-lie in storages, and one member for each storage. The pickle is not loaded: the few instructions that torch
-writes for a table of dense float tensors are carried out here, everything else is refused. Sizes are
+lie in storages, and one member for each storage. Of the pickle only the few instructions and names are let
+pass that torch writes for a table of dense float tensors, and nothing is imported for them. Sizes are
 compared with what the zip says before anything is read, so that no file takes more memory than `LARGEST`.
 """
 
@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 import pickletools
+import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +25,10 @@ import numpy as np
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
+ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop of `Policy`
+LARGEST_WEIGHT = 1e6  # beyond, sums of products could overflow
+NORMALISATION = "normalisation"  # entry of the metadata: what a VecNormalize did, or null if nothing
+_LIMIT = 10.0  # of `features.ScaledObservation`
 METADATA = "inclined_landing.json"  # member: what the policy was trained for; a plain SB3 file has none
 LARGEST = 100_000_000  # bytes of a policy file, and of any member
 _LARGEST_TABLE = 10_000_000  # bytes of the header and of the metadata
@@ -30,7 +36,7 @@ _HEADER, _NETWORK = "data", "policy.pth"  # members that Stable-Baselines3 write
 _PICKLE = 1_000_000  # bytes of data.pkl
 _MEMBERS = 4096  # of a file, those of zips inside it counted too
 _DIMENSIONS = 8
-_FLOATS = {"torch FloatStorage": "<f4", "torch DoubleStorage": "<f8"}
+_FLOATS = ("<f4", "<f8")
 _DAMAGED = (
     *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, struct.error),
     *(OSError, EOFError, ValueError, RuntimeError, KeyError, IndexError, OverflowError),
@@ -137,12 +143,12 @@ def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
     order = f"{folder}byteorder"
     if order in archive.namelist() and read_member(archive, order, what, 100) != b"little":
         raise UserError(f"{what} has numbers in another byte order than little-endian")
-    table = _Pickle(read_member(archive, pickles[0], what, _PICKLE), what).table
+    table = _table(read_member(archive, pickles[0], what, _PICKLE), what)
     storages: dict[_Storage, np.ndarray] = {}
     result = {}
     for name, tensor in table.items():
         label = f"{what}: its tensor {shown(name, 60)}"
-        if not isinstance(tensor, _Tensor):
+        if not isinstance(name, str) or not isinstance(tensor, _Tensor):
             raise UserError(f"{label} is not a tensor")
         if tensor.storage not in storages:
             storages[tensor.storage] = _read_storage(archive, folder, tensor.storage, what)
@@ -153,7 +159,7 @@ def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
 class _Storage(NamedTuple):
     """The storage of a tensor's numbers."""
 
-    kind: str  # key of _FLOATS
+    kind: str  # one of _FLOATS
     key: str  # name of the member
     numbers: int
 
@@ -167,133 +173,70 @@ class _Tensor(NamedTuple):
     stride: Any
 
 
-class _Pickle:
-    """Interpreter of a pickle's instructions for plain values, tensors and storages only."""
+def _tensor(storage: _Storage, offset: Any, size: Any, stride: Any, *_: Any) -> _Tensor:
+    """Stand for `torch._utils._rebuild_tensor_v2`."""
+    if not isinstance(storage, _Storage):
+        raise TypeError("a tensor without a storage")
+    return _Tensor(storage, offset, size, stride)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Builds plain values, tensors and storages; imports nothing, so that no code can be run."""
 
     def __init__(self, content: bytes, what: str):
+        super().__init__(io.BytesIO(content))
         self._what = what
-        self._stack: list = []
-        self._marks: list[list] = []
-        self._memo: dict = {}
-        self.table: dict[str, object] = {}
-        try:
-            for opcode, argument, _ in pickletools.genops(content):
-                if opcode.name == "STOP":
-                    break
-                act = _ACTIONS.get(opcode.name)
-                if act is None:
-                    raise UserError(f"{what} holds more than tensors: {opcode.name.lower()} in its pickle")
-                act(self, argument)
-            found = self._stack.pop()
-        except UserError:
-            raise
-        except (*_DAMAGED, TypeError, AttributeError) as error:
-            raise UserError(f"{what} is damaged: its pickle makes no sense") from error
-        if self._stack or self._marks or not isinstance(found, dict):
-            raise UserError(f"{what} is not a table of tensors")
-        self.table = found
+        for opcode, argument, _ in pickletools.genops(content):
+            memo = opcode.name.endswith("BINPUT")
+            if opcode.name not in _OPCODES or (memo and argument > len(content)):
+                raise UserError(f"{what} holds more than tensors: {opcode.name.lower()} in its pickle")
 
-    def push(self, value) -> None:
-        self._stack.append(value)
+    def find_class(self, module: str, name: str) -> object:
+        """Return what stands for one of the few names that torch writes."""
+        if (module, name) not in _STAND_INS:
+            named = shown(f"{module}.{name}", 60)
+            raise UserError(f"{self._what} holds {named}, where only dense tensors of floats are read")
+        return _STAND_INS[module, name]
 
-    def mark(self, _) -> None:
-        self._marks.append(self._stack)
-        self._stack = []
-
-    def to_mark(self) -> list:
-        found, self._stack = self._stack, self._marks.pop()
-        return found
-
-    def tuple(self, _) -> None:
-        found = self.to_mark()
-        self.push(tuple(found))
-
-    def last(self, count: int) -> list:
-        found = [self._stack.pop() for _ in range(count)]
-        return found[::-1]
-
-    def put(self, index) -> None:
-        self._memo[index] = self._stack[-1]
-
-    def get(self, index) -> None:
-        self.push(self._memo[index])
-
-    def name(self, argument: str) -> None:
-        if argument not in (*_FLOATS, "collections OrderedDict", "torch._utils _rebuild_tensor_v2"):
-            name = shown(argument.replace(" ", "."), 60)
-            raise UserError(f"{self._what} holds {name}, where only dense tensors of floats are read")
-        self.push(_Name(argument))
-
-    def storage(self, _) -> None:
-        word, kind, key, _place, count = self._stack.pop()
-        if word != "storage" or not isinstance(kind, _Name) or kind not in _FLOATS:
+    def persistent_load(self, reference: Any) -> _Storage:
+        """Return the storage that a tensor refers to."""
+        word, kind, key, _place, count = reference
+        if word != "storage" or kind not in _FLOATS or type(key) is not str or type(count) is not int:
             raise ValueError("no storage of floats")
-        if not isinstance(key, str) or type(count) is not int:
-            raise TypeError("storage of a wrong type")
-        self.push(_Storage(str(kind), key, count))
-
-    def call(self, _) -> None:
-        function, arguments = self.last(2)
-        if not isinstance(function, _Name) or not isinstance(arguments, tuple):
-            raise TypeError("not a call")
-        if function == "collections OrderedDict" and arguments == ():
-            self.push({})
-        elif function == "torch._utils _rebuild_tensor_v2":
-            storage, offset, size, stride = arguments[:4]
-            if not isinstance(storage, _Storage):
-                raise TypeError("a tensor without a storage")
-            self.push(_Tensor(storage, offset, size, stride))
-        else:
-            raise ValueError("a call with wrong arguments")
-
-    def set(self, items: list) -> None:
-        table = self._stack[-1]
-        if not isinstance(table, dict) or len(items) % 2:
-            raise TypeError("not a table")
-        for key, value in zip(items[::2], items[1::2]):
-            if not isinstance(key, str):
-                raise TypeError("a name that is no text")
-            table[key] = value
-
-    def build(self, _) -> None:
-        """Ignore attributes of the table, which are torch's versions of its modules."""
-        if not isinstance(self._stack.pop(), dict):
-            raise TypeError("not attributes")
+        return _Storage(kind, key, count)
 
 
-class _Name(str):
-    """An allowed class or function named by the pickle; never imported."""
-
-
-_ACTIONS: dict[str, Callable[[_Pickle, Any], None]] = {
-    "PROTO": lambda pickle, argument: None,
-    "MARK": _Pickle.mark,
-    "NONE": lambda pickle, argument: pickle.push(None),
-    "NEWTRUE": lambda pickle, argument: pickle.push(True),
-    "NEWFALSE": lambda pickle, argument: pickle.push(False),
-    **dict.fromkeys(("BININT", "BININT1", "BININT2", "LONG1", "BINUNICODE"), _Pickle.push),
-    "EMPTY_DICT": lambda pickle, argument: pickle.push({}),
-    "EMPTY_TUPLE": lambda pickle, argument: pickle.push(()),
-    "TUPLE1": lambda pickle, argument: pickle.push(tuple(pickle.last(1))),
-    "TUPLE2": lambda pickle, argument: pickle.push(tuple(pickle.last(2))),
-    "TUPLE3": lambda pickle, argument: pickle.push(tuple(pickle.last(3))),
-    "TUPLE": _Pickle.tuple,
-    "BINPUT": _Pickle.put,
-    "LONG_BINPUT": _Pickle.put,
-    "BINGET": _Pickle.get,
-    "LONG_BINGET": _Pickle.get,
-    "GLOBAL": _Pickle.name,
-    "BINPERSID": _Pickle.storage,
-    "REDUCE": _Pickle.call,
-    "SETITEM": lambda pickle, argument: pickle.set(pickle.last(2)),
-    "SETITEMS": lambda pickle, argument: pickle.set(pickle.to_mark()),
-    "BUILD": _Pickle.build,
+_STAND_INS: dict[tuple[str, str], object] = {
+    ("collections", "OrderedDict"): OrderedDict,
+    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
+    ("torch", "FloatStorage"): "<f4",
+    ("torch", "DoubleStorage"): "<f8",
 }
+# The instructions of a pickle that torch writes for a table of tensors.
+_OPCODES = {
+    *("PROTO", "STOP", "MARK", "NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1"),
+    *("BINUNICODE", "EMPTY_DICT", "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "BINPUT"),
+    *("LONG_BINPUT", "BINGET", "LONG_BINGET", "GLOBAL", "BINPERSID", "REDUCE", "SETITEM", "SETITEMS"),
+    "BUILD",
+}
+
+
+def _table(content: bytes, what: str) -> dict:
+    """Return the table that a pickle describes; raises UserError for other instructions than torch's."""
+    try:
+        found = _Unpickler(content, what).load()
+    except UserError:
+        raise
+    except Exception as error:  # whatever bytes that make no sense raise
+        raise UserError(f"{what} is damaged: its pickle makes no sense") from error
+    if not isinstance(found, dict):
+        raise UserError(f"{what} is not a table of tensors")
+    return dict(dict.items(found))
 
 
 def _read_storage(archive: zipfile.ZipFile, folder: str, storage: _Storage, what: str) -> np.ndarray:
     """Return the numbers (count,) of a storage."""
-    name, kind = f"{folder}data/{storage.key}", np.dtype(_FLOATS[storage.kind])
+    name, kind = f"{folder}data/{storage.key}", np.dtype(storage.kind)
     label = f"{what}: {shown(name, 60)} in it"
     if name not in archive.namelist():
         raise UserError(f"{label} is missing")
@@ -325,3 +268,149 @@ def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
         numbers[offset:], size, [numbers.itemsize * k for k in stride], writeable=False
     )
     return np.array(view, np.float64, order="C")
+
+
+# What Stable-Baselines3's header may name, so that the network is what its tensors say: modules of policies,
+# features extractors, activations, and the bounds of actions.
+_POLICIES = (
+    r"stable_baselines3\.(common|sac|td3|ppo|a2c|ddpg)\.policies|sb3_contrib\.(common|tqc|trpo)\.policies"
+)
+_EXTRACTORS = (
+    r"<class '(stable_baselines3\.[\w.]+\.FlattenExtractor|inclined_landing\.[\w.]+\.ScaledObservation)'>"
+)
+_ACTIVATION = "<class 'torch.nn.modules.activation."
+_BOUNDS = {"low": r"-1(\.0*)?", "high": r"1(\.0*)?"}
+# Tensors that are read, or that no action without noise depends on.
+_TENSORS = (
+    r"((pi_|vf_)?features_extractor|mlp_extractor\.(policy|value)_net|action_net|value_net|log_std"
+    r"|actor(_target)?\.(features_extractor|latent_pi|mu|log_std)|critic(_target)?)(\.|$)"
+)
+
+
+def read_network(file: PolicyFile, path: Path) -> dict[str, Any]:
+    """Return the fields of `Policy` that make up its network; raises UserError for one it cannot evaluate."""
+    _check_header(file.header, file.metadata, path)
+    network = _actor(file.tensors, file.header, path)
+    return network | _normalisation(file.metadata, network["limit"], path)
+
+
+def _check_header(header: dict, metadata: dict, path: Path) -> None:
+    """Raise UserError where a policy computes what the tensors do not say, by SB3's header."""
+
+    def entry(name: str) -> dict:
+        value = header.get(name)
+        return value if isinstance(value, dict) else {}
+
+    # Algorithms with a replay buffer write a last observation in any case.
+    on_policy = "gae_lambda" in header
+    if on_policy and header.get("_last_original_obs") is not None and NORMALISATION not in metadata:
+        raise UserError(
+            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load the "
+            "model with env=VecNormalize.load(statistics, env), and save it with save_policy(model, path)"
+        )
+    module = entry("policy_class").get("__module__")
+    if module is not None and not re.fullmatch(_POLICIES, str(module)):
+        raise UserError(
+            f"policy {path} is of a class in {shown(module, 60)}, which may compute anything; only those of "
+            "Stable-Baselines3's MlpPolicy are evaluated"
+        )
+    extractor = entry("policy_kwargs").get("features_extractor_class")
+    if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):
+        raise UserError(
+            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; "
+            "only FlattenExtractor and this package's ScaledObservation are evaluated"
+        )
+    space = entry("observation_space").get(":type:")
+    if space is not None and not str(space).endswith(".Box'>"):
+        raise UserError(f"policy {path} observes a {shown(space, 60)}, where only a Box is read")
+    for end, one in _BOUNDS.items():
+        bounds = str(entry("action_space").get(end, "")).strip("[]").split()
+        if not all(re.fullmatch(one, bound) for bound in bounds):
+            raise UserError(
+                f"policy {path} was trained on actions that are not from -1 to 1; train on those of the task"
+            )
+
+
+def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
+    """Return the fields of `Policy` that stand for the statistics of a VecNormalize, where there was one.
+
+    limit: of the network's own scaling; infinite without one.
+    """
+    given = metadata.get(NORMALISATION)
+    if given is None:
+        return {}
+    if limit < np.inf:
+        raise UserError(f"policy {path} scales its observations twice, by VecNormalize and by its extractor")
+    try:
+        centre, scale = (np.array(given[name], float) for name in ("centre", "scale"))
+        limit = np.inf if given["limit"] is None else float(given["limit"])
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        raise UserError(
+            f"policy {path}: {NORMALISATION} in its {METADATA} has no centre, scale and limit"
+        ) from error
+    return {"centre": centre, "scale": scale, "limit": limit}
+
+
+# Which tensors make up the actor that answers without noise: of PPO and A2C, of SAC, of TD3 and DDPG.
+_KINDS = (
+    # begin of the marker, extractor, hidden layers, output, activation by default, squashed
+    ("log_std", "features_extractor.", "mlp_extractor.policy_net.", "action_net", "Tanh", False),
+    ("actor.log_std", "actor.features_extractor.", "actor.latent_pi.", "actor.mu", "ReLU", True),
+    ("actor.mu.0.weight", "actor.features_extractor.", "actor.mu.", None, "ReLU", True),
+)
+_CLIP_MEAN = 2.0  # SAC's default limit of the mean with state-dependent exploration, before tanh
+
+
+def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
+    """Return the fields of `Policy` that make up the network."""
+    refused = UserError(
+        f"policy {path} is not a PPO, SAC or TD3 policy with a plain network and continuous actions"
+    )
+    kind = next((kind for kind in _KINDS if any(name.startswith(kind[0]) for name in tensors)), None)
+    if kind is None:
+        raise refused
+    _, scaling, hidden, output, activation, squashed = kind
+    unknown = next((name for name in tensors if not re.match(_TENSORS, name)), None)
+    if unknown is not None:
+        raise UserError(
+            f"policy {path} has {shown(unknown, 60)} in its network, where only dense layers are evaluated"
+        )
+    options = header.get("policy_kwargs") or {}
+    if not isinstance(options, dict):
+        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
+    bound = np.inf
+    if output is not None and f"{output}.0.weight" in tensors:
+        output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)
+        if not (isinstance(bound, (int, float)) and 0 < bound <= LARGEST_WEIGHT):
+            raise UserError(f"policy {path}: clip_mean in its policy_kwargs is {shown(bound, 40)}")
+    numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
+    extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
+    plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)
+    layers = [f"{hidden}{k}" for k in sorted(numbers, key=int)] if plain else []
+    layers += [output] if output is not None and plain else []
+    complete = plain and all(f"{layer}.{part}" in tensors for layer in layers for part in ("weight", "bias"))
+    if not complete or extractor not in (set(), {"centre", "scale"}):
+        raise refused
+    matrices = tuple(np.ascontiguousarray(tensors[f"{layer}.weight"].T) for layer in layers)
+    inputs, scaled = len(matrices[0]) if matrices[0].ndim else 0, bool(extractor)
+    return {
+        "centre": tensors[f"{scaling}centre"] if scaled else np.zeros(inputs),
+        "scale": tensors[f"{scaling}scale"] if scaled else np.ones(inputs),
+        "limit": _LIMIT if scaled else np.inf,
+        "weights": matrices,
+        "biases": tuple(tensors[f"{layer}.bias"] for layer in layers),
+        "activation": _activation(options.get("activation_fn"), activation, path),
+        "squashed": squashed or options.get("squash_output") is True,  # of PPO with `use_sde`
+        "bound": float(bound),
+    }
+
+
+def _activation(named: Any, usual: str, path: Path) -> str:
+    """Return the activation named in SB3's header, one of those that `Policy` evaluates."""
+    activation = usual if named is None else str(named).removeprefix(_ACTIVATION).removesuffix("'>")
+    if activation not in ACTIVATIONS:
+        raise UserError(
+            f"policy {path} has a network this package cannot evaluate "
+            f"(activation {shown(named, 80)}; it evaluates {' and '.join(ACTIVATIONS)})"
+        )
+    return activation
