@@ -34,7 +34,8 @@ import inspect
 
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants.analytic import AnalyticPlant
-from inclined_landing.models.plants.base import Attitude, Contacts, Plant, Snapshot
+from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
+from inclined_landing.models.plants.contacts import Contacts
 from inclined_landing.models.plants.hybrid import HybridPlant
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.vehicle import Vehicle

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
-import numba
 import numpy as np
 from msgspec import Meta
 
@@ -18,6 +17,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import as_vehicle, check_vehicle
+from inclined_landing.models.plants.contacts import Contacts
 from inclined_landing.models.scene import Period, Zone
 from inclined_landing.models.vehicle import Vehicle
 
@@ -31,48 +31,9 @@ _SHARED = (
 )
 
 
-def _differ(field: str, member: Vehicle, own: Vehicle) -> bool:
+def _differ(field: str, member: Vehicle, other: Vehicle) -> bool:
     """By more than rounding."""
-    return not np.allclose(getattr(member, field), getattr(own, field), rtol=1e-9, atol=0.0)
-
-
-@dataclasses.dataclass
-class Contacts:
-    """Contacts of the last control step; axes are vehicle, surface (slab, base, floor), part.
-
-    Parts are feet, body, rotors. `near` includes a keep-out zone if the plant has one, `touch` does
-    not. `force` is the largest net force on the part during the step [N]; NaN in the analytic plant,
-    whose vehicles pass through surfaces.
-    """
-
-    near: np.ndarray  # (n, 3, 3) bool
-    touch: np.ndarray  # (n, 3, 3) bool
-    force: np.ndarray  # (n, 3, 3) N
-
-    def __getitem__(self, ids) -> Contacts:
-        """The contacts of the vehicles `ids`."""
-        return Contacts(self.near[ids], self.touch[ids], self.force[ids])
-
-    @property
-    def platform(self) -> np.ndarray:
-        """(n,) bool: any part touches slab or base."""
-        return _at_platform(self.touch)
-
-    @property
-    def platform_near(self) -> np.ndarray:
-        """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
-        return _at_platform(self.near)
-
-
-@numba.njit(cache=True)
-def _at_platform(met):
-    """Return (n,) bool: is any part at slab or base in `met` (n, 3, 3)."""
-    out = np.zeros(len(met), np.bool_)
-    for i in range(len(met)):
-        for surface in range(2):
-            for part in range(3):
-                out[i] |= met[i, surface, part]
-    return out
+    return not np.allclose(getattr(member, field), getattr(other, field), rtol=1e-9, atol=0.0)
 
 
 @dataclasses.dataclass
@@ -203,8 +164,7 @@ class Plant:
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
-        own = self._arrays()
-        if set(own) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
+        if set(self._arrays()) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
             raise UserError("the snapshot belongs to a plant of another kind or size")
         self._make_room(snapshot.arrays)
         for name, array in self._arrays().items():
@@ -236,9 +196,9 @@ class Plant:
         """Give the vehicles `ids` everything that their `choice` says."""
         choice = self.choice[ids]
         self._constants[ids] = self._records[choice]
-        own = self._records["platform"][choice]
-        self._height[ids] = own["surface_height"]
-        self.tilt[ids] = own["inclination"] - self.vehicle.platform_inclination
+        platforms = self._records["platform"][choice]
+        self._height[ids] = platforms["surface_height"]
+        self.tilt[ids] = platforms["inclination"] - self.vehicle.platform_inclination
         self.hover_share[ids] = self._hover_shares[choice]
         self.delays.assign(ids, choice)
         if self.disturbance:

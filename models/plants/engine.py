@@ -11,6 +11,8 @@ import ctypes
 import os
 import threading
 import weakref
+from collections.abc import Sequence
+from operator import attrgetter
 
 import mujoco
 import mujoco.batch
@@ -18,7 +20,7 @@ import numpy as np
 
 _engines: weakref.WeakSet[Engine] = weakref.WeakSet()
 _forking = threading.Lock()
-_held: list[Engine] = []  # during a fork
+_locked: list[Engine] = []  # during a fork
 
 
 class Engine(mujoco.batch.Batch):
@@ -60,15 +62,15 @@ def _copied(model, n: int, threads: int, state: np.ndarray, warning: np.ndarray,
 
 def _hold() -> None:
     _forking.acquire()
-    _held[:] = _engines
-    for engine in _held:
+    _locked[:] = _engines
+    for engine in _locked:
         engine.calling.acquire()
 
 
 def _release() -> None:
-    for engine in _held:
+    for engine in _locked:
         engine.calling.release()
-    _held.clear()
+    _locked.clear()
     _forking.release()
 
 
@@ -80,3 +82,31 @@ def _lose() -> None:
 
 
 os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_lose)
+
+
+def differing_fields(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
+    """The fields of models of one layout in which they differ and a batch may, (m, ...) each.
+
+    Left out are names, keyframes and the text of plugins: beside it stand their numbers.
+    """
+    fields = {}
+    for name in sorted(mujoco.batch.MODEL_FIELDS if len(models) > 1 else ()):
+        if name.startswith(("name", "key_", "plugin_attr")):
+            continue
+        rows = np.stack([attrgetter(name)(model) for model in models])
+        if (rows != rows[0]).any():
+            fields[name] = rows
+    return fields
+
+
+def held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
+    data = mujoco.MjData(model)
+    empty, per_unit = data.history.copy(), np.zeros((model.nu, model.nhistory))
+    for actuator in range(model.nactuator):
+        samples = model.actuator_history[actuator, 0]
+        if samples:
+            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.ones(samples))
+            per_unit[model.actuator_ctrladr[actuator]] = data.history - empty
+            data.history[:] = empty
+    return empty, per_unit

@@ -36,8 +36,9 @@ import numpy as np
 
 from inclined_landing.models import equations, forces, geometry
 from inclined_landing.models.attitude import PITCH, PWM, ROLL, VX, VZ, YAW, X, Y, Z, quaternion
-from inclined_landing.models.plants.mujoco import MujocoPlant, write_load
+from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
+from inclined_landing.models.plants.slung_load import write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm.
@@ -94,7 +95,7 @@ class _Engine(NamedTuple):
     history: np.ndarray  # (n, h)
     samples: np.ndarray  # (actuators,) length of each one's history
     addresses: np.ndarray  # (actuators,) where it begins
-    load_joint: np.ndarray  # (2,) of `mujoco.load_joint`
+    load_joint: np.ndarray  # (2,) of `slung_load.load_joint`
 
 
 class _Results(NamedTuple):
@@ -106,7 +107,7 @@ class _Results(NamedTuple):
     force: np.ndarray  # (n, 3, 3) N
     load: np.ndarray  # (n, 6) or UNLOADED, see `Plant.load`
     in_engine: np.ndarray  # (n,) bool
-    left: np.ndarray  # (n,) numbers of the vehicles that are left to the engine, first ones
+    for_engine: np.ndarray  # (n,) numbers of those that the engine has to fly, first ones
 
 
 class HybridPlant(MujocoPlant):
@@ -123,8 +124,8 @@ class HybridPlant(MujocoPlant):
         self.in_engine = np.ones(self.n, bool)
         self._acting = np.empty((self.substeps, self.n, 4))
         c, model = self.contacts, self.model
-        left = np.empty(self.n, int)
-        self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, left)
+        for_engine = np.empty(self.n, int)
+        self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, for_engine)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
@@ -162,7 +163,7 @@ class HybridPlant(MujocoPlant):
         speeds = self.platforms.speeds if self.platforms else STILL
         period = _Period(acting, push, self.torque_needs_motors, speeds)
         count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
-        near = self._results.left[:count]
+        near = self._results.for_engine[:count]
         if len(near):
             self._roll(None if len(near) == self.n else near)
         if self.platforms:
@@ -188,10 +189,10 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 def _fly(ids, period, vehicles, platforms, engine, results):
     """Fly those of the vehicles `ids` by the equations that stay out of reach.
 
-    Returns how many are left to the engine; their numbers are in `results.left`. The engine's arrays of the
-    others are what it would have made of them, without a warm start of its solver, which had no contact.
+    Returns how many the engine has to fly; their numbers are in `results.for_engine`. The engine's arrays of
+    the others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
-    dt, substeps, held = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
+    dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     speeds, steps = period.platform_speeds, np.zeros(1, equations.STEP)
     moving, rates = len(speeds.most) > 0, np.empty(6)
     poses = np.empty((len(platforms.bodies), 3))
@@ -230,7 +231,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
         out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):
-            if step == 0 or not held:
+            if step == 0 or not constant:
                 for k in range(4):
                     low, high = vehicles.command_range[k, 0], vehicles.command_range[k, 1]
                     u[k] = min(high, max(low, period.commands[step, i, k]))
@@ -255,7 +256,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
                 break
         results.in_engine[i] = not (out_of_reach and _as_exact(y, dt))
         if results.in_engine[i]:
-            results.left[count] = i
+            results.for_engine[count] = i
             count += 1
             continue
         if abs(y[YAW]) > math.pi:
@@ -272,8 +273,8 @@ def _fly(ids, period, vehicles, platforms, engine, results):
 @numba.njit(cache=True, inline="always")
 def _spare(clear, step, approach):
     """Return the distance [m] that a vehicle has to spare in a time step; see the module's docstring."""
-    platform, floor, own = clear
-    return min(platform - (step + 1) * approach, floor) - own - _MARGIN
+    platform, floor, radius = clear
+    return min(platform - (step + 1) * approach, floor) - radius - _MARGIN
 
 
 @numba.njit(cache=True)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import math
 import os
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import Annotated, Any
 
 import mujoco
@@ -32,8 +30,10 @@ from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
-from inclined_landing.models.plants.engine import Engine
+from inclined_landing.models.plants.contacts import contact_sensors, read_contacts
+from inclined_landing.models.plants.engine import Engine, differing_fields, held_histories
 from inclined_landing.models.plants.platforms import Platforms
+from inclined_landing.models.plants.slung_load import load_joint, read_loads, write_loads
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
 from inclined_landing.models.vehicle import Vehicle
@@ -102,7 +102,7 @@ class MujocoPlant(Plant):
             )
         self.model = compile_scene(self.vehicle, **options)
         others = [build_spec(v, visuals=False, **options).compile() for v in self.pool]
-        self._fields = _differing([self.model, *others])
+        self._fields = differing_fields([self.model, *others])
         of_all = [self.model, *others] if sizes_differ(self._vehicles) else [self.model]
         self._meet([geometry.shapes_of(model) for model in of_all])
         self._load_joint = load_joint(self.model)
@@ -111,7 +111,7 @@ class MujocoPlant(Plant):
         self._bind(Engine(self.model, n, min(threads or len(os.sched_getaffinity(0)), n)))
         if moving:
             self.platforms = Platforms(self.model, self.batch, self.vehicle, self.platform, self.substeps)
-        self._held = _held_histories(self.model) if self.model.nhistory else None
+        self._history_of = held_histories(self.model) if self.model.nhistory else None
         self._seen = np.zeros((n, self.substeps, self.model.nsensordata))
         self.contact_sensors = contact_sensors(self.model)
         self._everyone = np.arange(n)
@@ -151,8 +151,8 @@ class MujocoPlant(Plant):
         self._bind(self._batch)
 
     def _arrays(self):
-        own = {"engine": self.batch.state, "contact": self._contact}
-        return super()._arrays() | own | (self.platforms.arrays() if self.platforms else {})
+        more = {"engine": self.batch.state, "contact": self._contact}
+        return super()._arrays() | more | (self.platforms.arrays() if self.platforms else {})
 
     def _make_room(self, arrays):
         if self.platforms:
@@ -178,7 +178,7 @@ class MujocoPlant(Plant):
         for name, rows in self._fields.items():
             self.batch.expand(name)[ids] = rows[self.choice[ids]]
 
-    def _given(self, field: str) -> np.ndarray:
+    def _of_model(self, field: str) -> np.ndarray:
         """A field of the vehicles' own models, (n, ...), or (1, ...) where all have the same."""
         rows = self._fields.get(field)
         return getattr(self.model, field)[None] if rows is None else rows[self.choice]
@@ -280,7 +280,7 @@ class MujocoPlant(Plant):
     def _write_loads(self, ids) -> None:
         """Write `load` of the vehicles `ids` into the engine's joints, beside their attitudes and rates."""
         if len(self.load):
-            _write_loads(ids, self.load, self._load_joint, self._qpos, self._qvel)
+            write_loads(ids, self.load, self._load_joint, self._qpos, self._qvel)
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
@@ -297,9 +297,9 @@ class MujocoPlant(Plant):
 
     def check(self) -> None:
         """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""
-        if not _all_well(self._warning, self.state):
-            bad = np.flatnonzero(self.diverged)[:5]
-            raise FloatingPointError(f"the engine diverged for vehicles {bad.tolist()}")
+        diverged = np.flatnonzero(self.diverged)
+        if len(diverged):
+            raise FloatingPointError(f"the engine diverged for vehicles {diverged[:5].tolist()}")
 
     @property
     def diverged(self) -> np.ndarray:
@@ -316,38 +316,38 @@ class MujocoPlant(Plant):
         "sensordata", which belongs to the step's beginning; nothing where nothing is asked for.
         """
         commands = np.asarray(commands, float)
-        own = slice(None) if ids is None else ids
-        self._give(commands, own)
+        chosen = slice(None) if ids is None else ids
+        self._give(commands, chosen)
         if self.attitude == "kinematic":
-            self._synchronise(own)
+            self._synchronise(chosen)
         seen = self._roll(ids, record)
-        self._place_platforms(own)
-        self.delays.push_state(self.state, own)
+        self._place_platforms(chosen)
+        self.delays.push_state(self.state, chosen)
         return seen
 
-    def _give(self, commands: np.ndarray, own) -> np.ndarray:
-        """What holds for the control period that begins for the vehicles `own`: commands (n, 4), disturbance.
+    def _give(self, commands: np.ndarray, ids) -> np.ndarray:
+        """What holds for the control period that begins for the vehicles `ids`: commands (n, 4), disturbance.
 
         Returns the disturbance's push (n, 6), see `Disturbance.push`, or `equations.STILL`.
         """
         self._ctrl[:] = commands
-        if self._history is not None and self._held is not None and self.delays.fresh.any():
+        if self._history is not None and self._history_of is not None and self.delays.fresh.any():
             fresh = np.flatnonzero(self.delays.fresh)
-            empty, held = self._held
-            self._history[fresh] = empty + commands[fresh] @ held
-        self.delays.push_commands(commands, own)
+            empty, per_unit = self._history_of
+            self._history[fresh] = empty + commands[fresh] @ per_unit
+        self.delays.push_commands(commands, ids)
         self.allow_torque(commands)
-        return self._disturb(self.disturbance, own) if self.disturbance else equations.STILL
+        return self._disturb(self.disturbance, ids) if self.disturbance else equations.STILL
 
-    def _synchronise(self, own) -> None:
-        """Give the vehicles `own` that touch nothing the body rates of the first-order loops."""
+    def _synchronise(self, ids) -> None:
+        """Give the vehicles `ids` that touch nothing the body rates of the first-order loops."""
         kept = np.ones(self.n, bool)
-        kept[own] = self.contacts.touch[own].any(axis=(1, 2))
+        kept[ids] = self.contacts.touch[ids].any(axis=(1, 2))
         wanted = self._ctrl
         if self.delays.of_commands:
             wanted = self.delays.acting(0.0, self.control_period / self.substeps)
         _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
-        self._write_loads(self._everyone[own])  # whose joints turn with the vehicles
+        self._write_loads(self._everyone[ids])  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
         """The engine's steps of one control period of the vehicles `ids`, read back; see `advance`."""
@@ -361,20 +361,20 @@ class MujocoPlant(Plant):
         else:
             self.batch.rollout(self.substeps, record=("sensordata",), ids=ids, out=seen, **push)
         c, zone = self.contacts, self.keep_out > 0.0
-        _read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
+        read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
         _read_state(stepped, self._qpos, self._qvel, self._act, self.state)
         if len(self.load):
-            _read_loads(stepped, self.load, self._load_joint, self._qpos, self._qvel)
+            read_loads(stepped, self.load, self._load_joint, self._qpos, self._qvel)
         return seen if record else {}
 
-    def _disturb(self, disturbance: Disturbance, own) -> np.ndarray:
-        """Apply force and torque of the disturbance to the vehicles `own`, and advance it by one period."""
+    def _disturb(self, disturbance: Disturbance, ids) -> np.ndarray:
+        """Apply force and torque of the disturbance to the vehicles `ids`, and advance it by one period."""
         body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
         mass = self.model.body_mass[body] if masses is None else masses[:, body, None]
         push = disturbance.push(self.state, self.attitude == "rate_loop")
-        self._applied[own, :3] = (push[:, :3] * mass)[own]
-        self._applied[own, 3:] = push[own, 3:]
-        disturbance.step(own)
+        self._applied[ids, :3] = (push[:, :3] * mass)[ids]
+        self._applied[ids, 3:] = push[ids, 3:]
+        disturbance.step(ids)
         return push
 
     def allow_torque(self, commands: np.ndarray) -> None:
@@ -384,7 +384,7 @@ class MujocoPlant(Plant):
             running.all() and self.batch.expanded("actuator_forcerange") is None
         ):
             return
-        limits = self._given("actuator_forcerange")[:, self._loops]
+        limits = self._of_model("actuator_forcerange")[:, self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
 
     def _apply_perturbation(self) -> None:
@@ -405,42 +405,8 @@ class MujocoPlant(Plant):
         if (p[:, perturbation.MASS_SCALE] != 1.0).any() or self.batch.expanded("body_mass") is not None:
             body = model.body("crazyflie").id
             mass = expand("body_mass")
-            mass[:, body] = self._given("body_mass")[:, body] * p[:, perturbation.MASS_SCALE]
+            mass[:, body] = self._of_model("body_mass")[:, body] * p[:, perturbation.MASS_SCALE]
             self.batch.set_const()
-
-
-def _differing(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
-    """The fields of models of one layout in which they differ and a batch may, (m, ...) each.
-
-    Left out are names, keyframes and the text of plugins: beside it stand their numbers.
-    """
-    fields = {}
-    for name in sorted(mujoco.batch.MODEL_FIELDS if len(models) > 1 else ()):
-        if name.startswith(("name", "key_", "plugin_attr")):
-            continue
-        rows = np.stack([attrgetter(name)(model) for model in models])
-        if (rows != rows[0]).any():
-            fields[name] = rows
-    return fields
-
-
-def load_joint(model: mujoco.MjModel) -> np.ndarray:
-    """Return the first columns (2,) of the slung load's joint in qpos and qvel; -1 where there is none."""
-    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load")
-    return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
-
-
-def _held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
-    data = mujoco.MjData(model)
-    empty, held = data.history.copy(), np.zeros((model.nu, model.nhistory))
-    for actuator in range(model.nactuator):
-        samples = model.actuator_history[actuator, 0]
-        if samples:
-            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.ones(samples))
-            held[model.actuator_ctrladr[actuator]] = data.history - empty
-            data.history[:] = empty
-    return empty, held
 
 
 @numba.njit(cache=True)
@@ -464,77 +430,6 @@ def _read_state(ids, qpos, qvel, act, state):
 
 
 @numba.njit(cache=True)
-def write_load(load, joint, qpos, qvel):
-    """Write a slung load (6,), see `Plant.load`, into a vehicle's rows qpos and qvel; see `load_joint`.
-
-    The joint has the load's attitude and rates in those of the vehicle. About the string it does not turn.
-    """
-    q, w = np.array((load[0], load[1], load[2])), np.array((load[3], load[4], load[5]))
-    # Shortest turn from straight down to q: (1 - q_z, (0, 0, -1) x q), normalised; upside down any half turn.
-    turn = np.array((1.0 - q[2], q[1], -q[0], 0.0))
-    size = math.sqrt((turn**2).sum())
-    turn = turn / size if size > 1e-9 else np.array((0.0, 1.0, 0.0, 0.0))
-    # q_joint = conj(q_vehicle) q_load
-    a, b, c, d = qpos[3], -qpos[4], -qpos[5], -qpos[6]
-    at, dof = joint[0], joint[1]
-    qpos[at] = a * turn[0] - b * turn[1] - c * turn[2] - d * turn[3]
-    qpos[at + 1] = a * turn[1] + b * turn[0] + c * turn[3] - d * turn[2]
-    qpos[at + 2] = a * turn[2] - b * turn[3] + c * turn[0] + d * turn[1]
-    qpos[at + 3] = a * turn[3] + b * turn[2] - c * turn[1] + d * turn[0]
-    # In the load's axes: R_load' (q x q') - R_joint' w_vehicle
-    own = matrix(turn).T @ np.cross(q, w)
-    carried = matrix(qpos[at : at + 4]).T @ np.array((qvel[3], qvel[4], qvel[5]))
-    for k in range(3):
-        qvel[dof + k] = own[k] - carried[k]
-
-
-@numba.njit(cache=True)
-def matrix(q):
-    """Return the rotation matrix (3, 3) of a quaternion (4,), here of any length."""
-    w, x, y, z = q / math.sqrt((q**2).sum())
-    return np.array(
-        (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-        )
-    )
-
-
-@numba.njit(cache=True)
-def _write_loads(ids, load, joint, qpos, qvel):
-    for i in ids:
-        write_load(load[i], joint, qpos[i], qvel[i])
-
-
-@numba.njit(cache=True)
-def _read_loads(ids, load, joint, qpos, qvel):
-    """Write the slung loads (n, 6) of the vehicles `ids` from the engine's arrays."""
-    for i in ids:
-        at, dof = joint[0], joint[1]
-        turned = matrix(qpos[i, at : at + 4])
-        world = matrix(qpos[i, 3:7]) @ turned
-        # q = -R_load e_z; q' = w x q with w = R_load (w_joint + R_joint' w_vehicle)
-        carried = turned.T @ np.array((qvel[i, 3], qvel[i, 4], qvel[i, 5]))
-        w = world @ np.array((qvel[i, dof], qvel[i, dof + 1], qvel[i, dof + 2])) + world @ carried
-        q = -world[:, 2]
-        load[i, :3], load[i, 3:] = q, np.cross(w, q)
-
-
-@numba.njit(cache=True)
-def _all_well(warning, state):
-    """Has no engine diverged, and is every state finite?"""
-    for i in range(len(state)):
-        for k in range(_DIVERGED.start, _DIVERGED.stop):
-            if warning[i, k, 1]:
-                return False
-        for x in state[i]:
-            if not math.isfinite(x):
-                return False
-    return True
-
-
-@numba.njit(cache=True)
 def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
     for i in range(qpos.shape[0]):
         if kept[i]:
@@ -542,63 +437,6 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
         v = vehicle[i if len(vehicle) > 1 else 0]
         roll, pitch, yaw = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
-        held = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
-        a, b, d = attitude_loops.loop_rates(held[0], held[1], ctrl[i], v, p[i])
+        shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
+        a, b, d = attitude_loops.loop_rates(shown[0], shown[1], ctrl[i], v, p[i])
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
-
-
-@numba.njit(cache=True)
-def _meets(row, addresses):
-    """Has any contact sensor in `row` (s,) found a contact?"""
-    for geom in range(addresses.shape[0]):
-        for part in range(addresses.shape[1]):
-            if row[addresses[geom, part]] > 0.0:
-                return True
-    return False
-
-
-@numba.njit(cache=True)
-def _read_contacts(sensors, ids, addresses, zone, near, touch, force):
-    """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
-
-    The forces on one part by the base's geoms are added as vectors.
-    """
-    net = np.empty(3)
-    for i in range(len(ids)):
-        own = ids[i]
-        near[own] = False
-        touch[own] = False
-        force[own] = 0.0
-        for s in range(sensors.shape[1]):
-            row = sensors[i, s]
-            if not _meets(row, addresses):
-                continue
-            for surface in range(3):
-                for part in range(3):
-                    found = False
-                    net[0] = net[1] = net[2] = 0.0
-                    for geom in range(len(geometry.GEOM_SURFACE)):
-                        k = addresses[geom, part]
-                        if geometry.GEOM_SURFACE[geom] == surface and row[k] > 0.0:
-                            found = True
-                            for j in range(3):
-                                net[j] += row[k + 1 + j]
-                    if found:
-                        near[own, surface, part] = True
-                        size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
-                        force[own, surface, part] = max(force[own, surface, part], size)
-                        if size > 0.0 or not zone:
-                            touch[own, surface, part] = True
-
-
-def contact_sensors(model: mujoco.MjModel) -> np.ndarray:
-    """Where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
-
-    At the address: the number of contacts found; behind it the net force (3,) [N] of the geom on the part.
-    """
-    return np.array(
-        [
-            [int(model.sensor(f"{part}_{geom}").adr[0]) for part in geometry.PARTS]
-            for geom in geometry.CONTACT_GEOMS
-        ]
-    )

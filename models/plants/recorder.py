@@ -86,14 +86,16 @@ class Recorder:
 
     def advance(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
         """`step` without an error: `plant.diverged` tells."""
-        plant, own = self.plant, np.arange(self.plant.n) if ids is None else ids
-        begun = {name: plant.batch.bind(name)[own, None] for name in _COLUMNS}
+        plant, flown = self.plant, np.arange(self.plant.n) if ids is None else ids
+        begun = {name: plant.batch.bind(name)[flown, None] for name in _COLUMNS}
         seen = plant.advance(commands, ids, record=tuple(begun))
         both = {name: np.concatenate([begun[name], seen[name]], axis=1) for name in begun}
         moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
         steps = Steps(self._clock(), seen["sensordata"], *moved)
         slab = plant.contact_sensors[SLAB]
-        _record(steps, own, slab, surface.normals(plant.platform), self.touch, *self._older, self.feet_force)
+        _record(
+            steps, flown, slab, surface.normals(plant.platform), self.touch, *self._older, self.feet_force
+        )
         return steps
 
     def _clock(self) -> np.ndarray:
@@ -149,20 +151,20 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force):
     """Fold a control period of the vehicles `ids` into the rows of their records."""
     feet = slab[0]
-    for i in range(len(ids)):
-        own = ids[i]
-        x, y, z = normals[own]
+    for place in range(len(ids)):
+        i = ids[place]
+        x, y, z = normals[i]
         for k in range(len(steps.time)):
-            row = steps.sensors[i, k]
+            row = steps.sensors[place, k]
             push = abs(x * row[feet + 1] + y * row[feet + 2] + z * row[feet + 3])
-            feet_force[own] = max(feet_force[own], push)
+            feet_force[i] = max(feet_force[i], push)
             touching = row[slab[0]] > 0.0 or row[slab[1]] > 0.0 or row[slab[2]] > 0.0
-            if touching and math.isnan(touch.time[own]):
-                touch.time[own] = steps.time[k]
-                touch.qpos[own] = older_qpos[own]
-                touch.qvel[own] = older_qvel[own]
-            older_qpos[own] = steps.qpos[i, k]
-            older_qvel[own] = steps.qvel[i, k]
+            if touching and math.isnan(touch.time[i]):
+                touch.time[i] = steps.time[k]
+                touch.qpos[i] = older_qpos[i]
+                touch.qvel[i] = older_qvel[i]
+            older_qpos[i] = steps.qpos[place, k]
+            older_qvel[i] = steps.qvel[place, k]
 
 
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
@@ -204,13 +206,13 @@ def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
     Ask before the plant is stepped; it is not changed. Vehicles are computed one by one.
     Raises UserError for another integrator than RK4.
     """
-    given = np.empty((plant.n, 3))
+    found = np.empty((plant.n, 3))
     plant.allow_torque(commands)
     for k in range(plant.n):
         data = plant.batch.get_data(k)
         data.ctrl[:] = commands[k]
-        given[k] = _step_impulse(plant.batch.get_model(k), data)
-    return given
+        found[k] = _step_impulse(plant.batch.get_model(k), data)
+    return found
 
 
 def _step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -17,7 +17,7 @@ import pytest
 from scipy.signal import detrend
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.search.prediction import predict
+from inclined_landing.eval.gap.search.prediction import predict, translated
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
@@ -614,21 +614,36 @@ def test_a_tilted_level_shows_in_the_true_attitude_only(kind):
     np.testing.assert_allclose(plant.state[0, [ROLL, PITCH]], wanted - [roll, pitch], atol=3e-4)
 
 
+def flight_of(vehicle):
+    """A flight of the vehicle with turning heading, cut into windows."""
+    rng = np.random.default_rng(5)
+    commands = np.zeros((300, 1, 4))
+    commands[:, 0, PWM] = V.hover_pwm * np.repeat(rng.uniform(0.96, 1.04, 20), 15)
+    commands[:, 0, 1:3] = np.repeat(rng.uniform(-0.2, 0.2, (20, 2)), 15, axis=0)
+    commands[:, 0, 3] = np.repeat(rng.uniform(0.0, 2.0, 20), 15)
+    flown = fly(plant_of("analytic", 1, vehicle), commands)[:, 0]
+    log = FlightLog(
+        "flown", np.arange(299) * 0.02, flown[:-1, X : Z + 1], flown[:-1, ROLL:WX], commands[1:, 0]
+    )
+    return prepare(log, V)
+
+
+def test_what_acts_in_the_loops_alone_moves_nothing_else():
+    flight = flight_of(V)
+    nominal, twist = translated(flight, V)
+    for effect in LIBRARY.values():
+        if effect.in_the_loops:
+            moved, turned = translated(flight, effect.apply(V, effect.plausible))
+            assert (moved == nominal).all() and (turned == twist).all(), effect.name
+
+
 @pytest.mark.parametrize(
     "name", ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop", "estimator_lean"]
 )
 def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     """Positions up to the line that the start state is, angles once the start has died away."""
-    vehicle, rng = changed(name), np.random.default_rng(5)
-    commands = np.zeros((300, 1, 4))
-    commands[:, 0, PWM] = V.hover_pwm * np.repeat(rng.uniform(0.96, 1.04, 20), 15)
-    commands[:, 0, 1:3] = np.repeat(rng.uniform(-0.2, 0.2, (20, 2)), 15, axis=0)
-    commands[:, 0, 3] = np.repeat(rng.uniform(0.0, 2.0, 20), 15)  # the heading turns
-    flown = fly(plant_of("analytic", 1, vehicle), commands)[:, 0]
-    log = FlightLog(
-        "flown", np.arange(299) * 0.02, flown[:-1, X : Z + 1], flown[:-1, ROLL:WX], commands[1:, 0]
-    )
-    flight = prepare(log, V)
+    vehicle = changed(name)
+    flight = flight_of(vehicle)
 
     def error(v):
         windows = flight.cut(flight.measured - predict(flight, v))[5:]  # (w, rows, 6)

@@ -19,7 +19,7 @@ from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant, make_plant
-from inclined_landing.models.plants.mujoco import contact_sensors
+from inclined_landing.models.plants.contacts import contact_sensors
 
 V = load_vehicle()
 FEET, BODY, ROTORS = range(3)

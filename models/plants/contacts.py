@@ -1,0 +1,96 @@
+"""What the vehicles' parts touch, and where the engine's sensors say so."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numba
+import numpy as np
+
+from inclined_landing.models import geometry
+
+
+@dataclasses.dataclass
+class Contacts:
+    """Contacts of the last control step; axes are vehicle, surface (slab, base, floor), part.
+
+    Parts are feet, body, rotors. `near` includes a keep-out zone if the plant has one, `touch` does
+    not. `force` is the largest net force on the part during the step [N]; NaN in the analytic plant,
+    whose vehicles pass through surfaces.
+    """
+
+    near: np.ndarray  # (n, 3, 3) bool
+    touch: np.ndarray  # (n, 3, 3) bool
+    force: np.ndarray  # (n, 3, 3) N
+
+    def __getitem__(self, ids) -> Contacts:
+        """The contacts of the vehicles `ids`."""
+        return Contacts(self.near[ids], self.touch[ids], self.force[ids])
+
+    @property
+    def platform(self) -> np.ndarray:
+        """(n,) bool: any part touches slab or base."""
+        return self.touch[:, :2].any(axis=(1, 2))
+
+    @property
+    def platform_near(self) -> np.ndarray:
+        """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
+        return self.near[:, :2].any(axis=(1, 2))
+
+
+@numba.njit(cache=True)
+def _meets(row, addresses):
+    """Has any contact sensor in `row` (s,) found a contact?"""
+    for geom in range(addresses.shape[0]):
+        for part in range(addresses.shape[1]):
+            if row[addresses[geom, part]] > 0.0:
+                return True
+    return False
+
+
+@numba.njit(cache=True)
+def read_contacts(sensors, ids, addresses, zone, near, touch, force):
+    """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
+
+    The forces on one part by the base's geoms are added as vectors.
+    """
+    net = np.empty(3)
+    for seen in range(len(ids)):
+        i = ids[seen]
+        near[i] = False
+        touch[i] = False
+        force[i] = 0.0
+        for s in range(sensors.shape[1]):
+            row = sensors[seen, s]
+            if not _meets(row, addresses):
+                continue
+            for surface in range(3):
+                for part in range(3):
+                    found = False
+                    net[0] = net[1] = net[2] = 0.0
+                    for geom in range(len(geometry.GEOM_SURFACE)):
+                        k = addresses[geom, part]
+                        if geometry.GEOM_SURFACE[geom] == surface and row[k] > 0.0:
+                            found = True
+                            for j in range(3):
+                                net[j] += row[k + 1 + j]
+                    if found:
+                        near[i, surface, part] = True
+                        size = np.sqrt(net[0] ** 2 + net[1] ** 2 + net[2] ** 2)
+                        force[i, surface, part] = max(force[i, surface, part], size)
+                        if size > 0.0 or not zone:
+                            touch[i, surface, part] = True
+
+
+def contact_sensors(model: mujoco.MjModel) -> np.ndarray:
+    """Where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
+
+    At the address: the number of contacts found; behind it the net force (3,) [N] of the geom on the part.
+    """
+    return np.array(
+        [
+            [int(model.sensor(f"{part}_{geom}").adr[0]) for part in geometry.PARTS]
+            for geom in geometry.CONTACT_GEOMS
+        ]
+    )

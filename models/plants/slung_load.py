@@ -1,0 +1,71 @@
+"""Slung loads in the engine's arrays: a ball joint of the vehicle for the direction of `models/load.py`."""
+
+import math
+
+import mujoco
+import numba
+import numpy as np
+
+
+def load_joint(model: mujoco.MjModel) -> np.ndarray:
+    """Return the first columns (2,) of the slung load's joint in qpos and qvel; -1 where there is none."""
+    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load")
+    return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
+
+
+@numba.njit(cache=True)
+def write_load(load, joint, qpos, qvel):
+    """Write a slung load (6,), see `Plant.load`, into a vehicle's rows qpos and qvel; see `load_joint`.
+
+    The joint has the load's attitude and rates in those of the vehicle. About the string it does not turn.
+    """
+    q, w = np.array((load[0], load[1], load[2])), np.array((load[3], load[4], load[5]))
+    # Shortest turn from straight down to q: (1 - q_z, (0, 0, -1) x q), normalised; upside down any half turn.
+    turn = np.array((1.0 - q[2], q[1], -q[0], 0.0))
+    size = math.sqrt((turn**2).sum())
+    turn = turn / size if size > 1e-9 else np.array((0.0, 1.0, 0.0, 0.0))
+    # q_joint = conj(q_vehicle) q_load
+    a, b, c, d = qpos[3], -qpos[4], -qpos[5], -qpos[6]
+    at, dof = joint[0], joint[1]
+    qpos[at] = a * turn[0] - b * turn[1] - c * turn[2] - d * turn[3]
+    qpos[at + 1] = a * turn[1] + b * turn[0] + c * turn[3] - d * turn[2]
+    qpos[at + 2] = a * turn[2] - b * turn[3] + c * turn[0] + d * turn[1]
+    qpos[at + 3] = a * turn[3] + b * turn[2] - c * turn[1] + d * turn[0]
+    # In the load's axes: R_load' (q x q') - R_joint' w_vehicle
+    turning = matrix(turn).T @ np.cross(q, w)
+    carried = matrix(qpos[at : at + 4]).T @ np.array((qvel[3], qvel[4], qvel[5]))
+    for k in range(3):
+        qvel[dof + k] = turning[k] - carried[k]
+
+
+@numba.njit(cache=True)
+def matrix(q):
+    """Return the rotation matrix (3, 3) of a quaternion (4,), here of any length."""
+    w, x, y, z = q / math.sqrt((q**2).sum())
+    return np.array(
+        (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        )
+    )
+
+
+@numba.njit(cache=True)
+def write_loads(ids, load, joint, qpos, qvel):
+    for i in ids:
+        write_load(load[i], joint, qpos[i], qvel[i])
+
+
+@numba.njit(cache=True)
+def read_loads(ids, load, joint, qpos, qvel):
+    """Write the slung loads (n, 6) of the vehicles `ids` from the engine's arrays."""
+    for i in ids:
+        at, dof = joint[0], joint[1]
+        turned = matrix(qpos[i, at : at + 4])
+        world = matrix(qpos[i, 3:7]) @ turned
+        # q = -R_load e_z; q' = w x q with w = R_load (w_joint + R_joint' w_vehicle)
+        carried = turned.T @ np.array((qvel[i, 3], qvel[i, 4], qvel[i, 5]))
+        w = world @ np.array((qvel[i, dof], qvel[i, dof + 1], qvel[i, dof + 2])) + world @ carried
+        q = -world[:, 2]
+        load[i, :3], load[i, 3:] = q, np.cross(w, q)

@@ -1,0 +1,148 @@
+"""A new effect by docs/howto/effect.md: an entry in the library, and new physics in seven files."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from inclined_landing.envs import randomise
+from inclined_landing.eval.cli import main as evaluate
+from inclined_landing.eval.gap.search.columns import Candidates
+from inclined_landing.models.effects import LIBRARY, Effect, Parameter, apply
+from inclined_landing.models.parameters import load_vehicle
+
+ROOT = Path(__file__).parents[2]
+V = load_vehicle()
+ENTRY = """
+    Effect(
+        name="swirl",
+        description="Across the air the rotors lose thrust.",
+        formula="F_t times (1 - c v_plane)",
+        source="a toy",
+        parameters=(Parameter("c", unit="s/m", bounds=(-0.1, 0.2), plausible=0.1, negligible=0.01),),
+        regimes=("lateral",),
+        confused_with=("translational_lift",),
+        remedy="Fly slowly.",
+        channels=("translation",),
+        apply=added("effects_swirl", "c"),
+        says="fast flight costs thrust ({c})",
+    ),
+"""
+# File -> (what stands there, what follows it): all that new physics needs.
+WALK = {
+    "models/crazyflie.toml": (
+        "[effects]\n",
+        'swirl = { value = 0.0, range = [-1.0, 1.0], unit = "s/m", source = "neutral", uncertainty = 0 }\n',
+    ),
+    "models/vehicle.py": ("    effects_mocap_delay: float\n", "    effects_swirl: float\n"),
+    "models/plugin/attributes.toml": (
+        "[rotors]\n",
+        'swirl = { entry = "effects.swirl", meaning = "a toy" }\n',
+    ),
+    "models/forces.py": (
+        "    lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)\n",
+        "    lift *= 1.0 - v.effects.swirl * math.sqrt(bx * bx + by * by)\n",
+    ),
+    "models/plugin/rotors.cc": (
+        "  return (1 + config.translational_lift * (air[0] * air[0] + air[1] * air[1])) *\n",
+        "         (1 - config.swirl * mju_sqrt(air[0] * air[0] + air[1] * air[1])) *\n",
+    ),
+    "models/effects/air.py": ("EFFECTS = (", ENTRY),
+    "envs/shipped/robust.toml": ("probability = 0.3\n", "\n[effects.swirl]\nc = [0.0, 0.05]\n"),
+}
+# Run with Python's own interpreter of the kernels: compiled, a new layout of `Vehicle` takes minutes.
+FLIGHT = """
+import sys
+sys.meta_path[:] = [finder for finder in sys.meta_path if "Scikit" not in type(finder).__name__]
+import numpy as np
+from inclined_landing.envs import randomise
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import make_plant
+
+nominal = load_vehicle()
+vehicle = LIBRARY["swirl"].apply(nominal, LIBRARY["swirl"].plausible)
+assert any(v.effects_swirl for v in randomise.read_ranges("robust").draw(nominal, 0, 64))
+
+def end(kind, vehicle, **options):
+    plant = make_plant(kind, 1, vehicle, attitude="rate_loop", **options)
+    plant.set_platform([0], 0.0, False)
+    state = np.zeros((1, 13))
+    state[0, [2, 3, 4, 12]] = 1.5, 3.0, -1.0, vehicle.hover_lag
+    plant.reset([0], state)
+    for _ in range(25):
+        plant.step(np.array([[vehicle.hover_pwm, 0.1, -0.1, 0.5]]))
+    return plant.state[0, :3]
+
+engine = end("mujoco", vehicle, threads=1)
+assert np.abs(engine - end("analytic", vehicle, substeps=5)).max() < 1e-6
+assert engine[2] < end("mujoco", nominal, threads=1)[2] - 0.05
+"""
+
+
+@pytest.fixture
+def wear(monkeypatch):
+    """An effect on fields that the vehicle file has."""
+
+    def worn(vehicle, values):
+        share = 1.0 - values.get("wear", 0.0)
+        return vehicle.changed(
+            contact_friction=vehicle.contact_friction * share,
+            attitude_time_constant=vehicle.attitude_time_constant / share,
+        )
+
+    effect = Effect(
+        name="wear",
+        description="Feet and bearings wear out together.",
+        formula="mu times (1 - wear), tau over (1 - wear)",
+        source="a toy",
+        parameters=(Parameter("wear", bounds=(0.0, 0.5), plausible=0.1, negligible=0.01),),
+        regimes=("attitude_step", "touchdown"),
+        confused_with=("friction",),
+        remedy="Replace them.",
+        channels=("attitude", "touchdown"),
+        apply=worn,
+        in_the_loops=True,
+        says="feet and bearings are worn by {wear}",
+    )
+    monkeypatch.setitem(LIBRARY, "wear", effect)
+    return effect
+
+
+def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_path, capsys):
+    worn = apply(V, {"wear": {"wear": 0.1}})
+    assert worn.contact_friction == 0.9 * V.contact_friction and apply(V, {"wear": {}}) == V
+    (tmp_path / "worn.toml").write_text("[effects.wear]\nwear = [0.1, 0.1]\n")
+    assert randomise.read_ranges(tmp_path / "worn.toml").draw(V, 0, 2) == [worn, worn]
+    candidates = Candidates.of(V, LIBRARY)
+    (column,) = candidates.columns(["wear"])
+    moved, step = candidates.one_sided_difference({}, column)
+    assert moved == apply(V, {"wear": {"wear": step}})
+    assert evaluate(["effects", "wear"]) == 0
+    assert "Feet and bearings wear out together." in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_new_physics_takes_the_seven_files_of_the_how_to(tmp_path):
+    manual = (ROOT / "docs/howto/effect.md").read_text("utf-8")
+    assert all(f"`{file}`" in manual for file in WALK if file != "models/effects/air.py")
+    package = tmp_path / "inclined_landing"
+    for folder in ("models", "envs"):
+        shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "__init__.py").touch()
+    for file, (there, more) in WALK.items():
+        text = (package / file).read_text("utf-8")
+        assert text.count(there) == 1, file
+        (package / file).write_text(text.replace(there, there + more), "utf-8")
+    sources, build = package / "models/plugin", tmp_path / "build"
+    for command in (
+        ["cmake", "-S", sources, "-B", build, f"-DPython3_EXECUTABLE={sys.executable}"],
+        ["cmake", "--build", build],
+        ["cmake", "--install", build, "--prefix", package / "models"],
+        [sys.executable, "-c", FLIGHT],
+    ):
+        environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
+        done = subprocess.run(command, capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, done.stdout + done.stderr
