@@ -38,39 +38,6 @@ def test_a_policy_that_did_not_fly_is_refused(tmp_path, monkeypatch):
         cards.page()
 
 
-@pytest.mark.parametrize(
-    ("name", "recipe"),
-    [
-        ("landing-slopes", "slopes"),
-        ("landing-vehicles", "vehicles"),
-        ("touchdown-moving", "moving"),
-        ("touchdown", None),  # of an earlier training
-        ("landing-3d", "three_dimensions"),
-        ("landing", None),
-    ],
-)
-def test_the_recipe_is_the_one_that_made_it(name, recipe):
-    found = cards.recipe_of(load_policy(name).metadata)
-    assert (found[0] if found else None) == recipe
-
-
-def test_conditions_that_it_fails_in_are_listed_worst_first():
-    def row(what, count, group="effects"):
-        return {
-            "what": what,
-            "measure": "strict",
-            "count": count,
-            "of": 100,
-            "interval": [0, 1],
-            "group": group,
-        }
-
-    rows = [row("wind", 95), row("mass", 94), row("lag", 10), row("friction", 99, "others")]
-    (line,) = cards._fails(rows)
-    assert line.startswith("2 of 3 effects (strict): lag: 10.0 %")
-    assert "mass: 94.0 %" in line and "wind" not in line
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["landing", "landing-slopes", "landing-vehicles", "setpoint"])
 def test_what_is_recorded_is_what_it_does(name):

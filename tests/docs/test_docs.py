@@ -74,13 +74,10 @@ def test_commands_exist_with_their_options(name):
     [
         "landing-eval succes landing",
         "landing-eval success landing --planet hybrid",
-        "landing-eval success landing --seed one",
         "FOO=1 nohup landing-train landing --step 5 &",
         "make dem",
-        "python examples/nothing.py",
         "pip install 'inclined-landing[everything]'",
         "python -m tests.proof gap-blind --sets dev --out DIR",
-        "true && landing-eval gap a.csv",
     ],
 )
 def test_a_wrong_line_is_found(line):
@@ -107,12 +104,6 @@ def test_cheap_commands_run(workplace, capsys):
     assert {words[0] for words in found} >= {"doctor", "logs"}
     for words, path in found.items():
         assert documents.cli.main(list(words)) == 0, f"{path}: {words}\n{capsys.readouterr().err}"
-
-
-def test_a_wrong_option_in_a_sentence_is_found():
-    documents.check_span("landing-eval success ... --plant hybrid")
-    with pytest.raises(AssertionError, match="has no option --planet"):
-        documents.check_span("landing-eval success ... --planet hybrid")
 
 
 def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():

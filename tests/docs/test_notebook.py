@@ -53,12 +53,6 @@ def test_a_cell_parses_and_its_commands_exist(source):
             documents.check(words)
 
 
-def test_what_it_installs_is_there():
-    (name,) = re.findall(r'else "(.*)"', CODE[0])
-    documents.check(["pip", "install", name])
-    assert re.fullmatch(r"inclined-landing\[\w+\]", name)
-
-
 def test_commands_in_its_sentences_exist():
     for cell in CELLS:
         if cell["cell_type"] == "markdown":

@@ -42,17 +42,6 @@ def test_it_goes_together(python):
     assert set(done.stdout.splitlines()) <= pinned, "something is not pinned: run `make lock`"
 
 
-def test_a_package_that_is_too_new_is_named(tmp_path):
-    """Its version 13.1 needs Python 3.11.5: Debian 12 has 3.11.2."""
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    wrong = [line for line in lines if not line.startswith("pymdown-extensions")]
-    (tmp_path / "constraints.txt").write_text("\n".join([*wrong, "pymdown-extensions==13.1"]))
-    done = resolve(OLDEST, tmp_path / "constraints.txt")
-    assert done.returncode != 0 and "pymdown-extensions==13.1 depends on Python>=3.11.5" in " ".join(
-        done.stderr.split()
-    )
-
-
 def test_the_oldest_python_is_that_of_the_package():
     assert f"OLDEST := {OLDEST}\n" in (ROOT / "Makefile").read_text()
     assert f'requires-python = ">={OLDEST.removesuffix(".0")}"' in (ROOT / "pyproject.toml").read_text()

@@ -14,28 +14,11 @@ from tests import ROOT
 NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 # What is written, drawn, trained or measured here. Anything else in the tree must be named in the notices.
-OWN = {
-    *(
-        ".py",
-        ".cc",
-        ".c",
-        ".h",
-        ".j2",
-        ".css",
-        ".toml",
-        ".xml",
-        ".md",
-        ".yml",
-        ".cff",
-        ".txt",
-        ".json",
-        ".csv",
-        ".ipynb",
-    ),
-    *(".png", ".gif", ".svg", ".zip"),
-}
-OWN_SCRIPTS = "eval/replay/player/"  # JavaScript elsewhere is taken for somebody else's
-OWN_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}
+OURS = set(
+    ".py .cc .c .h .j2 .css .toml .xml .md .yml .cff .txt .json .csv .ipynb .png .gif .svg .zip".split()
+)
+OUR_SCRIPTS = "eval/replay/player/"  # JavaScript elsewhere is taken for somebody else's
+OUR_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}
 FOREIGN = re.compile(
     rb"@license|SPDX-License-Identifier|Copyright \(c\)|Permission is hereby granted", re.IGNORECASE
 )
@@ -58,21 +41,15 @@ def named(path: str) -> bool:
 
 def test_what_others_made_is_named():
     missing = []
+    about = {"THIRD_PARTY_NOTICES.md", "tests/packaging/test_notices.py", "LICENSE"}
     for path in tree():
         file = ROOT / path
-        if (
-            path in ("THIRD_PARTY_NOTICES.md", "tests/packaging/test_notices.py", "LICENSE")
-            or not file.is_file()
-        ):
+        if path in about or not file.is_file():
             continue
-        own = PurePosixPath(path).suffix in OWN or file.name in OWN_NAMES or path.startswith(OWN_SCRIPTS)
-        if not (own and not FOREIGN.search(file.read_bytes())) and not named(path):
+        ours = file.suffix in OURS or file.name in OUR_NAMES or path.startswith(OUR_SCRIPTS)
+        if not (ours and not FOREIGN.search(file.read_bytes())) and not named(path):
             missing.append(path)
     assert not missing, f"name them in THIRD_PARTY_NOTICES.md: {', '.join(missing)}"
-
-
-def test_the_search_finds_what_others_made():
-    assert FOREIGN.search(b"/** @license Three.js */") and not named("eval/nothing/lib.js")
 
 
 def test_flights_and_sources_are_named():
@@ -80,10 +57,6 @@ def test_flights_and_sources_are_named():
         assert name in NOTICES and flights.licence in NOTICES
     marks = re.findall(r"^#   (\[\w\])  ", (ROOT / "models/crazyflie.toml").read_text("utf-8"), re.MULTILINE)
     assert len(marks) >= 3 and all(mark in NOTICES for mark in marks if mark != "[E]")  # [E]: ours
-
-
-def test_the_notices_are_in_the_wheel():
-    assert "THIRD_PARTY_NOTICES.md" in PROJECT["license-files"]
 
 
 def test_citation_and_changelog_have_the_version():

@@ -1,0 +1,94 @@
+"""Names in backticks, of docstrings and documents, exist: identifiers, modules, options and files."""
+
+import ast
+import builtins
+import functools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests import ROOT, documents
+
+FOLDERS = ("models", "envs", "eval", "train", "tests", "docs", "examples")
+PROSE = re.compile(r"^ {0,3}```.*?^ {0,3}```", re.DOTALL | re.MULTILINE)  # blocks, which other tests run
+SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+NAME = re.compile(r"-{0,2}[A-Za-z_][\w./-]*(\(\))?")
+FOREIGN = {  # names of other programs, and names that are put together from parts
+    *("kalman_core.c", "estimator_complementary.c", "crtpservice.c", "platformservice.c", "param_logic.c"),
+    *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c", "UdpDriver"),
+    *("supervisor_state_machine.c", "platform_defaults.h", "thrustLocked", "Commander", "send_setpoint"),
+    *("send_setpoint_manual", "_nr_of_retries", "clampctrl", "viscosity", "release.yml", "vVERSION"),
+    *("inclined-landing-UID", "data_20250421_211350", "rep1", "a_b", "x_mm", "m4", "-pitch"),
+    *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
+}
+
+
+def files(*suffixes: str) -> list[Path]:
+    """Return the files of the repository with these suffixes."""
+    found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.suffix in suffixes]
+    return [path for path in [*found, *ROOT.glob("*")] if path.suffix in suffixes and path.is_file()]
+
+
+def docstrings(tree: ast.AST) -> Iterator[ast.Constant]:
+    """Yield the docstrings of a module, also those below fields."""
+    bodies = (body for node in ast.walk(tree) if isinstance(body := getattr(node, "body", None), list))
+    for statement in (one for body in bodies for one in body if isinstance(one, ast.Expr)):
+        if isinstance(statement.value, ast.Constant) and isinstance(statement.value.value, str):
+            yield statement.value
+
+
+@functools.cache
+def known() -> frozenset[str]:
+    """Return every word that code, tables and configuration have, and the names of files and options."""
+    words: set[str] = set(dir(builtins))
+    for path in files(".py"):
+        tree = ast.parse(path.read_text("utf-8"))
+        prose = {id(constant) for constant in docstrings(tree)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+                words |= set(re.findall(r"[\w.-]+", node.value))
+            for field in ("id", "attr", "arg", "name", "module", "asname"):
+                if isinstance(value := getattr(node, field, None), str):
+                    words |= set(value.split("."))
+    for path in files(".toml", ".cc", ".h", ".in", ".j2", ".js", ".xml", ".yml", ".cff", ".txt", ".json"):
+        if path.stat().st_size < 500_000:
+            words |= set(re.findall(r"[\w.-]+", path.read_text("utf-8")))
+    words |= set(re.findall(r"[\w.-]+", (ROOT / "Makefile").read_text("utf-8")))
+    for folder in FOLDERS:
+        for path in (ROOT / folder).rglob("*"):
+            words |= {path.name, path.stem}
+    words |= documents.options("landing-train", None) | {path.name for path in ROOT.glob("*")}
+    for name in documents.cli.COMMANDS:
+        words |= documents.options("landing-eval", name)
+    for name in documents.proof.COMMANDS:
+        words |= documents.options("tests.proof", name)
+    return frozenset(words | {word.replace("-", "_") for word in words} | FOREIGN)
+
+
+def missing(text: str) -> list[str]:
+    """Return the names in backticks of which a part is known nowhere."""
+    found = []
+    for span in SPAN.findall(PROSE.sub("", text)):
+        if NAME.fullmatch(span):
+            name = span.removesuffix("()")
+            parts = [name] if name.startswith("-") else name.strip("/").split("/")
+            if not all(part in known() or known() >= set(part.split(".")) for part in parts):
+                found.append(span)
+    return found
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_names_in_docstrings_exist(folder):
+    wrong = {}
+    for path in (ROOT / folder).rglob("*.py"):
+        for constant in docstrings(ast.parse(path.read_text("utf-8"))):
+            for name in missing(constant.value):
+                wrong[f"{path.relative_to(ROOT)}:{constant.lineno}"] = name
+    assert not wrong
+
+
+def test_names_in_documents_exist():
+    wrong = {name: found for name in documents.documents() if (found := missing((ROOT / name).read_text()))}
+    assert not wrong
