@@ -1,7 +1,7 @@
 """Everything there is but the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
 
 The time is whatever the caller advances it to: in one go for flights in virtual time, by the real clock in
-`process.py`. All that is drawn comes from one seed, so a flight repeats bit for bit when the pilot does.
+`server.py`. All that is drawn comes from one seed, so a flight repeats bit for bit when the pilot does.
 """
 
 from __future__ import annotations
