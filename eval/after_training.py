@@ -1,4 +1,4 @@
-"""What `landing-train` looks up by name: the report on a run, with tables, figures and a video; films."""
+"""What `landing-train` looks up by name: the report on a run, with tables, figures and a video."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
@@ -22,7 +21,6 @@ from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import (
     flight_view,
-    render_flight,
     strobe,
     write_picture,
     write_video,
@@ -64,11 +62,6 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
     say(f"Everything about this run is in {folder}.")
-
-
-def film(flight: Flight, path: Path) -> None:
-    """Write a video of a flight during a training."""
-    write_video(path, render_flight(flight, camera="arena"))
 
 
 def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:

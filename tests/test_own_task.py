@@ -33,7 +33,7 @@ class Hop(Task):
         return Evaluation({"up": 1.0 * up}, up, up, np.zeros_like(up))
 '''
 SIZE = [*"--environments 4 --rollout 32 --batch-size 64 --steps 256 --threads 1 --evaluate-every 2".split(),
-        *"--video-every 0 --checkpoint-every 1 --no-report".split()]  # fmt: skip
+        *"--checkpoint-every 1 --no-report".split()]  # fmt: skip
 
 
 @pytest.fixture

@@ -5,15 +5,6 @@ Public, for trainings of one's own with Stable-Baselines3 (examples/): `ppo_kwar
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from inclined_landing.train.callbacks import CurriculumCallback
-    from inclined_landing.train.config import TrainConfig
-    from inclined_landing.train.curriculum import AdaptiveCurriculum
-    from inclined_landing.train.fast.ppo import FastPPO
-    from inclined_landing.train.ppo import ppo_kwargs, scaled_observation
-    from inclined_landing.train.run import train
 
 __all__ = [
     "AdaptiveCurriculum",

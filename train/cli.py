@@ -19,36 +19,37 @@ def main(arguments: list[str] | None = None) -> int:
     2 for wrong input, 3 for a run that ended without the success that was to end it, 130, 143 and 129 after
     Ctrl-C, SIGTERM and the end of its terminal.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
 
     def interrupted() -> str:
-        if words[:1] == ["sweep"]:
+        if arguments[:1] == ["sweep"]:
             return "interrupted; the same command goes on"
         return "interrupted; --resume with the same --out goes on from the last checkpoint"
 
-    return command_line.exit_code("landing-train", lambda: _train(words), "train", interrupted)
+    return command_line.exit_code("landing-train", lambda: _train(arguments), "train", interrupted)
 
 
-def _train(words: list[str]) -> int:
+def _train(arguments: list[str]) -> int:
     """Do the work of `main` and return the exit code."""
-    if words and words[0] == "--version":
+    if arguments and arguments[0] == "--version":
         print(command_line.versions("landing-train"))
         return 0
-    if words and words[0] == "sweep":
+    if arguments and arguments[0] == "sweep":
         from inclined_landing.train.sweep.command import command
 
-        return command_line.parse(command_line.bound(command), "landing-train sweep", words[1:])()
+        return command_line.parse(command_line.bound(command), "landing-train sweep", arguments[1:])()
     from inclined_landing.train.config import TrainConfig
 
-    if words and words[0].partition("=")[0] == "--print-completion":
+    if arguments and arguments[0].partition("=")[0] == "--print-completion":
         print(
-            command_line.completion(command_line.shell_of(words), "landing-train", {"": TrainConfig}), end=""
+            command_line.completion(command_line.shell_of(arguments), "landing-train", {"": TrainConfig}),
+            end="",
         )
         return 0
-    if any(word in ("-h", "--help", "--help-all") for word in words):
-        print(help_page("--help-all" in words))
+    if any(word in ("-h", "--help", "--help-all") for word in arguments):
+        print(help_page("--help-all" in arguments))
         return 0
-    config = command_line.parse(TrainConfig, "landing-train", words)
+    config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.run import NOT_REACHED, Run
 
     run = Run(config)

@@ -218,8 +218,6 @@ class TrainConfig:
     drawn vehicles 32)."""
     checkpoint_every: Many = 20
     """Iterations between checkpoints."""
-    video_every: Iterations = 0
-    """Iterations between videos of one flight (0: never); each takes as long as some 100 000 steps."""
     report: bool = True
     """After training: success table, learning curves, figures, a picture and a video of one flight."""
 
@@ -235,9 +233,12 @@ class TrainConfig:
 
     def task_options(self) -> dict[str, Any]:
         """Return the options of the task that are given, angles in rad."""
-        given = {name: getattr(self, name) for name in TASK_OPTIONS}
-        given = {name: value for name, value in given.items() if value is not None and value is not False}
-        return {name: math.radians(value) if name in ANGLES else value for name, value in given.items()}
+        options = {name: getattr(self, name) for name in TASK_OPTIONS}
+        return {
+            name: math.radians(value) if name in ANGLES else value
+            for name, value in options.items()
+            if value is not None and value is not False
+        }
 
     def copied(self) -> dict[str, Path]:
         """Of what the run keeps a copy, by the copy's name."""
@@ -303,8 +304,8 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
     # The task's training defaults, but for what is given.
     named = [field.name for field in dataclasses.fields(Training)]
-    given = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
-    learning = dataclasses.replace(training, **given)
+    chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
+    learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
     values["evaluate_every"] = pace.evaluate_every if config.evaluate_every is None else config.evaluate_every
@@ -338,16 +339,16 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
 def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, Any]:
     """Return the fields in ENDING that say when the run ends; least: its usual min_steps."""
-    given = [flag_of(name) for name in ENDING[1:] if getattr(config, name) is not None]
+    chosen = [flag_of(name) for name in ENDING[1:] if getattr(config, name) is not None]
     if config.steps is not None:
-        if given:
-            raise UserError(f"--steps fixes how long the run is; {given[0]} goes without it")
+        if chosen:
+            raise UserError(f"--steps fixes how long the run is; {chosen[0]} goes without it")
         return {}
     if training.success is None:
-        if given:
+        if chosen:
             by_success = " and ".join(task.name for task in TASKS.values() if task.training.success)
             raise UserError(
-                f"{given[0]} is for the {by_success} task; a run of {config.task} is fixed by --steps"
+                f"{chosen[0]} is for the {by_success} task; a run of {config.task} is fixed by --steps"
             )
         return {"steps": training.steps}
     if config.evaluate_every == 0:

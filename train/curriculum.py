@@ -7,6 +7,7 @@ and never changes them.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections import deque
 from collections.abc import Callable
@@ -62,6 +63,7 @@ class Curriculum:
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
     kept: tuple[str, ...] = ()  # attributes that `state` has
+    moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
@@ -73,9 +75,13 @@ class Curriculum:
         return self._the_task
 
     def stages(self) -> list[tuple[str, Any]]:
-        """Return titles and conditions of some moments, for a figure; none without stages."""
-        conditions = self.conditions()
-        return [] if conditions is None else [("the task", conditions)]
+        """Return titles and conditions of some moments; none where the task has no conditions."""
+        found = []
+        for title, attributes in self.moments:
+            other = copy.copy(self)
+            vars(other).update(attributes)
+            found.append((title, other.conditions()))
+        return [(title, conditions) for title, conditions in found if conditions is not None]
 
     def conditions(self) -> Any:
         """Return the conditions of the next episodes; None where the task has none."""
@@ -155,6 +161,7 @@ class AdaptiveCurriculum(Curriculum):
 
     name = "adaptive"
     kept = ("level", "full_at")
+    moments = tuple((f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
 
     def __init__(
         self,
@@ -185,14 +192,6 @@ class AdaptiveCurriculum(Curriculum):
             goal_size=float(EASIEST_GOAL_SIZE + (GOAL_SIZE - EASIEST_GOAL_SIZE) * shrink),
             platform=float(np.clip((l - 0.25) / 0.2, 0.0, 1.0)),
         )
-
-    def stages(self) -> list[tuple[str, LandingConditions]]:
-        """Return four levels of a curriculum of this kind."""
-        other, moments = AdaptiveCurriculum(), []
-        for level in (0.0, 0.25, 0.6, 1.0):
-            other.level = level
-            moments.append((f"level {level:g}", self.but_for_parts(other.stage())))
-        return moments
 
     @property
     def success(self) -> float:
@@ -265,6 +264,12 @@ class PaperCurriculum(Curriculum):
 
     name = "paper"
     kept = ("episodes", "tilting_episodes", "steps")
+    moments = (  # of its schedule, at the usual length of episodes
+        ("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
+        ("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
+        ("700 k steps", {"episodes": 9000, "tilting_episodes": 3000, "steps": 700_000}),
+        ("3 M steps", {"episodes": 19_000, "tilting_episodes": 6000, "steps": 3_000_000}),
+    )
 
     def __init__(self):
         super().__init__(RISING)
@@ -287,19 +292,6 @@ class PaperCurriculum(Curriculum):
             platform=float(self.steps >= 800_000),
             lowest_start=1.0,
         )
-
-    def stages(self) -> list[tuple[str, LandingConditions]]:
-        """Return four moments of the schedule at the usual length of episodes."""
-        other, moments = PaperCurriculum(), []
-        for episodes, tilting, steps, title in (
-            (0, 0, 0, "0 k steps"),
-            (5000, 0, 390_000, "390 k steps"),
-            (9000, 3000, 700_000, "700 k steps"),
-            (19_000, 6000, 3_000_000, "3 M steps"),
-        ):
-            other.episodes, other.tilting_episodes, other.steps = episodes, tilting, steps
-            moments.append((title, self.but_for_parts(other.stage())))
-        return moments
 
     def episode(self, success: bool, length: int) -> None:
         self.episodes += 1

@@ -39,7 +39,7 @@ STIFFNESS, DAMPING, FARTHEST = 9.0, 5.0, 0.6  # of that flight: 1/s2, 1/s, and m
 AHEAD = 0.06  # s ahead of now, where a trajectory is read
 LARGEST = 8.0  # m/s2 of lead for the attitude loop, along each axis
 SPOOL = 0.065  # s that thrust leads by, for the motors
-CUT_HEIGHT, CUT_BESIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
+CUT_HEIGHT, CUT_ASIDE = 0.03, 0.35  # m over the height at rest and beside the centre, where the motors stop
 LEAST_THRUST = -0.8  # action in flight: clear of idle
 
 
@@ -93,8 +93,8 @@ class Descent:
         columns = [(wanted[c.name] - c.centre) / c.span for c in self._task.channels]
         actions = np.clip(np.column_stack(columns), -1.0, 1.0)
         actions[:, 0] = np.maximum(actions[:, 0], LEAST_THRUST)
-        beside = np.linalg.norm(place - (place * normal).sum(axis=1, keepdims=True) * normal, axis=1)
-        stop = (height < CUT_HEIGHT) & (beside < CUT_BESIDE)
+        aside = np.linalg.norm(place - (place * normal).sum(axis=1, keepdims=True) * normal, axis=1)
+        stop = (height < CUT_HEIGHT) & (aside < CUT_ASIDE)
         actions[stop, 0] = idle
         return actions
 
@@ -109,8 +109,10 @@ class Descent:
         t = TIMES[:, None, None]
         scale = np.array([t**0, t, t**2, t**3])  # derivatives by the share of the time that is past
         known = now[:, None] * scale / _FACTORIALS[:4, None, None, None]
-        left = end[:, None] * scale - np.einsum("dk,ktnx->dtnx", _ENDS[:, :4], known)
-        trajectory = np.concatenate([known, np.einsum("kd,dtnx->ktnx", _SOLVED, left)])  # (8, times, n, 3)
+        remaining = end[:, None] * scale - np.einsum("dk,ktnx->dtnx", _ENDS[:, :4], known)
+        trajectory = np.concatenate(
+            [known, np.einsum("kd,dtnx->ktnx", _SOLVED, remaining)]
+        )  # (8, times, n, 3)
 
         place, lift, snap = (np.einsum("ck,ktnx->ctnx", _basis(CHECKED, d), trajectory) for d in (0, 2, 4))
         price = ((snap / t**4) ** 2).sum(axis=3).mean(axis=0) * TIMES[:, None] + PRICE * TIMES[:, None]
@@ -119,9 +121,9 @@ class Descent:
         wrong = (size < LIFT[0] * self._gravity) | (size > LIFT[1] * self._gravity)
         wrong |= lift[..., Z] < self._steepest * size
         height = (place * normal).sum(axis=3)
-        beside = np.linalg.norm(place - height[..., None] * normal, axis=3)
+        aside = np.linalg.norm(place - height[..., None] * normal, axis=3)
         over = (np.abs(place[..., X]) < self._half[0]) & (np.abs(place[..., Y]) < self._half[1])
-        wrong |= over & (height < self._rest - DEPTH - SLACK + CONE * np.maximum(0.0, beside - APEX))
+        wrong |= over & (height < self._rest - DEPTH - SLACK + CONE * np.maximum(0.0, aside - APEX))
         wrong[-1] = False  # the end is given
         price = np.where(wrong.any(axis=0), np.inf, price)
         best, rows = price.argmin(axis=0), np.arange(now.shape[1])

@@ -10,7 +10,6 @@ from inclined_landing.models.errors import UserError, not_installed
 
 _MODULES = {
     "report": "after_training",  # after a run
-    "film": "after_training",  # during a run, --video-every
     "find": "cli",  # the commands of a recipe
 }
 

@@ -8,7 +8,6 @@ evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
 best.zip         the policy of the best periodic evaluation
 final.zip        the policy at the end; this is the result
-videos/          one flight every --video-every iterations
 metrics.json     what the run reached
 """
 
@@ -23,7 +22,6 @@ from pathlib import Path
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
-from inclined_landing.envs.flights import record_flight
 from inclined_landing.envs.policy import Policy, load_policy, write_metadata
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
@@ -31,7 +29,6 @@ from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import make_plant
 from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import (
     CriticFirst,
@@ -43,7 +40,6 @@ from inclined_landing.train.callbacks import (
 )
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig
-from inclined_landing.train.evaluation import look_up
 from inclined_landing.train.record import (
     FREE,
     RECORD,
@@ -54,7 +50,7 @@ from inclined_landing.train.record import (
     ranges_of,
     stored,
 )
-from inclined_landing.train.trials import PeriodicEvaluation, rehearse
+from inclined_landing.train.trials import PeriodicEvaluation
 
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]
@@ -90,11 +86,7 @@ class Run:
             self.config, self.record = stored(dataclasses.replace(config, out=self.folder))
         else:
             self.config, self.record = resolved, new_record(resolved)
-        if self.config.video_every:
-            look_up("film")
         ppo.check_memory(self.config)
-        if is_path(self.config.task):
-            rehearse(self.config)
         saved = _read_checkpoint(self.folder) if self.resumed else None
         self.history: list[dict] = []
         self.evaluations: list[dict] = []
@@ -127,6 +119,8 @@ class Run:
             if self.teacher.task.name == self.task.name:
                 self.curriculum.skip()
         self.evaluation = PeriodicEvaluation(config, self.task.vehicle)
+        if is_path(config.task):
+            self.evaluation.rehearse()
 
     def _restore(self, saved: Checkpoint) -> None:
         """Carry the new model, vehicles and curriculum on to a checkpoint; UserError if it does not fit."""
@@ -187,10 +181,6 @@ class Run:
         self._write_histories()
         if self.best is not None:
             storage.write_bytes(self.folder / "best.zip", self.best)
-        for video in (self.folder / "videos").glob("iteration_*.mp4"):
-            number = video.stem.removeprefix("iteration_")
-            if number.isdecimal() and int(number) > self.begun_at:
-                video.unlink()
 
     def _learn(self) -> None:
         """Train until the end, with everything that happens on the way."""
@@ -207,7 +197,6 @@ class Run:
             LearningCurve(self.history, self.curriculum, self.clock),
             progress,
             every(config.evaluate_every, self._evaluate_or_end),
-            every(config.video_every, self.film),
             every(config.checkpoint_every, self.checkpoint, least=0),
         ]
         if config.start_from:
@@ -249,16 +238,6 @@ class Run:
         for name, value in score.items():
             self.model.logger.record(f"evaluation/{name}", value)
         self.progress.notice = f", evaluation {self.evaluation.task.score_words(score)}"
-        self.clock.switch("training")
-
-    def film(self, iteration: int) -> None:
-        """Write a video of one flight."""
-        self.clock.switch("video")
-        policy = self._policy()
-        plant = make_plant("mujoco", 1, policy.task.vehicle, **policy.task.plant_options)
-        flight = record_flight(policy, plant, self.evaluation.film_start)
-        (self.folder / "videos").mkdir(exist_ok=True)
-        look_up("film")(flight, self.folder / "videos" / f"iteration_{iteration:04d}.mp4")
         self.clock.switch("training")
 
     def checkpoint(self, iteration: int) -> None:

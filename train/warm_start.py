@@ -64,8 +64,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     if usual == descent.NAME:
         usual = PLANE["start_from"]  # in the law's place any policy of this task
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
-    policy = load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
-    return policy
+    return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
 
 
 def take_over(model: PPO, policy: Policy) -> None:
@@ -104,17 +103,18 @@ def take_over(model: PPO, policy: Policy) -> None:
 def _check_task(policy: Policy, task: Task) -> None:
     """Raise UserError where `task` gives its policies less than `policy` was trained with, or another PWM."""
     before = policy.task
-    if before.history > task.history:
-        raise UserError(f"policy {policy.path} goes on with --history {before.history} or more")
-    if before.observe_vehicle != task.observe_vehicle:
-        how = "with" if before.observe_vehicle else "without"
-        raise UserError(f"policy {policy.path} goes on {how} --observe-vehicle")
-    if before.observe_vehicle and before.history != task.history:
-        raise UserError(
-            f"policy {policy.path} observes its vehicle's parameters, and goes on with its own history only"
-        )
-    if before.per_vehicle_hover != task.per_vehicle_hover:
-        raise UserError(f"policy {policy.path} goes on with its own PWM at action 0 only")
+    how = "with" if before.observe_vehicle else "without"
+    for fits, remedy in (
+        (before.history <= task.history, f"goes on with --history {before.history} or more"),
+        (before.observe_vehicle == task.observe_vehicle, f"goes on {how} --observe-vehicle"),
+        (
+            before.history == task.history or not before.observe_vehicle,
+            "observes its vehicle's parameters, and goes on with its own history only",
+        ),
+        (before.per_vehicle_hover == task.per_vehicle_hover, "goes on with its own PWM at action 0 only"),
+    ):
+        if not fits:
+            raise UserError(f"policy {policy.path} {remedy}")
 
 
 def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list[tuple]) -> None:
@@ -130,15 +130,15 @@ def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list
 def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int) -> None:
     """Copy the standard deviation of the actions, and the critic if it is in the policy's file."""
     found = tensors(policy.path)
-    for name, own in model.policy.state_dict().items():
+    for name, tensor in model.policy.state_dict().items():
         if name != "log_std" and "value_net" not in name:
             continue
-        value = torch.as_tensor(found[name]) if name in found else own
+        value = torch.as_tensor(found[name]) if name in found else tensor
         if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
             value = torch.nn.functional.pad(value, (0, new_inputs))
-        if value.shape != own.shape:
+        if value.shape != tensor.shape:
             raise UserError(f"policy {policy.path} has another {name} than training uses")
-        own.copy_(value)
+        tensor.copy_(value)
 
 
 def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None = None) -> np.ndarray:

@@ -37,7 +37,7 @@ ROOT = HERE.parents[1]
 PAGE = ROOT / "envs" / "shipped" / "README.md"
 DESCRIBED, FLOWN = HERE / "cards.toml", HERE / "cards.json"
 ENOUGH = 0.95  # share of flights below which a condition is listed as one that it fails in
-OF_THE_RUN = ("--seed", "--out", "--threads", "--video-every", "--evaluate-every", "--no-report")
+OF_THE_RUN = ("--seed", "--out", "--threads", "--evaluate-every", "--no-report")
 
 
 class Stale(Exception):

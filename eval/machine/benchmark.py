@@ -102,7 +102,7 @@ def training_rate(steps: int, seed: int) -> float:
     """Return the steps per second of `landing-train landing`, from its first step to its last update."""
     with tempfile.TemporaryDirectory() as folder:
         words = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]
-        quiet = ["--no-report", "--evaluate-every", "0", "--video-every", "0"]
+        quiet = ["--no-report", "--evaluate-every", "0"]
         done = subprocess.run(
             [sys.executable, "-m", "inclined_landing.train", *words, *quiet], capture_output=True, text=True
         )

@@ -124,7 +124,7 @@ def a_training() -> dict[str, bytes]:
     """Return the files of a run that was stopped after its first checkpoint."""
     with tempfile.TemporaryDirectory() as place:
         tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 160 --epochs 1 --threads 1"
-        tiny += " --max-seconds 1e-6 --evaluate-every 0 --video-every 0 --no-report"
+        tiny += " --max-seconds 1e-6 --evaluate-every 0 --no-report"
         damage.command(train.main, ["landing", *tiny.split(), "--out", place + "/run"])
         files = {str(p.relative_to(place)): p.read_bytes() for p in Path(place).rglob("*") if p.is_file()}
         return {f"run/{name}": files[f"run/{name}"] for name in (CHECKPOINT, "run.json")}

@@ -4,17 +4,11 @@ import re
 import runpy
 import sys
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.wrappers import TransformReward
-from stable_baselines3 import PPO
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 from inclined_landing import envs, train
-from inclined_landing.train import zoo
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -44,32 +38,6 @@ def test_ppo_in_one_file_learns_and_judges_itself(monkeypatch, capsys):
     torch.set_num_threads(threads)
     found = re.search(r"seed 3, 300000 steps: (\d+) of 251 starts", capsys.readouterr().out)
     assert int(found[1]) > 125  # an untrained one: none
-
-
-def test_the_zoos_parameters_train_plain_environments(tmp_path):
-    """As rl-baselines3-zoo does it: single environments under a monitor, rewards by a wrapper, a callback."""
-    parameters = zoo.hyperparams["InclinedLanding-v0"] | {"n_steps": 64, "batch_size": 64, "n_epochs": 1}
-    options, own = (
-        parameters["env_kwargs"],
-        ("n_timesteps", "n_envs", "env_kwargs", "env_wrapper", "callback"),
-    )
-    ((_, scaling),) = parameters["env_wrapper"][0].items()
-
-    def one():
-        return TransformReward(Monitor(gymnasium.make("InclinedLanding-v0", **options)), **scaling)
-
-    env = DummyVecEnv([one, one])
-    callback = zoo.TaskCurriculum("landing")
-    model = PPO(env=env, seed=0, **{key: value for key, value in parameters.items() if key not in own})
-    model.learn(128, callback)
-    assert all(task.conditions == callback.curriculum.conditions() != task.__class__().conditions
-               for task in env.get_attr("task"))  # fmt: skip
-    assert callback.total == 128 and callback.rate == parameters["learning_rate"]
-    model.save(tmp_path / "zoo.zip", exclude=["lr_schedule"])
-    policy = envs.load_policy(tmp_path / "zoo.zip", "landing")
-    observation = np.array([[0.4, 1.5, 0.1, -0.2, 0.05]], np.float32)
-    expected, _ = model.predict(observation, deterministic=True)
-    np.testing.assert_allclose(policy.predict(observation), expected, atol=1e-6)
 
 
 def test_every_public_name_is_there():

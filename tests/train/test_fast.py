@@ -19,7 +19,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
-from inclined_landing.train.fast import kernels
+from inclined_landing.train.fast import kernels, layers
 from inclined_landing.train.fast.ppo import FastPPO, both
 
 N, STEPS = 8, 100
@@ -306,7 +306,7 @@ def test_tanh_is_exact_to_float32():
     """Relative error at most 4e-7, some units in the last place, and not a number stays none."""
     x = np.concatenate([np.linspace(-12, 12, 100_001), 10.0 ** -np.arange(1, 30)]).astype(np.float32)
     found = np.append(x, [np.nan, np.inf, -np.inf]).astype(np.float32)
-    kernels._tanh(found, np.uint64(0), np.uint64(len(found)))
+    layers.tanh(found, np.uint64(0), np.uint64(len(found)))
     np.testing.assert_allclose(found[: len(x)], np.tanh(x.astype(float)), rtol=4e-7, atol=1e-37)
     assert np.isnan(found[-3]) and found[-2] == -found[-1] == pytest.approx(1, abs=4e-7)
     assert np.abs(found[: len(x)]).max() <= 1

@@ -18,8 +18,7 @@ from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.descent import Descent
 from inclined_landing.train.run import train
 
-TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "threads": 1, "evaluate_every": 0,
-        "video_every": 0}  # fmt: skip
+TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "threads": 1, "evaluate_every": 0}
 
 
 def test_the_actor_begins_as_the_landing_policy():

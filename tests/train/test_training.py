@@ -25,7 +25,7 @@ from inclined_landing.train.run import CHECKPOINT, Run, train
 from tests.training import assert_same_policy, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
-        "evaluate_every": 0, "video_every": 0, "checkpoint_every": 2}  # fmt: skip
+        "evaluate_every": 0, "checkpoint_every": 2}  # fmt: skip
 
 
 def config(out, **options) -> TrainConfig:
@@ -59,21 +59,20 @@ def test_run_folder(landing_run):
     assert evaluations["steps"].tolist() == [256, 512]
     assert evaluations["strict_success"].between(0, 1).all()
     assert list((folder / "tensorboard").iterdir())
+    metadata = load_policy(folder / "final.zip").metadata
+    expected = {"task": "landing", "plant": "hybrid", "curriculum": "adaptive", "seed": 3, "steps": 512}
+    assert metadata.items() >= (expected | {name: record[name] for name in ("command", "versions")}).items()
+    assert metadata["task_options"]["pwm_centre"] == "hover"
 
 
 def test_same_seed_same_policy_bit_for_bit(landing_run, tmp_path):
-    """Also with other evaluations and checkpoints in between: looking does not change the run."""
+    """Also with other evaluations and checkpoints in between, and on more threads."""
     folder, _ = landing_run
-    again, _ = train(config(tmp_path / "b", seed=3, evaluate_every=0, checkpoint_every=3))
+    again, _ = train(config(tmp_path / "b", seed=3, evaluate_every=0, checkpoint_every=3, threads=2))
     assert_same_policy(folder / "final.zip", again / "final.zip")
     other, _ = train(config(tmp_path / "c", seed=4))
     a, b = weights(folder / "final.zip"), weights(other / "final.zip")
     assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
-
-
-def test_number_of_threads_changes_no_bit(landing_run, tmp_path):
-    again, _ = train(config(tmp_path / "b", seed=3, threads=2))
-    assert_same_policy(landing_run[0] / "final.zip", again / "final.zip")
 
 
 class Killed(BaseException):
@@ -86,7 +85,6 @@ KINDS = {
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},
     "landing with a history": {"task": "landing", "history": 3},
-    "platforms that travel": {"task": "landing", "dimensions": 3, "fastest": 1.0},
     "platforms that heave": {"task": "landing", "dimensions": 3, "fastest": 1.0, "swell": 1.0},
 }
 
@@ -179,49 +177,25 @@ def test_stock_sb3_loads_the_policy_too(landing_run):
     np.testing.assert_allclose(action, load_policy(path).predict(observation), atol=1e-5)
 
 
-def test_the_metadata_says_what_the_policy_was_trained_for(landing_run):
-    metadata = load_policy(landing_run[0] / "final.zip").metadata
-    assert (
-        metadata["task"] == "landing"
-        and metadata["plant"] == "hybrid"
-        and metadata["curriculum"] == "adaptive"
-    )
-    assert metadata["seed"] == 3 and metadata["steps"] == 512
-    assert metadata["task_options"]["pwm_centre"] == "hover"
-    assert metadata["command"].startswith("landing-train") and metadata["versions"]["mujoco"] == "4.0.0"
-
-
-def test_a_run_trains_evaluates_and_resumes_with_its_own_vehicle(tmp_path):
+def test_a_run_trains_evaluates_and_resumes_with_its_vehicle_and_slope(tmp_path):
     shipped, file = load_vehicle(), tmp_path / "heavy.toml"
     heavy = dataclasses.replace(shipped, body_mass=1.2 * shipped.body_mass)
     write_vehicle(file, heavy)
-    out = tmp_path / "run"
-    begun = Run(config(out, vehicle=file, max_seconds=1e-6))
-    assert (
-        begun.env.env.plant.vehicle
-        == begun.evaluation.plant.vehicle
-        == begun.evaluation.task.vehicle
-        == heavy
-    )
-    assert begun.env.env.task.pwm_centre == heavy.hover_pwm
+    out, slope = tmp_path / "run", math.radians(15)
+    begun = Run(config(out, vehicle=file, inclination=15, max_seconds=1e-6))
+    assert begun.env.env.plant.vehicle == begun.evaluation.plant.vehicle == heavy
+    assert begun.task.pwm_centre == heavy.hover_pwm
     begun.execute()
-    file.unlink()  # the run has its own
+    file.unlink()  # the run has a copy
     resumed = Run(TrainConfig(out=out, resume=True))
     assert resumed.env.env.plant.vehicle == resumed.evaluation.task.vehicle == heavy
+    assert resumed.task.inclination == resumed.evaluation.task.inclination == slope
     resumed.execute()
     policy = load_policy(out / "final.zip")
     assert policy.metadata["vehicle"] == {"body_mass": heavy.body_mass}
+    assert policy.task.inclination == policy.metadata["task_options"]["inclination"] == slope
     # Flown in any vehicle, action 0 is the thrust that it was in training.
     assert policy.task.vehicle == shipped and policy.task.pwm_centre == heavy.hover_pwm
-
-
-def test_a_run_trains_evaluates_and_is_stamped_for_another_slope(tmp_path):
-    begun = Run(config(tmp_path / "a", inclination=15, steps=128))
-    assert begun.env.env.task.inclination == begun.evaluation.task.inclination == math.radians(15)
-    begun.execute()
-    policy = load_policy(tmp_path / "a" / "final.zip")
-    assert policy.task.inclination == policy.metadata["task_options"]["inclination"] == math.radians(15)
-    assert Run(TrainConfig(out=tmp_path / "a", resume=True)).env.env.task.inclination == math.radians(15)
 
 
 @pytest.mark.parametrize("task", [task.name for task in TASKS.values() if task.shipped])
@@ -231,7 +205,8 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     shipped = tensors(task)
     for name, own in begun.model.policy.state_dict().items():
         np.testing.assert_array_equal(own, np.float32(shipped[name]))
-    folder = begun.execute() and tmp_path / "a"
+    folder = begun.folder
+    begun.execute()
     after = weights(folder / "final.zip")
     np.testing.assert_array_equal(after["action_net.weight"], np.float32(shipped["action_net.weight"]))
     assert not np.array_equal(after["value_net.weight"], np.float32(shipped["value_net.weight"]))
@@ -293,12 +268,11 @@ acceleration_time = [[0.3, 0.3], [0.3, 0.3], [0.3, 0.3]]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("plant", ["hybrid", "analytic"])
-def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
+def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
     ranges = tmp_path / "ranges.toml"
     ranges.write_text(DRAWN, "utf-8")
     # 384 steps of each vehicle, so that every episode ends once at least
-    options = {"randomise": ranges, "plant": plant, "steps": 128 * 24}
+    options = {"randomise": ranges, "steps": 128 * 24}
     whole, _ = train(config(tmp_path / "whole", **options))
     out = tmp_path / "cut"
     train(config(out, **options, max_seconds=0.5))
@@ -308,27 +282,22 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(plant, tmp_path):
     resumed.execute()
     assert_same_policy(whole / "final.zip", out / "final.zip")
     assert load_policy(out / "final.zip").metadata["ranges"]["body"] == {"mass": [0.03, 0.04]}
-    plain, _ = train(config(tmp_path / "plain", plant=plant, steps=256))
-    other, _ = train(
-        config(tmp_path / "other", **options | {"steps": 256, "randomise": whole / "randomise.toml"})
-    )
-    a, b = weights(plain / "final.zip"), weights(other / "final.zip")
-    assert not np.array_equal(a["action_net.weight"], b["action_net.weight"])
 
 
 @pytest.mark.slow
-def test_half_of_the_evaluated_flights_have_drawn_vehicles(tmp_path):
+def test_two_of_three_evaluated_flights_have_drawn_vehicles(tmp_path):
     """Others than the training's; a shipped file goes by its name."""
     begun = Run(config(tmp_path / "run", randomise=Path("robust"), steps=256, evaluate_every=1))
     plant = begun.evaluation.plant
-    assert (plant.choice[::2] == 0).all() and len(set(plant.choice[1::2])) == plant.n // 2
+    drawn = np.arange(plant.n) % 3 > 0
+    assert (plant.choice[~drawn] == 0).all() and len(set(plant.choice[drawn])) == drawn.sum()
     assert not set(plant.pool) & set(begun.env.env.plant.pool)
     np.testing.assert_allclose(
         begun.evaluation.starts.state[:, LAG], plant.hover_share * plant.vehicle.hover_lag
     )
     begun.execute()
     last = begun.evaluations[-1]
-    assert last["score"] == pytest.approx((last["score_nominal"] + last["score_drawn"]) / 2)
+    assert last["score"] == pytest.approx((last["score_nominal"] + 2 * last["score_drawn"]) / 3)
     assert (tmp_path / "run" / "randomise.toml").read_text("utf-8") == locate("robust").read_text("utf-8")
     assert Run(TrainConfig(out=tmp_path / "run", resume=True)).metrics is not None
 
@@ -426,6 +395,9 @@ def scores(monkeypatch):
 
 
 def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
+    """And not before its least steps."""
+    scores[:] = [1.0]
+    assert train(config(tmp_path / "least", **OPEN, min_steps=300))[1]["steps"] == 384
     scores[:] = [0.99, 0.98, 0.99, 0.995, 0.0]
     begun = Run(config(tmp_path / "a", **OPEN, min_steps=0))
     metrics = begun.execute()
@@ -476,12 +448,6 @@ def test_what_the_landing_trains_on_unless_told(tmp_path):
         said(nominal=True, randomise=robust)
 
 
-def test_a_run_has_its_least_steps(tmp_path, scores):
-    scores[:] = [1.0]
-    _, metrics = train(config(tmp_path / "a", **OPEN, min_steps=300))
-    assert metrics["steps"] == 384 and metrics["reached"]
-
-
 def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
     scores[:] = [1.0]
     folder, metrics = train(config(tmp_path / "a", **OPEN | {"curriculum": "adaptive"}, max_steps=384))
@@ -495,7 +461,7 @@ def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
 
 def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, scores, capsys, monkeypatch):
     monkeypatch.setattr("inclined_landing.train.cli._report", lambda run, metrics: None)
-    tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1 --video-every 0".split()
+    tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1".split()
     out = ["--out", str(tmp_path / "a")]
     assert (
         cli.main(
@@ -515,7 +481,7 @@ def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, s
     assert metrics["ended"] in said and metrics["reached"] is False
 
 
-@pytest.mark.parametrize("dies_at", [2, 4, 8])
+@pytest.mark.parametrize("dies_at", [4, 8])
 def test_killed_and_resumed_a_run_ends_by_success_in_the_same_bits(dies_at, tmp_path, scores, monkeypatch):
     """At the checkpoint in between, and at the one of the end itself."""
     scores[:] = given = [0.99, 0.98, 0.99, 1.0, 0.0]

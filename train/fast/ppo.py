@@ -23,13 +23,13 @@ from stable_baselines3.common.utils import explained_variance
 
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.models.errors import UserError
-from inclined_landing.train.fast import kernels
+from inclined_landing.train.fast import kernels, layers
 
 _BUFFERED = ("observations", "actions", "values", "log_probs", "advantages", "returns")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class _Network:
+class _FlatNetwork:
     """One of the policy's networks with its weights in one vector; the tensors stay torch's."""
 
     def __init__(self, layers: list[torch.nn.Linear], log_std: torch.Tensor | None = None):
@@ -43,11 +43,11 @@ class _Network:
 
     def activations(self) -> np.ndarray:
         """Return memory for one block of all layers' activations."""
-        return np.empty(int(self.widths.sum()) * kernels.BLOCK, np.float32)
+        return np.empty(int(self.widths.sum()) * layers.BLOCK, np.float32)
 
-    def forward(self) -> kernels.Network:
+    def forward(self) -> kernels.FixedNetwork:
         """Return the network to be evaluated, with memory of its own."""
-        return kernels.Network(self.weights, self.widths, self.activations())
+        return kernels.FixedNetwork(self.weights, self.widths, self.activations())
 
     def learner(self, optimizer: torch.optim.Adam) -> kernels.Learner:
         """Return the network to be trained, with the optimizer's moments and memory of its own."""
@@ -107,7 +107,7 @@ def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] |
         return
     failures: list[BaseException] = []
 
-    def beside() -> None:
+    def second() -> None:
         try:
             work(1)
         except BaseException as error:
@@ -115,7 +115,7 @@ def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] |
             if let_go is not None:
                 let_go()
 
-    other = threading.Thread(target=beside)
+    other = threading.Thread(target=second)
     try:
         other.start()
         work(0)
@@ -143,11 +143,11 @@ class FastPPO(PPO):
     _last_episode_starts: np.ndarray
 
     def _setup_model(self) -> None:
-        given = self.policy_kwargs
-        own = {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5}}  # SB3's default epsilon
-        self.policy_kwargs = {**own, **given}
+        asked = self.policy_kwargs
+        default = {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5}}  # SB3's default epsilon
+        self.policy_kwargs = {**default, **asked}
         super()._setup_model()
-        self.policy_kwargs = given  # files name nothing of this module
+        self.policy_kwargs = asked  # files name nothing of this module
         self._check()
 
     def _check(self) -> None:
@@ -158,7 +158,7 @@ class FastPPO(PPO):
         tanh = all(isinstance(m, torch.nn.Tanh) for chain in chains for m in chain[1::2])
         adam = type(self.policy.optimizer) in (Adam, torch.optim.Adam)
         extractor = type(self.policy.features_extractor) in (ScaledObservation, FlattenExtractor)
-        spoken = {
+        conditions = {
             "two tanh networks": linear and tanh and all(chain and len(chain) % 2 == 0 for chain in chains),
             "actions of a box with a normal distribution": isinstance(self.action_space, spaces.Box)
             and not self.use_sde
@@ -174,24 +174,24 @@ class FastPPO(PPO):
             "the CPU": self.device.type == "cpu",
             "no last minibatch of one sample": self.n_steps * self.n_envs % self.batch_size != 1,
         }
-        for what, found in spoken.items():
+        for what, found in conditions.items():
             if not found:
-                raise UserError(f"the fast update is for {what}; take stock PPO instead")
+                raise UserError(f"the fast update is for {what}; take stock PPO instead (--update stock)")
 
-    def _networks(self) -> tuple[_Network, _Network]:
+    def _networks(self) -> tuple[_FlatNetwork, _FlatNetwork]:
         """Return actor and critic."""
         policy, mlp = self.policy, self.policy.mlp_extractor
-        actor = _Network([*list(mlp.policy_net)[::2], policy.action_net], policy.log_std)
-        return actor, _Network([*list(mlp.value_net)[::2], policy.value_net])
+        actor = _FlatNetwork([*list(mlp.policy_net)[::2], policy.action_net], policy.log_std)
+        return actor, _FlatNetwork([*list(mlp.value_net)[::2], policy.value_net])
 
-    def _scaling(self) -> kernels.Scaling:
+    def _scaling(self) -> layers.Scaling:
         """Return how the policy scales observations."""
         extractor = self.policy.features_extractor
         if isinstance(extractor, ScaledObservation):
             limit = np.float32(ScaledObservation.LIMIT)
-            return kernels.Scaling(extractor.centre.numpy(), extractor.scale.numpy(), limit)
+            return layers.Scaling(extractor.centre.numpy(), extractor.scale.numpy(), limit)
         o = extractor.features_dim
-        return kernels.Scaling(np.zeros(o, np.float32), np.ones(o, np.float32), np.float32(np.inf))
+        return layers.Scaling(np.zeros(o, np.float32), np.ones(o, np.float32), np.float32(np.inf))
 
     def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
         """Fill the buffer with `n_rollout_steps` of every environment; False if the callback stopped it.
@@ -249,10 +249,10 @@ class FastPPO(PPO):
         callback.on_rollout_end()
         return True
 
-    def _evaluate(self, critic: _Network, observations: np.ndarray, values: np.ndarray) -> None:
+    def _evaluate(self, critic: _FlatNetwork, observations: np.ndarray, values: np.ndarray) -> None:
         """Write the critic's values (n,) of observations (n, o)."""
         scaling = self._scaling()
-        middle = len(values) // (2 * kernels.BLOCK) * kernels.BLOCK
+        middle = len(values) // (2 * layers.BLOCK) * layers.BLOCK
 
         def part(k: int) -> None:
             rows = slice(middle, None) if k else slice(0, middle)
