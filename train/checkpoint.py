@@ -164,26 +164,15 @@ def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> State:
 
 def _checked_moments(model: PPO, env: BatchVecEnv, arrays: dict) -> dict[int, dict[str, torch.Tensor]]:
     """Return the optimizer's moments by parameter; raises UserError for an array of another shape or type."""
-    n, observations = env.num_envs, env.observation_space.shape[0]
-    like = _arrays(model, env) | {
-        "numpy_rng": np.zeros(624, np.uint32),
-        "last_obs": np.zeros((n, observations), np.float32),
-        "last_episode_starts": np.zeros(n, bool),
-    }
-    learned = []  # the optimizer knows what has had a gradient
+    like = _arrays(model, env)
+    moments: dict[int, dict[str, torch.Tensor]] = {}
     for k, parameter in enumerate(model.policy.optimizer.param_groups[0]["params"]):
-        if f"optimizer.{k}.step" in arrays:
-            learned.append(k)
-            for name in _MOMENTS:
-                shape = () if name == "step" else tuple(parameter.shape)
-                like[f"optimizer.{k}.{name}"] = np.zeros(shape, np.float32)
-    if wrong := set(arrays) ^ set(like):
-        raise UserError(f"it lacks the array {shown(min(wrong), 60)}, or has it without need")
-    for name, array in arrays.items():
-        if (array.shape, array.dtype) != (like[name].shape, like[name].dtype):
-            raise UserError(
-                f"{name} is {array.dtype} {array.shape}, not {like[name].dtype} {like[name].shape}"
-            )
-        if array.dtype.kind == "f" and np.isfinite(like[name]).all() and not np.isfinite(array).all():
-            raise UserError(f"{name} holds NaN or infinity")
-    return {k: {name: torch.as_tensor(arrays[f"optimizer.{k}.{name}"]) for name in _MOMENTS} for k in learned}
+        if f"optimizer.{k}.step" in arrays:  # the optimizer knows what has had a gradient
+            moments[k] = {name: torch.as_tensor(arrays[f"optimizer.{k}.{name}"]) for name in _MOMENTS}
+            weights = parameter.detach().numpy()
+            like |= {f"optimizer.{k}.{name}": weights for name in _MOMENTS[1:]}
+    for name, array in like.items():
+        found = arrays[name]
+        if (found.shape, found.dtype) != (array.shape, array.dtype):
+            raise UserError(f"{name} is {found.dtype} {found.shape}, not {array.dtype} {array.shape}")
+    return moments

@@ -98,7 +98,9 @@ class Run:
         try:
             self._make(fresh=saved is None)
         except UserError as error:
-            raise (cannot_continue(self.folder / RECORD, error) if self.resumed else error) from error
+            if not self.resumed:
+                raise
+            raise cannot_continue(self.folder / RECORD, error) from error
         if saved is not None:
             self._restore(saved)
             self.metrics = self._finished()

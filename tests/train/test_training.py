@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy, tensors
 from inclined_landing.envs.randomise import POOL, locate
 from inclined_landing.envs.tasks import TASKS, StepContext
@@ -231,9 +230,10 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
 
 def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
     """And with the same one where none is asked for; never with a shorter one."""
-    begun = Run(config(tmp_path / "a", start_from="landing-nominal", history=2, steps=256))
+    begun = Run(config(tmp_path / "a", start_from="landing-nominal", history=2, steps=256, inclination=10.0))
     task = begun.env.env.task
     assert task.history == 2 and begun.evaluation.task.options == task.options
+    assert begun.teacher.task.inclination == task.inclination == math.radians(10.0)
     given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5 + 2 * 7)).astype(np.float32)
     taken, _ = begun.model.predict(given, deterministic=True)
     np.testing.assert_allclose(
@@ -311,15 +311,6 @@ def test_a_run_is_not_resumed_with_other_ranges(tmp_path):
         Run(TrainConfig(out=tmp_path / "run", resume=True))
 
 
-def test_a_policy_is_taken_to_another_slope_and_vehicle(tmp_path):
-    heavy = dataclasses.replace(load_vehicle(), body_mass=1.2 * load_vehicle().body_mass)
-    write_vehicle(tmp_path / "heavy.toml", heavy)
-    options = {"start_from": "landing-nominal", "inclination": 10.0, "vehicle": tmp_path / "heavy.toml"}
-    begun = Run(config(tmp_path / "a", **options))
-    assert begun.env.env.task.pwm_centre == load_policy("landing-nominal").task.pwm_centre
-    assert begun.teacher.task.vehicle == heavy and begun.teacher.task.inclination == math.radians(10.0)
-
-
 def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     """Same PWM and same noise in PWM, but for float32: 3e-7 of a span and of what adds up in 64 products."""
     shipped = load_policy("landing-nominal")
@@ -340,12 +331,6 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     np.testing.assert_array_equal(commands[0][:, 1:], commands[1][:, 1:])
     noise = [np.exp(tensors(p.path)["log_std"]) * [p.task.pwm_span, 1.0] for p in (shipped, carried)]
     np.testing.assert_allclose(*noise, rtol=1e-6)
-    same = 0
-    for a, b in zip(*(record_flights(p, "analytic", start.state[:40]) for p in (shipped, carried))):
-        if (np.abs(a.actions[:, 0]) < 1.0).all():
-            np.testing.assert_allclose(a.state, b.state, atol=1e-4)  # closed loop: errors do not grow
-            same += 1
-    assert same > 20
     again = Run(config(tmp_path / "b", start_from=str(path)))
     assert (again.env.env.task.pwm_centre, again.env.env.task.pwm_span) == (40_000, 24_000)
 
@@ -573,45 +558,35 @@ WRONG = {
     "--update slow": "slow",
     "--learning-rate 2": "--learning-rate must be a number above 0 and below 1, not 2",
     "--gamma nan": "--gamma must be",
-    "--environments 99999999": "--environments must be",
-    "--colour red": "red",
     "landing setpoint": "setpoint",
-    "--environments 1 --rollout 1 --batch-size 2": "must give more than one sample",
     "--environments 3 --rollout 11 --batch-size 32": "leaves a last minibatch of one sample",
     "--resume": "nothing to resume",
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm-centre",
-    "--inclination 80": "--inclination: platform inclination 80 deg is outside the supported range",
     "setpoint --inclination 10": "--inclination is no option of the task setpoint",
-    "setpoint --steepest 10": "--steepest is no option of the task setpoint",
     "--random-yaw": "random_yaw needs dimensions=3",
     "--steepest 60": "steepest must be an angle above 0 and up to 0.873 rad",
     "--randomise none.toml": "randomise file none.toml does not exist",
     "--from none.zip": "policy none.zip does not exist",
     "--success 0.9": "--steps fixes how long the run is; --success goes without it",
-    "--max-steps 9": "--steps fixes how long the run is; --max-steps goes without it",
 }
-
-
-def refuse(arguments, sentence, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
-    # Options that would be taken by mistake then end soon.
-    tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 8 --evaluate-every 0 --no-report".split()
-    given = arguments.split()
-    for option, value in zip(tiny[::2], tiny[1::2]):
-        given += [option, value] if option not in given else []
-    assert cli.main([*given, "--no-report"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and sentence in captured.err
-    assert captured.err.startswith("landing-train: ") and captured.err.count("\n") == 1
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, monkeypatch, capsys):
-    refuse(arguments, WRONG[arguments], tmp_path, monkeypatch, capsys)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
+    # Options that would be taken by mistake then end soon.
+    tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 8 --evaluate-every 0".split()
+    words = arguments.split()
+    for option, value in zip(tiny[::2], tiny[1::2]):
+        words += [option, value] if option not in words else []
+    assert cli.main([*words, "--no-report"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and WRONG[arguments] in printed.err
+    assert printed.err.startswith("landing-train: ") and printed.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
