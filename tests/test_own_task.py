@@ -75,7 +75,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
     report = json.loads(capsys.readouterr().out)
     assert report["task"] == "hop" and report["trained"]["task_from"] == path
     small = ["--width", "96", "--height", "64", "--backend", "ray", "--start", "0.5,0,1"]
-    assert evaluate(["figure", "whole/final.zip", "--whole", "--out", "hop.png", *small, *flown]) == 0
+    assert evaluate(["picture", "whole/final.zip", "--out", "hop.png", *small, *flown]) == 0
     assert load_policy("whole/final.zip", tasks.make_task("hop")).task.name == "hop"
 
 
