@@ -43,14 +43,16 @@ import dataclasses
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
-from inclined_landing.models import storage
+from inclined_landing.envs.tasks.options import Share
+from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, choices, shown
-from inclined_landing.models.parameters import Constant, check_vehicle, constants, load_vehicle, vehicle_names
+from inclined_landing.models.parameters import Constant, check_vehicle, constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 Range = tuple[float, float]
@@ -61,6 +63,14 @@ _COMMON = ("command", "arena", "rotor", "platform")  # tables that all vehicles 
 _OF_THE_VEHICLE = ("body_", "thrust_", "motor_", "rotor_", "drag_", "attitude_")  # fields, by their beginning
 _EXCEPT = "platform.surface_height"
 _STREAM = 7_000_003  # of random numbers, beside those that starts come from
+
+
+class _General(Struct, frozen=True):
+    """Entries of a file outside its tables."""
+
+    nominal: Share = 0.0
+    probability: Share = 1.0
+    vehicles: Annotated[tuple[str, ...], Meta(min_length=2)] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,61 +155,43 @@ def read_ranges(name: str | Path) -> Ranges:
     Raises UserError for what is none, or cannot differ from vehicle to vehicle.
     """
     what = f"randomise file {name}"
-    given = storage.read_toml(locate(name), "randomise file")
-    tables = {
-        "disturbance" if key == "unrest" else key: value  # unrest: the old name
-        for key, value in given.items()
-        if key not in ("nominal", "probability", "vehicles")
-    }
-    vehicles = _vehicles(given["vehicles"], what) if "vehicles" in given else ()
-    usual = _share(given.get("probability", 1), "probability", what)
-    entries = {constant.field: constant for constant in constants()}
+    data = storage.read_toml(locate(name), "randomise file")
+    general = {key: value for key, value in data.items() if key in _General.__struct_fields__}
+    file = schema.parse(general, _General, f"{what}: ")
+    try:
+        vehicles = tuple(load_vehicle(vehicle) for vehicle in file.vehicles)
+    except UserError as error:
+        raise UserError(f"{what}: {error}") from error
+    entries = {constant.label: constant for constant in constants()}
     fields, effects, probability = {}, {}, {}
-    for table, lines in tables.items():
+    for table, lines in data.items():
+        if table in general:
+            continue
         if not isinstance(lines, dict):
             raise UserError(f"{what}: {shown(table, 40)} stands outside any table")
         for key, value in lines.items():
             label = f"{table}.{key}"
             if table == "effects" and isinstance(value, dict):
-                chance = value.get("probability", usual)
-                probability[key] = _share(chance, f"{shown(label, 60)}.probability", what)
-                effects[key] = _of_effect(key, value, what)
-            else:
-                entry = entries.get(f"{table}_{key}")
-                if entry is None or entry.label != label:
-                    raise UserError(f"{what}: {shown(label, 60)} is {_UNKNOWN[table == 'effects']}")
-                if table in _COMMON and label != _EXCEPT:
-                    raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
-                fields[entry.field] = _of_entry(entry, value, what)
+                ranges = dict(value)
+                chance = ranges.pop("probability", file.probability)
+                probability[key] = schema.parse(chance, Share, f"{what}: ", f"{label}.probability")
+                effects[key] = _of_effect(key, ranges, what)
+                continue
+            if label not in entries:
+                other = "an effect with parameters, like [effects.thrust_scale], or " * (table == "effects")
+                raise UserError(f"{what}: {shown(label, 60)} is not {other}an entry of the vehicle file")
+            if table in _COMMON and label != _EXCEPT:
+                raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
+            fields[entries[label].field] = _of_entry(entries[label], value, what)
     if not (fields or effects or vehicles):
         raise UserError(f"{what} has no range, like [effects.thrust_scale] with scale = [0.8, 1.1]")
-    nominal = _share(given.get("nominal", 0), "nominal", what)
-    return Ranges(given, nominal, fields, effects, probability, what, vehicles)
+    return Ranges(data, file.nominal, fields, effects, probability, what, vehicles)
 
 
-def _vehicles(value: object, what: str) -> tuple[Vehicle, ...]:
-    if not (isinstance(value, list) and len(value) > 1 and all(isinstance(name, str) for name in value)):
-        raise UserError(
-            f"{what}: vehicles must be two or more files or names ({', '.join(vehicle_names())}), not "
-            f"{shown(repr(value), 60)}"
-        )
-    try:
-        return tuple(load_vehicle(name) for name in value)
-    except UserError as error:
-        raise UserError(f"{what}: {error}") from error
-
-
-_UNKNOWN = {
-    False: "no entry of the vehicle file",
-    True: "neither an effect with parameters, like [effects.thrust_scale], nor an entry of the vehicle file",
-}
-
-
-def _of_effect(name: str, lines: dict, what: str) -> dict[str, Range]:
+def _of_effect(name: str, ranges: dict, what: str) -> dict[str, Range]:
     if name not in LIBRARY:
         raise UserError(f"{what}: unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
     known = {p.name: p for p in LIBRARY[name].parameters}
-    ranges = {key: value for key, value in lines.items() if key != "probability"}
     for key in ranges:
         if key not in known:
             raise UserError(
@@ -208,39 +200,23 @@ def _of_effect(name: str, lines: dict, what: str) -> dict[str, Range]:
     if not ranges:
         raise UserError(f"{what}: effect {name} has no range; its parameters are {', '.join(known)}")
     return {
-        key: _range(value, known[key].bounds, f"effects.{name}.{key}", known[key].unit, what)
-        for key, value in ranges.items()
+        key: _range(value, known[key].bounds, f"effects.{name}.{key}", what) for key, value in ranges.items()
     }
 
 
-def _of_entry(entry: Constant, value: object, what: str) -> tuple[Range, ...]:
-    units, count = entry.unit.split(", "), len(entry.range)
+def _of_entry(entry: Constant, value: Any, what: str) -> tuple[Range, ...]:
     if not isinstance(entry.value, tuple):
-        return (_range(value, entry.range[0], entry.label, units[0], what),)
-    if not isinstance(value, list) or len(value) != count or not all(isinstance(x, list) for x in value):
-        raise UserError(
-            f"{what}: {entry.label} must be {count} ranges of two numbers, not {shown(repr(value), 40)}"
-        )
-    return tuple(
-        _range(x, limits, entry.label, units[k % len(units)], what)
-        for k, (x, limits) in enumerate(zip(value, entry.range))
-    )
+        return (_range(value, entry.range[0], entry.label, what),)
+    ranges = schema.parse(value, list[Any], f"{what}: ", entry.label)
+    if len(ranges) != len(entry.range):
+        raise UserError(f"{what}: {entry.label} must be {len(entry.range)} ranges, not {len(ranges)}")
+    return tuple(_range(x, limits, entry.label, what) for x, limits in zip(ranges, entry.range))
 
 
-def _range(value: object, limits: Range, label: str, unit: str, what: str) -> Range:
-    low, high = limits
-    numbers: list = value if isinstance(value, list) and len(value) == 2 else [None]
-    if not all(type(x) in (int, float) and low <= x <= high for x in numbers):
-        of = "" if unit == "1" else f" {unit}"
-        raise UserError(
-            f"{what}: {label} must be two numbers from {low:g} to {high:g}{of}, not {shown(repr(value), 40)}"
-        )
-    if numbers[0] > numbers[1]:
-        raise UserError(f"{what}: {label} begins at {numbers[0]:g} and ends below it, at {numbers[1]:g}")
-    return float(numbers[0]), float(numbers[1])
-
-
-def _share(value: Any, name: str, what: str) -> float:
-    if type(value) not in (int, float) or not 0 <= value <= 1:
-        raise UserError(f"{what}: {name} must be a number from 0 to 1, not {shown(repr(value), 40)}")
-    return float(value)
+def _range(value: object, limits: Range, label: str, what: str) -> Range:
+    """Return a range within limits; raises UserError for another value."""
+    number = Annotated[float, Meta(ge=limits[0], le=limits[1])]
+    low, high = schema.parse(value, tuple[number, number], f"{what}: ", label)  # type: ignore[valid-type]
+    if low > high:
+        raise UserError(f"{what}: {label} begins at {low:g} and ends below it, at {high:g}")
+    return low, high

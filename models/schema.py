@@ -32,16 +32,16 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
     """A table with the entries of its class and no others."""
 
 
-def parse(data: Any, kind: type[T], where: str = "") -> T:
+def parse(data: Any, kind: type[T], where: str = "", name: str = "") -> T:
     """Return `data` as a `kind`: whole numbers become floats where asked for, no other type another one.
 
-    Raises UserError, `where` before its sentence, for entries that are missing, unknown, of another type or
-    out of range.
+    name: of the entry that `data` is, unless it is a whole file. Raises UserError, `where` before its
+    sentence, for entries that are missing, unknown, of another type or out of range.
     """
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise UserError(where + _sentence(data, kind, [])) from error
+        raise UserError(where + _sentence(data, kind, [name] if name else [])) from error
 
 
 def check(options: Any, kinds: Mapping[str, Any] | None = None, label: Callable[[str], str] = str) -> None:
