@@ -12,8 +12,9 @@ import numpy as np
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
-from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, Start, StepContext, joined
+from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, StepContext
 from inclined_landing.envs.tasks.guard import TaskError
+from inclined_landing.envs.tasks.start import Start, joined
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown

@@ -187,8 +187,8 @@ class _Unpickler(pickle.Unpickler):
         super().__init__(io.BytesIO(content))
         self._what = what
         for opcode, argument, _ in pickletools.genops(content):
-            memo = opcode.name.endswith("BINPUT")
-            if opcode.name not in _OPCODES or (memo and argument > len(content)):
+            far = opcode.name == "LONG_BINPUT" and int(argument or 0) > len(content)
+            if opcode.name not in _OPCODES or far:
                 raise UserError(f"{what} holds more than tensors: {opcode.name.lower()} in its pickle")
 
     def find_class(self, module: str, name: str) -> object:

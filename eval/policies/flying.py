@@ -19,8 +19,8 @@ from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.statistics import mean, proportion, spread
 from inclined_landing.envs.tasks import Start, Task
-from inclined_landing.envs.tasks.base import joined
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.envs.tasks.start import joined
 from inclined_landing.eval.policies.motors_cut import cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
