@@ -8,11 +8,9 @@ on with --resume and ends with the same bits.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import shutil
-import time
 from pathlib import Path
 from typing import Annotated
 
@@ -24,15 +22,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from inclined_landing.envs.shared import pool, runs
-from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
 from inclined_landing.eval.landings import design, landing
-from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, known_parameters, read_study
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.eval.landings.parameters import known_parameters
+from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, read_study
+from inclined_landing.models import schema, storage
+from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
+CHUNK = 500  # landings
 
 
 def command(
@@ -43,7 +43,7 @@ def command(
     engine: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     resume: Flag = False,
-    chunk: tyro.conf.Suppress[int] = design.CHUNK,
+    chunk: tyro.conf.Suppress[int] = CHUNK,
 ) -> None:
     """Landing study: thousands of touchdowns over friction, speeds ..., each classified.
 
@@ -58,24 +58,21 @@ def command(
     """
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
-    if resume and _begun(out):
+    if resume and out.is_dir() and not all(map(storage.is_part, out.iterdir())):
         wanted, chunk = _resumed(wanted, out)
     else:
         runs.check_new_run(out)
         wanted = with_starts(wanted)
-        _begin(wanted, out, chunk)
-    count = math.ceil(design.total(wanted) / chunk)
-    table = _read(out / RESULTS, range(design.total(wanted)))
+        begin(wanted, out, chunk)
+    table = _read(out / RESULTS, range(wanted.total))
     if table is None:
-        todo = [k for k in range(count) if _read(_part(out, k), _rows(k, wanted, chunk)) is None]
-        _simulate(wanted, out, engine, address, chunk, todo)
-        table = _merge(out, count)
+        table = _simulated(wanted, out, engine, address, chunk)
     from inclined_landing.eval.landings import report
 
     try:
         summary = report.write(wanted, table, out)
     except OSError as error:
-        raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
+        raise UserError(f"cannot write {out}: {storage.reason(error)}") from error
     shutil.rmtree(out / PARTS, ignore_errors=True)
     report.show(summary, out)
 
@@ -106,33 +103,17 @@ def with_starts(study: Study) -> Study:
     return dataclasses.replace(study, starts=tuple(tuple(map(float, row)) for row in entries))
 
 
-def _begin(study: Study, out: Path, chunk: int) -> None:
+def begin(study: Study, out: Path, chunk: int) -> None:
     """Make the folder with its record, or nothing."""
-    fresh = not out.exists()
-    runs.new_run(out)
     record = {
-        "study": study.to_dict(),
+        "study": dataclasses.asdict(study),
         "fingerprint": study.fingerprint(),
-        "landings": design.total(study),
+        "landings": study.total,
         "chunk": chunk,
         "versions": runs.versions(),
     }
-    try:
+    with storage.made(out / PARTS):
         storage.write_json(out / RECORD, record)
-        (out / PARTS).mkdir()
-    except (UserError, OSError) as error:
-        (out / RECORD).unlink(missing_ok=True)
-        if fresh:
-            with contextlib.suppress(OSError):
-                out.rmdir()
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"cannot write {out}: {str(error.strerror or error).lower()}") from error
-
-
-def _begun(out: Path) -> bool:
-    """Whether there is something to go on with: more than a kill left half-written."""
-    return out.is_dir() and not all(map(storage.is_part, out.iterdir()))
 
 
 def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
@@ -142,25 +123,21 @@ def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
     storage.check_file(out / RESULTS)
     storage.check_folder(out / PARTS)
     record = storage.read_json(out / RECORD, "record")
-    if not isinstance(record, dict):
-        raise UserError(f"record {out / RECORD} is damaged: it holds no table")
     try:
-        begun, chunk = Study.from_dict(record["study"]), record["chunk"]
-        if type(chunk) is not int or not 0 < chunk <= MOST_LANDINGS:
-            raise ValueError(f"its chunk is {chunk!r}")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"record {out / RECORD} is damaged: {shown(error)}") from error
+        begun, chunk, fingerprint = record["study"], record["chunk"], record["fingerprint"]
+        starts = schema.parse(begun["starts"], tuple[tuple[float, ...], ...])
+        sound = type(chunk) is int and 0 < chunk <= MOST_LANDINGS
+        if not sound or any(len(row) != STATE_SIZE for row in starts):
+            raise UserError("its chunk or its starts are none")
+    except (UserError, KeyError, TypeError) as error:
+        raise UserError(f"record {out / RECORD} is damaged: {error}") from error
     storage.remove_parts(out)
-    wanted = dataclasses.replace(wanted, starts=begun.starts)
-    if wanted.fingerprint() != record.get("fingerprint"):
+    wanted = dataclasses.replace(wanted, starts=starts)
+    if wanted.fingerprint() != fingerprint:
         raise UserError(
             f"{out} was begun with another study, vehicle or engine version; choose another folder"
         )
     return wanted, chunk
-
-
-def _part(out: Path, chunk: int) -> Path:
-    return out / PARTS / f"{chunk:05d}.parquet"
 
 
 def _table(path: Path) -> pa.Table:
@@ -181,40 +158,29 @@ def _read(path: Path, landings: range) -> pa.Table | None:
     return table if set(table.column_names) == known and np.array_equal(numbers, landings) else None
 
 
-def _rows(chunk: int, study: Study, size: int) -> range:
-    return range(chunk * size, min((chunk + 1) * size, design.total(study)))
-
-
-def _simulate(study: Study, out: Path, engine: str, address, size: int, todo: list[int]) -> None:
-    n = design.total(study)
-    console = Console(stderr=True)
-    columns = (
-        *(TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()),
-        TextColumn("{task.fields[rate]}"),
-    )
-    style.make_folder(out / PARTS)
-    with Progress(*columns, console=console, transient=True) as progress:
-        missing = sum(min(size, n - k * size) for k in todo)
-        task = progress.add_task("", total=n, completed=n - missing, rate="")
-        began, done = time.monotonic(), 0
-        threads = 0 if engine == "local" else 1  # 0: all
-        for chunk, table in pool.completed(design.run_chunk, (study, size, threads), todo, engine, address):
+def _simulated(study: Study, out: Path, engine: str, address: str | None, size: int) -> pa.Table:
+    """Simulate the chunks that are missing, and return all landings, which are written too."""
+    parts = [out / PARTS / f"{chunk:05d}.parquet" for chunk in range(math.ceil(study.total / size))]
+    rows = [design.rows_of(study, size, chunk) for chunk in range(len(parts))]
+    missing = [chunk for chunk, part in enumerate(parts) if _read(part, rows[chunk]) is None]
+    shared = (study, size, 0 if engine == "local" else 1)
+    columns = TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with storage.made(out / PARTS), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        done = study.total - sum(len(rows[chunk]) for chunk in missing)
+        task = bar.add_task("", total=study.total, completed=done)
+        for chunk, table in pool.completed(design.run_chunk, shared, missing, engine, address):
             try:
-                _write(table, _part(out, chunk))
+                write(table, parts[chunk])
             except UserError as error:
                 raise UserError(f"{error}; what is finished is kept, go on with --resume") from error
-            done += table.num_rows
-            rate = 60.0 * done / (time.monotonic() - began)
-            progress.update(task, advance=table.num_rows, rate=f"{rate:.0f} per minute")
+            bar.advance(task, table.num_rows)
+    table = pa.concat_tables([_table(part) for part in parts]).combine_chunks()
+    write(table, out / RESULTS)
+    return table
 
 
-def _write(table: pa.Table, path: Path) -> None:
+def write(table: pa.Table, path: Path) -> None:
+    """Write a table, with checksums that reading verifies."""
     file = pa.BufferOutputStream()
     pq.write_table(table, file, compression="zstd", write_page_checksum=True)
     storage.write_bytes(path, file.getvalue().to_pybytes())
-
-
-def _merge(out: Path, count: int) -> pa.Table:
-    table = pa.concat_tables([_table(_part(out, k)) for k in range(count)]).combine_chunks()
-    _write(table, out / RESULTS)
-    return table

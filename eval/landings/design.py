@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
 import pyarrow as pa
 from scipy import stats
 
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, Landings, simulate
-from inclined_landing.eval.landings.parameters import touchdown_states
-from inclined_landing.eval.landings.study import Levels, Range, Study, known_parameters
+from inclined_landing.eval.landings.parameters import known_parameters, touchdown_states
+from inclined_landing.eval.landings.study import Levels, Range, Study
 from inclined_landing.models.attitude import STATE_SIZE
-
-CHUNK = 500  # landings
-
-
-def total(study: Study) -> int:
-    """Return the number of landings."""
-    if study.sampling == "latin-hypercube":
-        return study.samples
-    return math.prod(len(p.values) for p in _levels(study)) * max(1, len(study.starts))
-
-
-def _levels(study: Study) -> list[Levels]:
-    """Return the parameters of a factorial, which have levels only."""
-    return [p for p in study.parameters if isinstance(p, Levels)]
 
 
 @functools.lru_cache(maxsize=2)
@@ -37,11 +22,11 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
     in the file's order, the last fastest, and flies every start state at each; a Latin hypercube
     draws the start states too.
     """
-    n = total(study)
+    n = study.total
     values = {name: np.full(n, p.default) for name, p in known_parameters(study.vehicle).items()}
     starts = max(1, len(study.starts))
     if study.sampling == "factorial":
-        axes = [np.array(p.values) for p in _levels(study)]
+        axes = [np.array(p.values) for p in study.parameters if isinstance(p, Levels)]
         grid = np.meshgrid(*axes, np.arange(starts), indexing="ij")
         for p, column in zip(study.parameters, grid):
             values[p.name] = column.ravel()
@@ -66,13 +51,18 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     return p.low + (p.high - p.low) * u
 
 
+def rows_of(study: Study, size: int, chunk: int) -> range:
+    """Return the numbers of the landings of a chunk."""
+    return range(chunk * size, min((chunk + 1) * size, study.total))
+
+
 def run_chunk(study: Study, size: int, threads: int, chunk: int) -> pa.Table:
     """Return the landings of a chunk of the study, a function of the arguments alone.
 
-    The number of threads changes nothing; nor does `size`, for the landings that are in it.
+    The number of threads (0: all) changes nothing; nor does `size`, for the landings that are in it.
     """
     values, start = design(study)
-    rows = slice(chunk * size, min((chunk + 1) * size, total(study)))
+    rows = rows_of(study, size, chunk)
     p = {name: column[rows].copy() for name, column in values.items()}
     if study.starts:
         states = np.array(study.starts)[start[rows]].reshape(-1, STATE_SIZE)
@@ -85,22 +75,18 @@ def run_chunk(study: Study, size: int, threads: int, chunk: int) -> pa.Table:
     return _table(study, rows, p, start[rows], landings)
 
 
-def _table(study: Study, rows: slice, p, start, landings: Landings) -> pa.Table:
+def _table(study: Study, rows: range, p: dict, start: np.ndarray, landings: Landings) -> pa.Table:
     """Return the columns landing, start, parameters, outcome, RESULTS [SI]; units are in the metadata."""
-    columns = [
-        (
-            "landing",
-            pa.array(np.arange(rows.start, rows.stop), pa.int64()),
-            {"meaning": "number in the study"},
-        ),
-        ("start", pa.array(start, pa.int32()), {"meaning": "index of the start state"}),
-    ]
+    numbers, outcome = pa.array(rows, pa.int64()), [OUTCOMES[k] for k in landings.outcome]
+    columns = {
+        "landing": (numbers, {"meaning": "number in the study"}),
+        "start": (pa.array(start, pa.int32()), {"meaning": "index of the start state"}),
+    }
     for name, entry in known_parameters(study.vehicle).items():
-        metadata = {"unit": entry.kind, "meaning": entry.label}
-        columns.append((name, pa.array(p[name], pa.float64(), from_pandas=True), metadata))
-    outcome = pa.array([OUTCOMES[k] for k in landings.outcome], pa.string())
-    columns.append(("outcome", outcome, {"meaning": ", ".join(OUTCOMES)}))
+        values = pa.array(p[name], pa.float64(), from_pandas=True)
+        columns[name] = (values, {"unit": entry.kind, "meaning": entry.label})
+    columns["outcome"] = (pa.array(outcome, pa.string()), {"meaning": ", ".join(OUTCOMES)})
     for (name, meaning), column in zip(RESULTS.items(), landings.values.T):
-        columns.append((name, pa.array(column, pa.float64(), from_pandas=True), {"meaning": meaning}))
-    fields = [pa.field(name, column.type, metadata=meta) for name, column, meta in columns]
-    return pa.table([column for _, column, _ in columns], schema=pa.schema(fields))
+        columns[name] = (pa.array(column, pa.float64(), from_pandas=True), {"meaning": meaning})
+    fields = [pa.field(name, array.type, metadata=meta) for name, (array, meta) in columns.items()]
+    return pa.table([array for array, _ in columns.values()], schema=pa.schema(fields))

@@ -19,14 +19,13 @@ sliding vehicle chatters, and leaves the surface by a tenth of a millimetre over
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from inclined_landing.eval.landings.parameters import configure, held_pwm
+from inclined_landing.eval.landings.parameters import configure, steady_pwm
 from inclined_landing.models.geometry import GEOM_SURFACE
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
@@ -57,7 +56,7 @@ RESULTS = {
 }
 
 
-class Conditions(NamedTuple):
+class LandingConstants(NamedTuple):
     """The constants of n landings."""
 
     surface: np.ndarray  # (n,) rad, inclination of the platform
@@ -85,8 +84,8 @@ class RunningValues(NamedTuple):
     hops: np.ndarray
     tilt: np.ndarray  # rad
     touched_elsewhere: np.ndarray  # bool: something else was touched first
-    left: np.ndarray  # s, over the edge; NaN until then
-    share: np.ndarray  # of the last MEMORY with the feet down
+    over_edge: np.ndarray  # s; NaN until then
+    share: np.ndarray  # of the last FEET_TIME with the feet down
     last_moved: np.ndarray  # s
     s0: np.ndarray  # m, where it touched: downhill, sideways
     y0: np.ndarray
@@ -98,8 +97,7 @@ class RunningValues(NamedTuple):
     mean: np.ndarray  # (n, 6) smoothed speeds and rates
 
 
-@dataclasses.dataclass(frozen=True)
-class Landings:
+class Landings(NamedTuple):
     """Outcomes and results of n landings; columns of `values` are RESULTS."""
 
     outcome: np.ndarray  # (n,) int8, index into OUTCOMES
@@ -128,8 +126,8 @@ def simulate(
     plant.set_platform(np.arange(n), slope)
     configure(plant, p)
     recorder = Recorder(plant, states)
-    conditions, running = _conditions(plant, p), _initial_values(n)
-    pwm = held_pwm(p, v)
+    constants, running = _constants(plant, p), _initial_values(n)
+    pwm = steady_pwm(p, v)
     hold = np.clip(slope / v.attitude_gain, -v.command_angle_limit, v.command_angle_limit)
     commands, powered = np.zeros((n, 4)), np.ones(n, bool)
     active = np.arange(n)  # landings that are not decided yet
@@ -140,18 +138,18 @@ def simulate(
             powered &= ~(now + 1e-9 >= reference + p["motor_cut_delay"])
         commands[:, 0] = np.where(powered, pwm, 0.0)
         commands[:, 2] = np.where(powered, hold, 0.0)
-        _update_period(recorder.advance(commands, active), active, commands[:, 0], conditions, running)
+        _update_period(recorder.advance(commands, active), active, commands[:, 0], constants, running)
         # Over the edge, or something else touched before the slab: nothing later counts.
-        active = active[~((running.left[active] >= 0.0) | running.touched_elsewhere[active])]
+        active = active[~((running.over_edge[active] >= 0.0) | running.touched_elsewhere[active])]
         if not len(active):
             break
     return _classify(running, recorder.touch, slope, plant.diverged)
 
 
-def _conditions(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Conditions:
+def _constants(plant: MujocoPlant, p: dict[str, np.ndarray]) -> LandingConstants:
     v, shapes = plant.vehicle, plant.shapes
     feet = shapes.parts == 0
-    return Conditions(
+    return LandingConstants(
         *(-p["inclination"], p["foot_height"], p["mass"], plant.contact_sensors),
         *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
         *(float(shapes.centres[feet, 0].max()), float(shapes.radii[feet][0])),
@@ -162,55 +160,53 @@ def _conditions(plant: MujocoPlant, p: dict[str, np.ndarray]) -> Conditions:
 def _initial_values(n: int) -> RunningValues:
     running = {name: np.zeros(n) for name in RunningValues._fields}
     running |= {name: np.zeros(n, bool) for name in ("touched_elsewhere", "air", "still")}
-    running |= {name: np.full(n, np.nan) for name in ("touch", "left", "s0", "y0")}
+    running |= {name: np.full(n, np.nan) for name in ("touch", "over_edge", "s0", "y0")}
     return RunningValues(**(running | {"mean": np.zeros((n, 6))}))
 
 
 @numba.njit(cache=True)
-def _update_period(steps, active, pwm, conditions, running):
+def _update_period(steps, active, pwm, constants, running):
     """Fold one control period of the active landings into their running values."""
     for i in range(len(active)):
-        own = active[i]
-        sin, cos = math.sin(conditions.surface[own]), math.cos(conditions.surface[own])
+        row = active[i]
+        sin, cos = math.sin(constants.surface[row]), math.cos(constants.surface[row])
         for k in range(len(steps.time)):
-            if running.left[own] >= 0.0:
+            if running.over_edge[row] >= 0.0:
                 break
             q, now = steps.qpos[i, k], steps.time[k]
-            s, out = _over_slab(q, sin, cos, conditions.height)
-            over = abs(s) <= conditions.half_length and abs(q[1]) <= conditions.half_depth and out > -0.01
-            feet, other, elsewhere, force = _contact(steps.sensors[i, k], conditions.sensors, sin, cos)
-            ahead, left, up = _body_axes_along_normal(q, sin, cos)
+            s, out = _over_slab(q, sin, cos, constants.height)
+            over = abs(s) <= constants.half_length and abs(q[1]) <= constants.half_depth and out > -0.01
+            feet, other, elsewhere, force = _contact(steps.sensors[i, k], constants.sensors, sin, cos)
+            ahead, across, up = _body_axes_along_normal(q, sin, cos)
             lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
-            thrust = (
-                conditions.state_gain * lag + conditions.direct_gain * pwm[own]
-            ) * up  # along the normal
+            thrust = (constants.state_gain * lag + constants.direct_gain * pwm[row]) * up  # along the normal
             v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
-            mean = _mean_force(v, w, thrust, conditions.mass[own], sin, cos, conditions)
-            before, running.before[own] = running.before[own], mean
-            if not running.touch[own] >= 0.0:
+            mean = _mean_force(v, w, thrust, constants.mass[row], sin, cos, constants)
+            before, running.before[row] = running.before[row], mean
+            if not running.touch[row] >= 0.0:
                 if elsewhere or ((feet or other) and not over):
-                    running.touched_elsewhere[own] = True
-                if not (feet or other) or running.touched_elsewhere[own]:
+                    running.touched_elsewhere[row] = True
+                if not (feet or other) or running.touched_elsewhere[row]:
                     continue
-                running.touch[own] = running.last_moved[own] = now
-                running.s0[own], running.y0[own] = s, q[1]
-                running.share[own] = 1.0
-                running.mean[own] = steps.qvel[i, k]
-                running.impulse[own] = (
-                    conditions.dt * before
+                running.touch[row] = running.last_moved[row] = now
+                running.s0[row], running.y0[row] = s, q[1]
+                running.share[row] = 1.0
+                running.mean[row] = steps.qvel[i, k]
+                running.impulse[row] = (
+                    constants.dt * before
                 )  # its later stages may have met the surface already
             if not over:
-                running.left[own] = now
+                running.over_edge[row] = now
                 continue
-            lowest = out - conditions.foot * (abs(ahead) + abs(left))
-            lowest = lowest - (conditions.reach[own] - conditions.radius) * up - conditions.radius
-            _update_hops(running, own, lowest < HOP_HEIGHT, feet or other, conditions.dt)
-            running.peak[own] = max(running.peak[own], force, mean)
-            if now - running.touch[own] < IMPULSE_TIME - 1.5 * conditions.dt:
-                running.impulse[own] += conditions.dt * mean
-            running.tilt[own] = max(running.tilt[own], math.acos(min(1.0, max(-1.0, up))))
-            running.distance[own] = math.sqrt((s - running.s0[own]) ** 2 + (q[1] - running.y0[own]) ** 2)
-            _update_rest(running, own, v, feet, other or elsewhere, now, conditions.dt)
+            lowest = out - constants.foot * (abs(ahead) + abs(across))
+            lowest = lowest - (constants.reach[row] - constants.radius) * up - constants.radius
+            _update_hops(running, row, lowest < HOP_HEIGHT, feet or other, constants.dt)
+            running.peak[row] = max(running.peak[row], force, mean)
+            if now - running.touch[row] < IMPULSE_TIME - 1.5 * constants.dt:
+                running.impulse[row] += constants.dt * mean
+            running.tilt[row] = max(running.tilt[row], math.acos(min(1.0, max(-1.0, up))))
+            running.distance[row] = math.sqrt((s - running.s0[row]) ** 2 + (q[1] - running.y0[row]) ** 2)
+            _update_rest(running, row, v, feet, other or elsewhere, now, constants.dt)
 
 
 @numba.njit(cache=True)
@@ -236,47 +232,47 @@ def _contact(row, sensors, sin, cos):
 def _body_axes_along_normal(q, sin, cos):
     """Return the body's axes along the surface's normal; the last is the cosine of the tilt."""
     ahead = sin * (1.0 - 2.0 * (q[5] ** 2 + q[6] ** 2)) + cos * 2.0 * (q[4] * q[6] - q[3] * q[5])
-    left = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
+    across = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
     up = sin * 2.0 * (q[4] * q[6] + q[3] * q[5]) + cos * (1.0 - 2.0 * (q[4] ** 2 + q[5] ** 2))
-    return ahead, left, up
+    return ahead, across, up
 
 
 @numba.njit(cache=True)
-def _mean_force(v, w, thrust, mass, sin, cos, conditions):
+def _mean_force(v, w, thrust, mass, sin, cos, constants):
     """Return the mean normal contact force [N] over a step from velocity v to w (6,).
 
     thrust [N]: its part along the surface's normal.
     """
     # F = m ((w_n - v_n)/dt + g cos(alpha)) - F_t,n
     into = -(sin * v[0] + cos * v[2])
-    gained = (sin * w[0] + cos * w[2] + into) / conditions.dt + conditions.gravity * cos
+    gained = (sin * w[0] + cos * w[2] + into) / constants.dt + constants.gravity * cos
     return mass * gained - thrust
 
 
 @numba.njit(cache=True)
-def _update_hops(running, own, down, touching, dt):
+def _update_hops(running, row, down, touching, dt):
     """Update the running share of time with the feet down, and the count of hops between contacts."""
-    running.share[own] += dt / FEET_TIME * ((1.0 if down else 0.0) - running.share[own])
+    running.share[row] += dt / FEET_TIME * ((1.0 if down else 0.0) - running.share[row])
     if touching:
-        running.air[own] = False
-    elif not down and not running.air[own]:
-        running.air[own] = True
-        running.hops[own] += 1.0
+        running.air[row] = False
+    elif not down and not running.air[row]:
+        running.air[row] = True
+        running.hops[row] += 1.0
 
 
 @numba.njit(cache=True)
-def _update_rest(running, own, speeds, feet, other, now, dt):
+def _update_rest(running, row, speeds, feet, other, now, dt):
     """Update the low-pass filtered motion and contact, whether the vehicle is at rest, and since when."""
-    m = running.mean[own]
+    m = running.mean[row]
     for a in range(6):
         m[a] += dt / SMOOTHING * (speeds[a] - m[a])
     speed = math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
     rate = math.sqrt(m[3] ** 2 + m[4] ** 2 + m[5] ** 2)
-    running.still[own] = speed < REST_SPEED and rate < REST_RATE and running.share[own] > 0.5
-    if not running.still[own]:
-        running.last_moved[own] = now + dt
-    running.feet[own] += dt / SMOOTHING * ((1.0 if feet else 0.0) - running.feet[own])
-    running.other[own] += dt / SMOOTHING * ((1.0 if other else 0.0) - running.other[own])
+    running.still[row] = speed < REST_SPEED and rate < REST_RATE and running.share[row] > 0.5
+    if not running.still[row]:
+        running.last_moved[row] = now + dt
+    running.feet[row] += dt / SMOOTHING * ((1.0 if feet else 0.0) - running.feet[row])
+    running.other[row] += dt / SMOOTHING * ((1.0 if other else 0.0) - running.other[row])
 
 
 @numba.njit(cache=True)
@@ -294,10 +290,10 @@ def _contact_state(touch, slope, out):
 
 
 def _classify(r: RunningValues, touch: Touch, slope: np.ndarray, diverged: np.ndarray) -> Landings:
-    touched, left = r.touch >= 0.0, r.left >= 0.0
+    touched, over_edge = r.touch >= 0.0, r.over_edge >= 0.0
     on_feet = (r.feet > 0.5) & (r.other < 0.5)
-    rests = touched & ~left & r.still & on_feet
-    tipped = (np.cos(r.tilt) < TIPPED_COSINE) | (~left & (r.other > 0.5))
+    rests = touched & ~over_edge & r.still & on_feet
+    tipped = (np.cos(r.tilt) < TIPPED_COSINE) | (~over_edge & (r.other > 0.5))
     outcome = np.select(
         [diverged, ~touched, rests, tipped, r.share > 0.5],
         [DIVERGES, MISSES, RESTS, TIPS, SLIDES],

@@ -24,8 +24,6 @@ _CELLS = (6, 24)  # least and most in a row
 _BINS_OF_PROFILE = 20
 _LEVELS = 60  # more different values than these are binned
 _SHARES = LinearSegmentedColormap.from_list("rests", ["#fbf0d0", "#bfdfc0", "#5fb3a0", "#0b7a6b", "#053d3c"])
-# Cells in which nothing landed.
-_EMPTY: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +134,8 @@ def map_words(one: Map, fixed: dict[str, float]) -> str:
     text = f"On the thick line half of the landings rest{smooth}. "
     if quasi_static(one, fixed):
         text += "On the dashed one the friction just holds a vehicle that stands still. "
-    return text + "Dots: the most frequent outcome is under half. Hatched: no landing there. "
+    share = 100 * one.counts[:, :, RESTS].sum() / one.counts.sum()
+    return f"{text}Hatched: no landing there. Of all landings in this map {share:.1f} % rest."
 
 
 def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
@@ -154,9 +153,11 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         bar = figure.colorbar(mesh, ax=right, label="landings at rest [%]", pad=0.02)
         bar.outline.set_visible(False)
         handles = _patches(one.counts.any(axis=(0, 1)))
-        handles += _doubtful(left, one)
-        handles += _empty(one, left, right)
-        handles += _lines(left, one, fixed, (0.5,))
+        for axes in (left, right):
+            hatched = [
+                _hatch(axes, one.x_edges, j, *one.y_edges[i : i + 2]) for i, j in np.argwhere(total == 0)
+            ]
+        handles += hatched[:1] + _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
         left.set_ylabel(one.y.title())
         left.set_title("Most frequent outcome in each cell", loc="left")
@@ -165,38 +166,19 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         for axes in (left, right):
             axes.set(xlabel=one.x.title(), xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
         figure.legend(handles=handles, loc="outside lower center", ncols=4, columnspacing=1.6)
-        few, many = total[total > 0].min(), total.max()
-        each = f"{few} to {many}" if few < many else f"{many}"
-        figure.suptitle(
-            f"{total.sum()} landings, {each} in a cell; what is not on the axes varies "
-            "as the study says",
-            x=0.01, ha="left", size=8.5, color=MUTED,
-        )  # fmt: skip
+        text = f"{total.sum()} landings; what is not on the axes varies as the study says"
+        figure.suptitle(text, x=0.01, ha="left", size=8.5, color=MUTED)
     return figure
 
 
-def _doubtful(axes: Axes, one: Map) -> list:
-    """Draw dots where the most frequent outcome has less than half of the landings; return legend handles."""
-    total = one.counts.sum(axis=2)
-    row, column = np.nonzero((2 * one.counts.max(axis=2) < total) & (total > 0))
-    if not len(row):
-        return []
-    x, y = one.centres
-    look: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3.4, "mfc": "white", "mec": INK, "mew": 0.6}
-    return axes.plot(x[column], y[row], label="most frequent, yet under half", gid="doubtful", **look)
+def _hatch(axes: Axes, edges: np.ndarray, j: int, low: float, high: float) -> Patch:
+    """Draw hatching from `low` to `high` in column j, in which nothing landed; return the patch."""
+    corner, width = (edges[j], low), edges[j + 1] - edges[j]
+    look: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
+    return axes.add_patch(Rectangle(corner, width, high - low, gid="empty", label="no landing there", **look))
 
 
-def _empty(one: Map, *panels: Axes) -> list:
-    """Draw hatching in empty cells; return the legend handle."""
-    cells = np.argwhere(one.counts.sum(axis=2) == 0)
-    for axes in panels:
-        for i, j in cells:
-            (x0, x1), (y0, y1) = one.x_edges[j : j + 2], one.y_edges[i : i + 2]
-            axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, gid="empty", **_EMPTY))
-    return [Patch(**_EMPTY, label="no landing in the cell")] if len(cells) else []
-
-
-def _patches(seen: np.ndarray) -> list:
+def _patches(seen: np.ndarray) -> list[Patch]:
     """Return the legend handles of the outcomes that are seen (bool, of each)."""
     return [
         Patch(fc=COLOURS[name], ec=MUTED, lw=0.5, label=name) for name, there in zip(OUTCOMES, seen) if there
@@ -225,8 +207,8 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
     columns = min(3, len(parameters))
     rows = -(-len(parameters) // columns)
     present = np.bincount(outcome, minlength=len(OUTCOMES)) > 0
-    colours = [colour for colour, there in zip(COLOURS.values(), present) if there]
-    empty: list[Patch] = []
+    handles = _patches(present)
+    hatched: list[Patch] = []
     with styled():
         figure = Figure(figsize=(2.9 * columns + 0.2, 1.95 * rows + 0.55), layout="constrained")
         grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
@@ -239,16 +221,12 @@ def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.n
             np.add.at(counts, (outcome, _cells(values, edges)), 1)
             with np.errstate(invalid="ignore"):
                 tops = 100 * np.cumsum(counts[present], axis=0) / counts.sum(axis=0)
-            below = np.zeros(len(edges) - 1)
-            for top, colour in zip(tops, colours):
-                axes.stairs(top, edges, baseline=below, fill=True, color=colour)
+            for patch, below, top in zip(handles, [0 * tops[0], *tops], tops):
+                axes.stairs(top, edges, baseline=below, fill=True, color=patch.get_facecolor())
                 axes.stairs(top, edges, baseline=None, color="white", lw=0.6)
-                below = top
-            for j in np.flatnonzero(counts.sum(axis=0) == 0):
-                axes.add_patch(Rectangle((edges[j], 0), edges[j + 1] - edges[j], 100, gid="empty", **_EMPTY))
-                empty = [Patch(**_EMPTY, label="no landing")]
+            hatched += [_hatch(axes, edges, j, 0, 100) for j in np.flatnonzero(counts.sum(axis=0) == 0)]
             axes.set(xlim=edges[[0, -1]], ylim=(0, 100), xlabel=parameter.title())
         for row in grid:
             row[0].set_ylabel("landings [%]")
-        figure.legend(handles=_patches(present) + empty, loc="outside upper center", ncols=4)
+        figure.legend(handles=handles + hatched[:1], loc="outside upper center", ncols=4)
     return figure

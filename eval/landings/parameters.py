@@ -1,11 +1,12 @@
 """What a landing study may vary, and how a landing begins under it. SI inside, the file's units outside.
 
-A new parameter is its entry in `catalogue` and what it does in `touchdown_states` or `configure`.
+A new parameter is its entry in `known_parameters` and what it does in `touchdown_states` or `configure`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from inclined_landing.models import contact, surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, WY, X, Z
 from inclined_landing.models.geometry import reach_below, shapes_of
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
@@ -56,14 +58,17 @@ class Parameter:
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
 
 
-def catalogue(vehicle: Vehicle, feet: float) -> dict[str, Parameter]:
-    """Return every parameter by name; feet: the model's own foot height [m].
+@functools.cache
+def known_parameters(vehicle: Vehicle | None = None) -> dict[str, Parameter]:
+    """Return the parameters that may vary by name, with the defaults of a vehicle (the shipped one).
 
     A default of NaN is the contact spring of the vehicle file.
 
     Signs are those of a slope seen from its foot: speeds and offsets are positive downhill, attitude
     errors and pitch rates positive towards level, so that the uphill feet touch first.
     """
+    vehicle = vehicle or load_vehicle()
+    feet = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
     degree = math.pi / 180.0
     entries = (
         Parameter("inclination", "inclination", "deg", 0.0, vehicle.platform_max_inclination,
@@ -103,11 +108,11 @@ def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
     state[:, VX : VZ + 1] = -p["normal_speed"][:, None] * normal + p["tangential_speed"][:, None] * downhill
     state[:, PITCH] = slope + error
     state[:, WY] = p["pitch_rate"]
-    state[:, LAG] = held_pwm(p, vehicle) / vehicle.thrust_lag_rate
+    state[:, LAG] = steady_pwm(p, vehicle) / vehicle.thrust_lag_rate
     return state
 
 
-def held_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
+def steady_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
     """Return PWM (n,) whose steady thrust is the given share of the weight."""
     # PWM = share m g / (thrust per PWM)
     force = p["thrust"] * p["mass"] * vehicle.environment_gravity

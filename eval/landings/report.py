@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from inclined_landing.eval.base.page import embedded, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS
-from inclined_landing.eval.landings.study import Study, known_parameters
+from inclined_landing.eval.landings.parameters import known_parameters
+from inclined_landing.eval.landings.study import Study
 from inclined_landing.models import storage
 
 _SENSITIVE = ("peak_force", "slide_distance", "settling_time")
@@ -37,7 +39,9 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
     rests = outcome == OUTCOMES.index("rests")
     summary = {
         "command": "contact",
-        "study": {key: value for key, value in study.to_dict().items() if key not in ("starts", "vehicle")},
+        "study": {
+            key: value for key, value in dataclasses.asdict(study).items() if key not in ("starts", "vehicle")
+        },
         "start_states": len(study.starts),
         "landings": len(outcome),
         "outcomes": {name: proportion((outcome == k).sum(), len(outcome)) for k, name in enumerate(OUTCOMES)},
@@ -54,7 +58,7 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
         file = save_figure(maps.map_figure(one, fixed), out / f"map_{x}_{y}.png")
         limits = {f"along_{axis}": maps.boundary(one, axis) for axis in "xy"}
         summary["maps"].append({"x": x, "y": y, "file": file.name, "half_rest": limits})
-        figures[file] = maps.map_words(one, fixed) + boundary_sentence(one, limits)
+        figures[file] = maps.map_words(one, fixed)
     if varied:
         profiles = maps.profile_figure([(known[name], column) for name, column in varied.items()], outcome)
         file = save_figure(profiles, out / "profiles.png")
@@ -66,40 +70,6 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
     storage.write_text(out / "index.html", page(study, summary, figures, fixed))
     storage.write_json(out / "summary.json", summary)
     return summary
-
-
-def boundary_sentence(one: maps.Map, limits: dict[str, list[dict]]) -> str:
-    """Return sentences on the boundary at which half of the landings rest."""
-    text = f"Of all landings in this map {100 * one.counts[:, :, 0].sum() / one.counts.sum():.1f} % rest. "
-    # Walk along the axis on which there is one crossing more often.
-    single = {axis: [r for r in limits[f"along_{axis}"] if len(r["crossings"]) == 1] for axis in "xy"}
-    axis = max(single, key=lambda a: len(single[a]) / len(limits[f"along_{a}"]))
-    found = single[axis]
-    if not found:
-        best = 100 * np.nanmax(one.rests)
-        return f"{text}Nowhere is there one clear boundary; the best cell has {best:.0f} %."
-    walked, other = (one.x, one.y) if axis == "x" else (one.y, one.x)
-    pick = [found[0], found[len(found) // 2], found[-1]] if len(found) > 2 else found
-    unit, other_unit = (" " + p.unit if p.unit != "1" else "" for p in (walked, other))
-    places = []
-    for row in pick:
-        crossing = row["crossings"][0]
-        side = "above" if crossing["rests_above"] else "below"
-        places.append(f"{side} {crossing['at']:.3g}{unit} at {row['place']:.3g}{other_unit}")
-    text += f"More than half rest with the {walked.label} {', '.join(places)} ({other.label})."
-    # How far from tan(inclination) the boundary is, where the map is of these two.
-    gaps = [
-        row["crossings"][0]["at"] - math.tan(math.radians(row["place"]))
-        for row in limits["along_y"]
-        if (one.x.name, one.y.name) == ("inclination", "friction")
-        and row["crossings"]
-        and row["crossings"][0]["rests_above"]
-    ]
-    if gaps:
-        gap = float(np.median(gaps))
-        text += f" The boundary lies {gap:+.3f} in friction from tan(inclination), median over the columns"
-        text += ": holding the slope is necessary, stopping on it takes more." if gap > 0.02 else "."
-    return text
 
 
 def discussion(summary: dict) -> list[str]:

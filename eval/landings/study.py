@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import hashlib
 import json
 import math
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
 from msgspec import Meta, field, structs
 
-from inclined_landing.eval.landings.parameters import UNITS, Parameter, catalogue
+from inclined_landing.eval.landings.parameters import UNITS, Parameter, known_parameters
 from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.geometry import reach_below, shapes_of
+from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.schema import Real, Table
 from inclined_landing.models.vehicle import Vehicle
 
@@ -30,7 +27,7 @@ _NARROWEST, _WIDEST = 1e-6, 1e3  # a normal distribution's deviation over its ra
 _DECADES = 12  # of a logarithmic range
 
 
-class Entry(Table, frozen=True):
+class Varied(Table, frozen=True):
     """A table of [parameters]: one of value, values, from and to, or mean and deviation; in `unit`."""
 
     unit: str
@@ -57,11 +54,11 @@ class Simulation(Table, frozen=True):
     timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
 
 
-class File(Table, frozen=True):
+class StudyFile(Table, frozen=True):
     """What a study file holds."""
 
     sampling: Literal["factorial", "latin-hypercube"]
-    parameters: dict[str, Entry]
+    parameters: Annotated[dict[str, Varied], Meta(min_length=1)]
     title: Annotated[str, Meta(max_length=200)] = ""
     question: Annotated[str, Meta(max_length=5000)] = ""
     samples: Annotated[int, Meta(ge=1, le=MOST_LANDINGS)] | None = None
@@ -110,33 +107,11 @@ class Study:
     starts: tuple[tuple[float, ...], ...] = ()  # states (13,) of the entries, once they are flown
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
 
-    def to_dict(self) -> dict:
-        """Return the plain data; `from_dict` gives the study back, bit for bit."""
-        return dataclasses.asdict(self)
-
-    @staticmethod
-    def from_dict(data: dict) -> Study:
-        """Return the study of `to_dict`."""
-        data = dict(data)
-        data["maps"] = tuple(tuple(pair) for pair in data["maps"])
-        data["starts"] = tuple(tuple(row) for row in data["starts"])
-        data["parameters"] = tuple(
-            Levels(**entry | {"values": tuple(entry["values"])}) if "values" in entry else Range(**entry)
-            for entry in data["parameters"]
-        )
-        if "vehicle" in data:
-            fields: dict[str, Any] = {
-                name.replace("unrest_", "disturbance_"): tuple(value) if isinstance(value, list) else value
-                for name, value in data["vehicle"].items()  # unrest: the old name
-            }
-            data["vehicle"] = Vehicle(**fields)
-        return Study(**data)
-
     def fingerprint(self) -> str:
         """Return a hash of everything that the results depend on: study, vehicle, engine."""
-        data = self.to_dict()
-        for words in ("title", "question", "maps"):
-            del data[words]
+        data = dataclasses.asdict(self)
+        for name in ("title", "question", "maps"):
+            del data[name]
         data["mujoco"] = mujoco.mj_versionString()
         data["numpy"] = np.__version__
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
@@ -146,12 +121,11 @@ class Study:
         """Return the names of the parameters that vary."""
         return tuple(p.name for p in self.parameters if isinstance(p, Range) or len(p.values) > 1)
 
-
-@functools.cache
-def known_parameters(vehicle: Vehicle | None = None) -> dict[str, Parameter]:
-    """Return the parameters that may vary, with the defaults of a vehicle (the shipped one)."""
-    vehicle = vehicle or load_vehicle()
-    return catalogue(vehicle, float(reach_below(shapes_of(compile_scene(vehicle)), part="feet")))
+    @property
+    def total(self) -> int:
+        """Return the number of landings."""
+        levels = math.prod(len(p.values) for p in self.parameters if isinstance(p, Levels))
+        return self.samples or levels * max(1, len(self.starts))
 
 
 def shipped() -> dict[str, Path]:
@@ -170,139 +144,99 @@ def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
         raise UserError(f"study {shown(path, 200)} does not exist (shipped ones: {', '.join(shipped())})")
     data = storage.read_toml(path, "study")
     try:
-        return _parse(data, vehicle or load_vehicle())
+        return _resolved(schema.parse(data, StudyFile), vehicle or load_vehicle())
     except UserError as error:
         raise UserError(f"study {path}: {error}") from error
 
 
-def _parse(data: dict, vehicle: Vehicle) -> Study:
-    file = schema.parse(data, File)
-    hypercube, policy, timestep = (
-        file.sampling == "latin-hypercube",
-        file.start.policy,
-        file.simulation.timestep,
-    )
-    if hypercube and file.samples is None:
-        raise UserError("samples is missing: how many landings the Latin hypercube has")
-    if not hypercube and file.samples is not None:
-        raise UserError("samples belongs to a Latin hypercube; a factorial has as many as its levels make")
+def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
+    """Return the study of a file in SI units; raises UserError where its entries contradict each other."""
+    hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
+    if hypercube != (file.samples is not None):
+        raise UserError("samples belongs to a Latin hypercube, which needs it")
     period = vehicle.command_control_period
     if timestep > period or abs(period / timestep - round(period / timestep)) > 1e-9:
         raise UserError(f"timestep must divide the control period of {period:g} s; {timestep:g} does not")
-    if not file.parameters:
-        raise UserError("there is no table [parameters]")
-    parameters = tuple(
-        _parameter(vehicle, name, entry, hypercube, policy) for name, entry in file.parameters.items()
-    )
     if ("restitution" in file.parameters) != ("contact_time" in file.parameters):
         raise UserError("restitution and contact_time belong together; give both or none")
+    known = known_parameters(vehicle)
+    parameters = []
+    for name, entry in file.parameters.items():
+        if name not in known:
+            raise UserError(f"unknown parameter {shown(repr(name), 40)}; {choices(known, name)}")
+        if file.start.policy and known[name].at_touchdown:
+            raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
+        parameters.append(_parameter(known[name], entry, hypercube))
     study = Study(
         title=shown(file.title.strip(), 200),
         question=file.question.strip(),
         sampling=file.sampling,
         samples=file.samples or 0,
         seed=file.seed,
-        maps=(),
-        policy=policy,
+        maps=tuple(dict.fromkeys(file.maps)),
+        policy=file.start.policy,
         duration=file.simulation.duration,
         timestep=timestep,
-        parameters=parameters,
+        parameters=tuple(parameters),
         vehicle=vehicle,
     )
-    if not study.varied and not policy:
+    if not study.varied and not study.policy:
         raise UserError("no parameter varies: give at least one a list or a range")
-    count = math.prod(len(p.values) for p in parameters if isinstance(p, Levels))
-    if not hypercube and count > MOST_LANDINGS:
-        raise UserError(f"the factorial has {count} landings, more than {MOST_LANDINGS}")
-    return dataclasses.replace(study, maps=_maps(file.maps, study.varied))
+    if study.total > MOST_LANDINGS:
+        raise UserError(f"the factorial has {study.total} landings, more than {MOST_LANDINGS}")
+    for x, y in study.maps:
+        if x == y or not {x, y} <= set(study.varied):
+            raise UserError(f"the map of {shown(x, 40)} and {shown(y, 40)} needs two parameters that vary")
+    return study
 
 
-def _parameter(
-    vehicle: Vehicle, name: str, entry: Entry, hypercube: bool, policy: str | None
-) -> Levels | Range:
-    known = known_parameters(vehicle)
-    if name not in known:
-        raise UserError(f"unknown parameter {shown(repr(name), 40)}; known are {', '.join(known)}")
-    parameter = known[name]
-    if policy and parameter.at_touchdown:
-        raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
+def _parameter(parameter: Parameter, entry: Varied, hypercube: bool) -> Levels | Range:
+    """Return a parameter in SI units; raises UserError where its entry is not one of a kind."""
+    name, unit = parameter.name, entry.unit
     units = UNITS[parameter.kind]
-    if entry.unit not in units:
-        either = " or ".join(map(repr, units))
-        raise UserError(f"parameter {name} needs a unit, {either}, not {shown(repr(entry.unit))}")
-    factor = units[entry.unit]
-    given = {key for key, value in structs.asdict(entry).items() if value is not None} - {"unit"}
-    if not (
-        given in ({"value"}, {"values"}) or (given & {"start", "mean"} and not given & {"value", "values"})
-    ):
-        raise UserError(f"parameter {name} needs one of value, values, from and to, or mean and deviation")
-    if given & {"start", "mean"}:
-        return _range(parameter, entry, factor, hypercube)
-    numbers = entry.values if entry.value is None else (entry.value,)
-    values = tuple(_check(parameter, number, entry.unit, factor) for number in numbers or ())
-    if len(set(values)) < len(values):
-        raise UserError(f"parameter {name}: a value is listed twice")
-    return Levels(name, values, entry.unit)
-
-
-def _range(parameter: Parameter, entry: Entry, factor: float, hypercube: bool) -> Levels | Range:
-    name, distribution, where = (
-        parameter.name,
-        entry.distribution or "uniform",
-        f"parameter {parameter.name}:",
-    )
-    normal = distribution == "normal"
-    if normal != (entry.mean is not None) or normal != (entry.deviation is not None):
-        raise UserError(f"{where} mean and deviation belong to the normal distribution, both")
-    if not normal and (entry.start is None or entry.stop is None):
-        raise UserError(f"{where} a range needs from and to")
-    low, high = (
-        end if number is None else _check(parameter, number, entry.unit, factor)
-        for number, end in ((entry.start, parameter.low), (entry.stop, parameter.high))
-    )
-    if low >= high:
-        raise UserError(f"{where} the range from {low / factor:g} to {high / factor:g} is empty")
-    if distribution == "log-uniform" and low < high / 10**_DECADES:
-        raise UserError(f"{where} a log-uniform range must start above 0, {_DECADES} decades at most")
-    mean = deviation = 0.0
-    if entry.mean is not None and entry.deviation is not None:
-        mean, deviation = factor * entry.mean, factor * entry.deviation
-        if not _NARROWEST <= deviation / (high - low) <= _WIDEST or not low <= mean <= high:
-            raise UserError(
-                f"{where} the mean must be in the range, and the deviation {_NARROWEST:g} to {_WIDEST:g} "
-                "times as wide"
-            )
+    if unit not in units:
+        raise UserError(f"parameter {name} needs a unit, {' or '.join(units)}, not {shown(repr(unit))}")
+    named = {key for key, value in structs.asdict(entry).items() if value is not None} - {"unit"}
+    needed, kinds = {"start", "stop", "count"}, "or from, to and count"
     if hypercube:
-        if entry.count is not None:
-            raise UserError(f"{where} count belongs to a factorial")
-        return Range(name, low, high, distribution, mean, deviation, entry.unit)
-    if normal:
-        raise UserError(f"{where} a normal distribution belongs to a Latin hypercube")
-    if entry.count is None:
-        raise UserError(f"{where} the range of a factorial needs a count")
-    space = np.geomspace if distribution == "log-uniform" else np.linspace
-    return Levels(name, tuple(float(x) for x in space(low, high, entry.count)), entry.unit)
+        normal = entry.distribution == "normal"
+        needed = {"mean", "deviation"} if normal else {"start", "stop"}
+        kinds = "from and to, or mean and deviation of a normal distribution"
+    allowed = needed | {"start", "stop", "distribution"}
+    if named not in ({"value"}, {"values"}) and not needed <= named <= allowed:
+        raise UserError(f"parameter {name} needs one of value, values, {kinds}")
+    numbers = entry.values if entry.value is None else (entry.value,)
+    if numbers is not None:
+        return Levels(name, tuple(_in_si(parameter, number, unit) for number in numbers), unit)
+    return _range(parameter, entry)
 
 
-def _check(parameter: Parameter, value: float, unit: str, factor: float) -> float:
-    """Return a value of the file in SI units; raises UserError beyond the parameter's bounds."""
-    low, high = parameter.low, parameter.high
-    if not low - 1e-12 <= factor * value <= high + 1e-12:
+def _range(parameter: Parameter, entry: Varied) -> Levels | Range:
+    name, unit, distribution = parameter.name, entry.unit, entry.distribution or "uniform"
+    low = parameter.low if entry.start is None else _in_si(parameter, entry.start, unit)
+    high = parameter.high if entry.stop is None else _in_si(parameter, entry.stop, unit)
+    if low >= high:
+        raise UserError(f"parameter {name}: the range is empty")
+    if distribution == "log-uniform" and low < high / 10**_DECADES:
+        raise UserError(f"parameter {name}: a log-uniform range starts above 0, {_DECADES} decades at most")
+    factor = UNITS[parameter.kind][unit]
+    mean, deviation = factor * (entry.mean or 0.0), factor * (entry.deviation or 0.0)
+    wide_enough = _NARROWEST <= deviation / (high - low) <= _WIDEST
+    if distribution == "normal" and not (wide_enough and low <= mean <= high):
         raise UserError(
-            f"parameter {parameter.name} must be from {low / factor:g} to {high / factor:g} {unit}, "
-            f"not {value:g}".replace(" 1, not", ", not")
+            f"parameter {name}: the mean must be in the range, and the deviation {_NARROWEST:g} to "
+            f"{_WIDEST:g} times as wide"
         )
+    if entry.count is None:
+        return Range(name, low, high, distribution, mean, deviation, unit)
+    space = np.geomspace if distribution == "log-uniform" else np.linspace
+    return Levels(name, tuple(float(x) for x in space(low, high, entry.count)), unit)
+
+
+def _in_si(parameter: Parameter, value: float, unit: str) -> float:
+    """Return a value of the file in SI units; raises UserError beyond the parameter's bounds."""
+    low, high, factor = parameter.low, parameter.high, UNITS[parameter.kind][unit]
+    if not low - 1e-12 <= factor * value <= high + 1e-12:
+        ends = f"from {low / factor:g} to {high / factor:g} {unit}".removesuffix(" 1")
+        raise UserError(f"parameter {parameter.name} must be {ends}, not {value:g}")
     return min(max(factor * value, low), high)
-
-
-def _maps(given: tuple[tuple[str, str], ...], varied: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    for pair in given:
-        if pair[0] == pair[1]:
-            raise UserError("each of the maps must be a pair of two parameters")
-        for name in pair:
-            if name not in varied:
-                x, y, name = (shown(item, 40) for item in (*pair, name))
-                raise UserError(f"the map of {x} and {y} needs {name} to vary")
-        if given.count(pair) > 1:
-            raise UserError(f"the map of {pair[0]} and {pair[1]} is listed twice")
-    return given

@@ -120,10 +120,11 @@ class Sweep:
         at_once = min(at_once or cores, max(1, len(todo)))
         with leashed() as leash:
             shared = (max(1, cores // at_once), 0.0, leash) if on == "local" else (1, _PATIENCE, None)
-            done = pool.completed(work, shared, todo, on, address, at_once)
-            for count, (job, steps[job.name]) in enumerate(done, len(self.jobs) - len(todo) + 1):
-                seconds = sum(step.cpu_seconds for step in steps[job.name])
-                ended = "failed after " if failure(job, steps[job.name]) else ""
+            done = pool.completed(work, shared, todo, on, address, at_once) if todo else ()
+            for count, (job, found) in enumerate(done, len(self.jobs) - len(todo) + 1):
+                steps[job.name] = found
+                seconds = sum(step.cpu_seconds for step in found)
+                ended = "failed after " if failure(job, found) else ""
                 text = f"{job.name}: {ended}{seconds:.1f} s of CPU ({count} of {len(self.jobs)})"
                 print(text, file=sys.stderr)
         failures = [failure(job, steps[job.name]) for job in self.jobs.values()]

@@ -50,12 +50,13 @@ class Step(msgspec.Struct):
 
 
 class Job(msgspec.Struct, frozen=True):
-    """A run, or what is made of all runs together."""
+    """A run, or what is made of all runs together.
+
+    In its lines {out} and {sweep} still stand, so that a sweep that has been moved goes on.
+    """
 
     name: str
-    lines: tuple[
-        str, ...
-    ]  # in which {out} and {sweep} still stand, so that a sweep that has been moved goes on
+    lines: tuple[str, ...]
     sweep: str  # folder
     directory: str  # from which relative names in the command lines are read
 

@@ -78,7 +78,7 @@ class Result(Table, frozen=True, kw_only=True):
 
     def rows(self, recipe: Recipe) -> list[tuple[str, ...]]:
         """Return the cells under HEADS of every number of every variant."""
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for one in self.measured:
             number = recipe.numbers[one.number]
             cells = (one.variant, number.title, one.range_words(number), one.mean_words())
