@@ -47,7 +47,12 @@ from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
+from inclined_landing.eval.gap.search.vehicle_fit import (
+    field_half_widths,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
+)
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.attitude import LAG, STATE_SIZE
@@ -217,8 +222,9 @@ class _Correction:
         if not (problem.identified and values):
             return named
         again, local = fit_vehicle(problem, values, names, found.inflation)
-        widths = field_half_widths(problem, local, names, again)
-        whole = _Correction(again, left_out(problem, local, names), True, widths)
+        moved = vehicles_a_half_width_away(problem, local, names, again)
+        widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
+        whole = _Correction(again, leave_one_out_modes(problem, local, names), True, widths)
         return min(named, whole, key=lambda one: one.error(problem))
 
     def error(self, problem: Problem) -> float:

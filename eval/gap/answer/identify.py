@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import stats
@@ -38,7 +38,7 @@ from inclined_landing.eval.gap.search.sets import (
     fit_jointly,
     leave_one_out,
 )
-from inclined_landing.eval.gap.search.vehicle_fit import fit_vehicle
+from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.effects import LIBRARY, FittedConstant
@@ -176,7 +176,7 @@ def identify(
         identifiable=identifiable,
         fit=channels,
         disturbance=disturbances(problem, noise_model),
-        fields=_field_half_widths(problem, values, sized, vehicle, result),
+        fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
         flights=tuple(f.name for f in fitted),
         notes=tuple(notes),
         inconsistent_flights=inconsistent,
@@ -273,18 +273,13 @@ def _note(problem: Problem, effect: str, at_bound: bool) -> str:
     return "at its bound" if at_bound else ""
 
 
-def _field_half_widths(problem: Problem, values: Values, sized, before: Vehicle, after: Vehicle):
-    """Return the changed vehicle fields with the half-widths of their intervals, in the field's unit."""
-    changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
-    width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
+def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iterator[Vehicle]:
+    """Yield the vehicle at `values` with each parameter moved by the half-width of its interval."""
     for (effect, parameter), known in sized.items():
         p = problem.library[effect].parameter(parameter)
         end = float(np.clip(values[effect][parameter] + _half_width(problem, known), *p.bounds))
         one = {**values, effect: {**values[effect], parameter: end}}
-        moved = problem.corrected({n: v for n, v in one.items() if not LIBRARY[n].of_the_place})
-        for name in changed:
-            width[name] = np.hypot(width[name], np.subtract(getattr(moved, name), getattr(after, name)))
-    return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
+        yield problem.corrected({n: v for n, v in one.items() if not LIBRARY[n].of_the_place})
 
 
 def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> VehiclePosterior:

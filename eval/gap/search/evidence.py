@@ -78,6 +78,13 @@ class Problem(Candidates):
         self._form_jacobians: list[np.ndarray] | None = None
         self._pool = ThreadPoolExecutor(2)
 
+    def weights_without_each_flight(self) -> list[np.ndarray]:
+        """Return for every flight the weights (g,) of the groups without it; of a single one, all 1."""
+        result = [np.ones(self.groups) for _ in self.flights]
+        for k, weights in enumerate(result if len(result) > 1 else ()):
+            weights[np.unique(self.group_of[self.flight_of == k])] = 0.0
+        return result
+
     def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
         """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
         for flight in self.flights:

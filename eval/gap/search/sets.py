@@ -248,10 +248,7 @@ def leave_one_out(
     """Return the leave-one-out estimates: for every flight, the values fitted to the others (linearised)."""
     result, full = [], local.bounded_mode(frozenset(names))
     at = problem.coordinates(values, local.columns)
-    for k in range(len(problem.flights)):
-        weights = np.ones(problem.groups)
-        if len(problem.flights) > 1:
-            weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
+    for weights in problem.weights_without_each_flight():
         change = (local.bounded_mode(frozenset(names), weights) - full) * local.unit
         result.append(problem.values_at(names, local.columns, at + change))
     return result

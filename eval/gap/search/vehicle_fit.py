@@ -8,12 +8,14 @@ wind of 10. Model errors are left out, as no vehicle file has them.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
 from inclined_landing.eval.gap.search.columns import FittedValues, Values
 from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
+from inclined_landing.models.vehicle import Vehicle
 
 ROUNDS = 8  # of Newton's method
 STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
@@ -68,32 +70,37 @@ def vehicle_mode(
     return problem.values_at(fitted, local.columns, at * local.unit)
 
 
-def left_out(problem: Problem, local: LinearGaussian, names: EffectSet) -> list[FittedValues]:
-    """Return for every flight the mode by the others (linearised); of a single flight its own."""
-    result = []
-    for k in range(len(problem.flights)):
-        weights = np.ones(problem.groups)
-        if len(problem.flights) > 1:
-            weights[np.unique(problem.group_of[problem.flight_of == k])] = 0.0
-        result.append(vehicle_mode(problem, local, names, weights))
-    return result
+def leave_one_out_modes(problem: Problem, local: LinearGaussian, names: EffectSet) -> list[FittedValues]:
+    """Return for every flight the mode by the others (linearised); of a single flight its mode."""
+    return [vehicle_mode(problem, local, names, weights) for weights in problem.weights_without_each_flight()]
+
+
+def vehicles_a_half_width_away(
+    problem: Problem, local: LinearGaussian, names: EffectSet, values: Values
+) -> list[Vehicle]:
+    """Return vehicles at `values`, each with another coordinate moved by the half-width of its interval."""
+    _, covariance = local.posterior(names)
+    deviation = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) * local.unit
+    at = problem.coordinates(values, local.columns)
+    return [
+        problem.corrected(problem.values_at(values, local.columns, at + step))
+        for step in np.diag(_NORMAL * deviation)
+    ]
 
 
 def field_half_widths(
-    problem: Problem, local: LinearGaussian, names: EffectSet, values: Values
+    before: Vehicle, after: Vehicle, moved: Iterable[Vehicle]
 ) -> dict[str, float | tuple[float, ...]]:
-    """Return the vehicle fields that `values` change, with half-widths of 95 % intervals, in their units."""
-    _, covariance = local.posterior(names)
-    deviation = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) * local.unit
-    vehicle, at = problem.corrected(values), problem.coordinates(values, local.columns)
-    fields = [f.name for f in dataclasses.fields(vehicle)]
-    changed = [f for f in fields if getattr(vehicle, f) != getattr(problem.vehicle, f)]
-    width = {f: np.zeros(np.shape(getattr(vehicle, f))) for f in changed}
-    for step in np.diag(_NORMAL * deviation):
-        moved = problem.corrected(problem.values_at(values, local.columns, at + step))
-        for f in changed:
-            width[f] = np.hypot(width[f], np.subtract(getattr(moved, f), getattr(vehicle, f)))
-    return {f: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for f, w in width.items()}
+    """Return the fields in which `after` differs, with half-widths of 95 % intervals, in their units.
+
+    moved: vehicles that differ from `after` by the half-width of one independent error each.
+    """
+    changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
+    width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
+    for one in moved:
+        for name in changed:
+            width[name] = np.hypot(width[name], np.subtract(getattr(one, name), getattr(after, name)))
+    return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
 
 
 def _deviance(local: LinearGaussian, names: EffectSet) -> float:

@@ -16,7 +16,12 @@ from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.features import ReferenceResidual
 from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
 from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle, left_out
+from inclined_landing.eval.gap.search.vehicle_fit import (
+    field_half_widths,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
+)
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations, forces
 from inclined_landing.models.effects import LIBRARY
@@ -204,12 +209,12 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
     problem = Problem([prepare(log, VEHICLE) for log in logs], VEHICLE, library, reference)
     names = frozenset({"wind"})
     values, local = fit_vehicle(problem, {}, names, np.ones(6))
-    for one in (values, *left_out(problem, local, names)):
+    moved = vehicles_a_half_width_away(problem, local, names, values)
+    widths = field_half_widths(VEHICLE, problem.corrected(values), moved)
+    for one in (values, *leave_one_out_modes(problem, local, names)):
         assert one["body_drag"]["coefficient"] == pytest.approx(0.03, rel=0.15)
         assert one["wind"]["x"] == pytest.approx(-3.0, rel=0.05)
-    low, high = (
-        0.03 + s * field_half_widths(problem, local, names, values)["effects_body_drag"] for s in (-2, 2)
-    )
+    low, high = (0.03 + s * widths["effects_body_drag"] for s in (-2, 2))
     assert low < values["body_drag"]["coefficient"] < high and high - low < 4 * 1.96 * 0.02
 
 
