@@ -44,7 +44,6 @@ BOXES = {
     "models": (3.825, 0, 11.55, "vehicle file, equations, effects, MJCF scene, native plugins, plants"),
 }
 _PLACES = {  # x at the start and at the end of arrows that go beside other boxes
-    ("eval.truth", "eval.logs"): (6.33, 6.33),
     ("eval.cli", "eval.truth"): (6.17, 6.17),
     ("eval.replay", "eval.gap"): (6.5, 5.6),
     ("eval.replay", "eval.pictures"): (7.3, 7.6),

@@ -1,5 +1,5 @@
 """Can what happens at touchdown be believed? `landing-eval contact` answers with numbers.
 
-`drops` are the unpowered vehicles that are set down or dropped, `laws` the measurements, `touchdowns` the
-comparison with measured flights, `figures` what is drawn of them.
+`drops` are the unpowered vehicles that are set down or dropped, `laws` the measurements, `figures` what is
+drawn of them. Measured touchdowns are simulated by `python -m tests.proof touchdowns`, from a clone.
 """

@@ -1,40 +1,30 @@
-"""`landing-eval contact`: contact in the engine against mechanics and measured touchdowns."""
+"""`landing-eval contact`: contact in the engine against the laws of mechanics."""
 
 from __future__ import annotations
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.claims import Claim
-from inclined_landing.eval.base.options import Folder, NewFolder, VehicleFile
-from inclined_landing.eval.truth.contact import touchdowns
+from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.truth.contact.figures import DRAW
 from inclined_landing.eval.truth.contact.laws import LAWS
 from inclined_landing.eval.truth.report import progress, publish
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(*, out: Folder, flights: NewFolder = None, vehicle: VehicleFile = None) -> None:
+def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
     """Can contact be believed? Rest, slip, drops, energy and more against mechanics: a page of claims.
 
     Args:
         out: new folder for contact.html, contact.json and the figures.
-        flights: folder of measured NanoBench flights (nb_*.csv.gz): their touchdowns are simulated and the
-            contact setting is fitted.
         vehicle: vehicle file (TOML), where it or its contact setting differs from the shipped one.
     """
     runs.check_new_run(out)
     tested = load_vehicle(vehicle)
-    if flights is not None:
-        touchdowns.read_flights(flights)
     sections = []
-    with progress(len(LAWS) + (flights is not None)) as tick:
+    with progress(len(LAWS)) as tick:
         for name, measure in LAWS.items():
             tick(name)
             sections.append(measure(tested))
-        if flights is not None:
-            tick("touchdowns")
-            sections.append(touchdowns.section(flights, tested))
-    versions = runs.versions()
-    record = {s.key: {"checks": [_check(c) for c in s.claims], "data": s.data} for s in sections}
     spring = tested.contact_solref
     setting = f"friction {tested.contact_friction:g}, solref {spring[0]:g} s, {spring[1]:g}"
     publish(
@@ -42,12 +32,18 @@ def command(*, out: Folder, flights: NewFolder = None, vehicle: VehicleFile = No
         "contact",
         sections,
         {f"{s.key}.png": DRAW[s.key](s.data) for s in sections if s.key in DRAW},
-        {"findings": record, "versions": versions},
+        contact_record(sections),
         title="Contact: what can be believed",
         lead=f"The vehicle of this package in MuJoCo, contact setting {setting}, RK4 at 4 ms unless a line "
         "says otherwise. What is not met is a limit to know about, and stays in the table.",
         run="landing-eval contact",
     )
+
+
+def contact_record(sections: list[Section]) -> dict:
+    """Return the content of contact.json."""
+    found = {s.key: {"checks": [_check(c) for c in s.claims], "data": s.data} for s in sections}
+    return {"findings": found, "versions": runs.versions()}
 
 
 def _check(claim: Claim) -> dict:

@@ -184,29 +184,3 @@ def torque(data: dict, axes: Axes) -> None:
     axes.plot([], [], **_DASHED, label="statics")
     axes.set(xlabel="thrust over weight", ylabel="pitch after 0.5 s [deg]")
     legend_below(axes, ncols=3)
-
-
-def touchdowns(data: dict) -> Figure:
-    """Return a figure of measured and simulated heights [mm] after contact, a panel per touchdown."""
-    fits = data["fits"]
-    columns = 4
-    rows = -(-len(fits) // columns)
-    with styled(), matplotlib.rc_context({"axes.grid": True}):
-        figure = Figure(figsize=(2.6 * columns, 0.6 + 2.0 * rows), layout="constrained")
-        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        for axes, row in zip(grid.ravel(), fits):
-            time = 1e3 * row["time"]
-            axes.plot(time, 1e3 * row["measured"], "o", color=INK, ms=3, label="measured")
-            axes.plot(time, 1e3 * row["simulated"], color=ORANGE, lw=1.5, label="simulated")
-            title = row["flight"].removeprefix("nb_").replace("_", " ")
-            fitted = f"restitution {row['restitution']:.2f}, {1e3 * row['contact_time']:.0f} ms"
-            axes.set_title(f"{title}\n{fitted}", size=8.5)
-        for axes in grid.ravel()[len(fits) :]:
-            axes.set_visible(False)
-        figure.supxlabel("time after the touch [ms]", size=9.5)
-        figure.supylabel("height [mm]", size=9.5)
-        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return figure
-
-
-DRAW["touchdowns"] = touchdowns

@@ -1,4 +1,4 @@
-"""Measured touchdowns on a flat floor (NanoBench flights), and the same touchdowns simulated.
+"""`touchdowns`: measured touchdowns on a flat floor (NanoBench flights), and the same ones simulated.
 
 A touchdown is where a descending vehicle with running motors turns upwards near the floor. From the
 measured position, velocity and attitude 60 ms before it, under the measured motor PWM and attitude
@@ -10,19 +10,28 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
+import matplotlib
 import numpy as np
 import pandas as pd
+import tyro
+from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.base.options import Folder, VehicleFile
+from inclined_landing.eval.base.style import INK, ORANGE, styled
 from inclined_landing.eval.logs.csv_file import read_columns
-from inclined_landing.eval.truth.report import Words
+from inclined_landing.eval.truth.contact.command import contact_record
+from inclined_landing.eval.truth.report import Words, publish
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import reach_below
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.vehicle import Vehicle
@@ -63,6 +72,34 @@ class Touchdown:
     def restitution(self) -> float:
         """Return the measured restitution: rising over falling speed."""
         return self.up / self.down
+
+
+def command(
+    flights: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    /,
+    *,
+    out: Folder,
+    vehicle: VehicleFile = None,
+) -> None:
+    """Simulate the touchdowns of measured flights, and fit the contact setting to them.
+
+    Args:
+        flights: folder of NanoBench flights (nb_*.csv.gz), as `landing-eval flights` converts them.
+        out: new folder for touchdowns.html, touchdowns.json and the figure.
+        vehicle: vehicle file (TOML), where it differs from the shipped one.
+    """
+    runs.check_new_run(out)
+    found = section(flights, load_vehicle(vehicle))
+    publish(
+        out,
+        "touchdowns",
+        [found],
+        {"touchdowns.png": draw(found.data)},
+        contact_record([found]),
+        title="Measured touchdowns",
+        lead="NanoBench flights, and the same touchdowns of the MuJoCo vehicle.",
+        run="python -m tests.proof touchdowns",
+    )
 
 
 def read_flights(folder: str | Path) -> dict[str, pd.DataFrame]:
@@ -304,3 +341,26 @@ def _row(f: Fit, predicted_up: float) -> dict:
         "measured": f.touchdown.height,
         "simulated": f.heights,
     }
+
+
+def draw(data: dict) -> Figure:
+    """Return a figure of measured and simulated heights [mm] after contact, a panel per touchdown."""
+    fits = data["fits"]
+    columns = 4
+    rows = -(-len(fits) // columns)
+    with styled(), matplotlib.rc_context({"axes.grid": True}):
+        figure = Figure(figsize=(2.6 * columns, 0.6 + 2.0 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        for axes, row in zip(grid.ravel(), fits):
+            time = 1e3 * row["time"]
+            axes.plot(time, 1e3 * row["measured"], "o", color=INK, ms=3, label="measured")
+            axes.plot(time, 1e3 * row["simulated"], color=ORANGE, lw=1.5, label="simulated")
+            title = row["flight"].removeprefix("nb_").replace("_", " ")
+            fitted = f"restitution {row['restitution']:.2f}, {1e3 * row['contact_time']:.0f} ms"
+            axes.set_title(f"{title}\n{fitted}", size=8.5)
+        for axes in grid.ravel()[len(fits) :]:
+            axes.set_visible(False)
+        figure.supxlabel("time after the touch [ms]", size=9.5)
+        figure.supylabel("height [mm]", size=9.5)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure

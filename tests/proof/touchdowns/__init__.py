@@ -1,0 +1,1 @@
+"""Measured touchdowns on a flat floor, and the same touchdowns simulated."""
