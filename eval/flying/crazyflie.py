@@ -15,6 +15,7 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.storage import check_file, made
 
 DeckName = Annotated[str | None, tyro.conf.arg(metavar="{lighthouse,flow}")]
+FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
 
 
 def command(
@@ -25,7 +26,7 @@ def command(
     start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
     inclination: Degrees = None,
     deck: DeckName = None,
-    fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")] = (),
+    fault: FaultNames = (),
     seconds: Annotated[Annotated[float, Meta(gt=0.0, lt=1e6)] | None, tyro.conf.arg(metavar="S")] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -47,17 +48,14 @@ def command(
         seed: of noise, delays and dropouts.
         out: file for the ground truth, as the documented CSV (.csv, .csv.gz).
     """
-    from inclined_landing.eval.flying.pose_stream import resolved
-    from inclined_landing.eval.flying.simulated.deck import check_deck
+    from inclined_landing.eval.flying.positions import resolved
+    from inclined_landing.eval.flying.simulated.body import named_vehicle
     from inclined_landing.eval.flying.simulated.faults import Fault
     from inclined_landing.eval.flying.simulated.server import SimulatorServer
-    from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
     from inclined_landing.eval.flying.simulated.world import Setting, World
 
     address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
-    if deck is not None:
-        check_deck(deck)
     setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle, deck=deck)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):

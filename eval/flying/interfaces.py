@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 
-class Clock(Protocol):
+class FlightClock(Protocol):
     """A monotonic time [s] with an origin of its own."""
 
     def now(self) -> float:
@@ -42,7 +42,7 @@ class RealClock:
 
 
 @dataclasses.dataclass(frozen=True)
-class Pose:
+class MeasuredPose:
     """A pose of the vehicle measured by motion capture, in the frame of the arena: x, y, z up."""
 
     time: float  # s of the clock at which it was taken: arrival less the system's known latency
@@ -53,6 +53,6 @@ class Pose:
 class MotionCapture(Protocol):
     """A source of poses; when it sees nothing, it goes on returning its last pose with its old time."""
 
-    def latest(self) -> Pose | None:
+    def latest(self) -> MeasuredPose | None:
         """Return the newest pose; None before the first one."""
         ...

@@ -15,92 +15,46 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import signal
-import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN
-from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
-from inclined_landing.eval.flying.consistency import ConsistencyMonitor
-from inclined_landing.eval.flying.estimate import Attitude, Estimator, StateEstimate
-from inclined_landing.eval.flying.finals import Landing, Planned
+from inclined_landing.eval.flying.estimate import (
+    Attitude,
+    ConsistencyMonitor,
+    Estimator,
+    FilterNoise,
+    StateEstimate,
+)
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
-from inclined_landing.eval.flying.interfaces import Clock, MotionCapture, Pose
-from inclined_landing.eval.flying.kalman import NoiseModel
-from inclined_landing.eval.flying.onboard import LIGHTHOUSE, NOISE, OnboardPosition
-from inclined_landing.eval.flying.planned import PlannedFlight
-from inclined_landing.eval.flying.policies import InvalidAction, SetpointFollower
+from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
+from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTracking
+from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
+from inclined_landing.eval.flying.positions import LIGHTHOUSE, NOISE, OnboardPosition
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
-from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget, Surroundings
+from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget
 from inclined_landing.eval.flying.vehicle import Radio
-from inclined_landing.models.attitude import (
-    PITCH_COMMAND,
-    PWM,
-    ROLL_COMMAND,
-    VX,
-    VZ,
-    YAW,
-    YAW_RATE_COMMAND,
-    X,
-    Z,
-)
-from inclined_landing.models.vehicle import Vehicle
+from inclined_landing.eval.flying.watchdog import Watchdog, interruptible, uninterruptible
+from inclined_landing.models.attitude import PITCH_COMMAND, PWM, ROLL_COMMAND, VX, VZ, YAW, X, Z
+from inclined_landing.models.attitude import YAW_RATE_COMMAND as YAW_RATE
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
 LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
-AFTER_FLIGHT_TIME = (
-    2.5  # s after the motors are off: the vehicle must be told to stop until its supervisor calls it landed
-)
-DRY_RUN = 30.0  # s
-DRY_RUN_PERIOD = 0.5  # s, of a dry run
-# Of Ctrl-C, `kill`, a closed terminal, Ctrl-\ and Ctrl-Z.
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """Policies, start and standing height of one flight; a planned flight in the place of a landing."""
-
-    landing: Policy | PlannedFlight  # a policy for the task landing or touchdown
-    setpoint: Policy
-    start: tuple[float, float]  # x, z where the landing begins, m
-    stand: float = 0.0  # height of what the vehicle stands on, m
-    heading: float = 0.0  # of the standing vehicle where motion capture does not show it, rad
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """Return the vehicle, with its room."""
-        return self.landing.vehicle if isinstance(self.landing, PlannedFlight) else self.landing.task.vehicle
-
-    @property
-    def start_point(self) -> np.ndarray:
-        """Return the point (3,) [m] that the set-point policy flies to."""
-        if isinstance(self.landing, PlannedFlight):
-            return self.landing.reference.position[0]
-        return np.array([self.start[0], 0.0, self.start[1]])
-
-    @property
-    def surroundings(self) -> Surroundings:
-        """Return what stands in the room."""
-        if isinstance(self.landing, PlannedFlight):
-            return Surroundings(self.landing.vehicle, self.landing.inclination, self.landing.present)
-        task = self.landing.task
-        # In space a slope that rises along x is one that faces -x: inclination > 0, azimuth pi.
-        return Surroundings(task.vehicle, task.inclination * math.cos(task.azimuth))
+AFTER_FLIGHT_TIME = 2.5  # s of stop commands after the flight, until the supervisor calls the vehicle landed
+DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it prints
 
 
 @dataclasses.dataclass
-class Report:
+class FlightReport:
     """The outcome of a flight."""
 
     outcome: str  # "goal box", "at rest", "plan flown", "dry run", or the name of the cause
@@ -136,9 +90,9 @@ class Pilot:
     def __init__(
         self,
         radio: Radio,
-        clock: Clock,
+        clock: FlightClock,
         mocap: MotionCapture,
-        plan: Plan,
+        plan: FlightPlan,
         *,
         say: Callable[[str], None] = print,
         hang_limit: float = safety.HANG_LIMIT,
@@ -146,25 +100,25 @@ class Pilot:
         self.radio, self.clock, self.mocap, self.plan = radio, clock, mocap, plan
         self.vehicle, self.surroundings = plan.vehicle, plan.surroundings
         self.phase = Phase.APPROACH
-        self.report = Report("")
+        self.report = FlightReport("")
         self.home: np.ndarray | None = None
         self._print, self._hang_limit = say, hang_limit
         self._log: FlightLogWriter | None = None
-        self._own = mocap.deck if isinstance(mocap, OnboardPosition) else None
-        noise = NoiseModel.of(self.vehicle, NOISE) if self._own else NoiseModel.of(self.vehicle)
-        self._estimator = Estimator(noise, None if self._own == LIGHTHOUSE else plan.heading)
+        self._deck = mocap.deck if isinstance(mocap, OnboardPosition) else None
+        noise = FilterNoise.of(self.vehicle, NOISE) if self._deck else FilterNoise.of(self.vehicle)
+        self._estimator = Estimator(noise, None if self._deck == LIGHTHOUSE else plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)
-        self._final: Landing | Planned = (
-            Planned(plan.landing)
+        self._final: PolicyLanding | PlanTracking = (
+            PlanTracking(plan.landing)
             if isinstance(plan.landing, PlannedFlight)
-            else Landing(plan.landing, self._follower)
+            else PolicyLanding(plan.landing, self._follower)
         )
         self._period = self.vehicle.command_control_period
         self._voltage, self._locked = math.nan, False
         self._pose_time = -math.inf
-        self._poses: list[Pose] = []
+        self._poses: list[MeasuredPose] = []
         self._attitudes = 0
         self._target: MovingTarget | None = None
         self._began = self._phase_began = 0.0
@@ -186,7 +140,7 @@ class Pilot:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
-        source = f"onboard position ({self._own} deck)" if self._own else "motion capture"
+        source = f"onboard position ({self._deck} deck)" if self._deck else "motion capture"
         data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate, source)
         found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
@@ -197,14 +151,12 @@ class Pilot:
 
     # --- the flight ------------------------------------------------------------------------------
 
-    def fly(self, log: Path | None = None) -> Report:
+    def fly(self, log: Path | None = None) -> FlightReport:
         """Fly, and return the report; whatever happens, the motors are off afterwards.
 
         log: the CSV that is written, None for none. `check` must have passed. Errors and interruptions end up
         in the report, not in the caller.
         """
-        from inclined_landing.eval.flying.watchdog import Watchdog
-
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
         try:  # which also compiles what is not compiled yet
@@ -221,7 +173,7 @@ class Pilot:
                 if log is not None:
                     self._log = stack.enter_context(FlightLogWriter(log, self.clock.now()))
                     self._log_initial_values()
-                with _interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
+                with interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
                     self.radio.arm()
                     self._log_motors_off()
@@ -232,7 +184,7 @@ class Pilot:
                 self._end(safety.ERROR)
                 self.report.error = "".join(traceback.format_exception(error)).strip()
             finally:
-                with _uninterruptible():
+                with uninterruptible():
                     self._motors_off()
             with contextlib.suppress(Exception):
                 self._track_after_flight()
@@ -277,7 +229,7 @@ class Pilot:
             return
         if not self._turns:
             heading, limit = estimate.state[YAW], self.vehicle.command_yaw_rate_limit
-            command[YAW_RATE_COMMAND] = min(limit, max(-limit, -YAW_GAIN * heading))
+            command[YAW_RATE] = min(limit, max(-limit, -YAW_GAIN * heading))
             command = frames.in_heading(command, heading)
         self.radio.send(command, 0.0)
         if self._log is not None:
@@ -507,39 +459,5 @@ class Pilot:
             f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
             f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
             f"pitch {math.degrees(command[PITCH_COMMAND]):5.1f} deg, "
-            f"yaw rate {math.degrees(command[YAW_RATE_COMMAND]):6.1f} deg/s"
+            f"yaw rate {math.degrees(command[YAW_RATE]):6.1f} deg/s"
         )
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Make the other signals that a terminal sends raise KeyboardInterrupt as Ctrl-C does (main thread only).
-
-    Ctrl-Z would stop the pilot in mid-air.
-    """
-
-    def interrupt(number, frame):
-        raise KeyboardInterrupt
-
-    with _handlers(dict.fromkeys(_SIGNALS, interrupt)):
-        yield
-
-
-@contextlib.contextmanager
-def _uninterruptible() -> Iterator[None]:
-    """Ignore a second Ctrl-C while the vehicle is being stopped."""
-    with _handlers(dict.fromkeys(_SIGNALS, signal.SIG_IGN)):
-        yield
-
-
-@contextlib.contextmanager
-def _handlers(handlers: dict) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""Policies as the pilot uses them: a believed state in, a command out, by the task's own maps."""
+"""Policies as the pilot uses them: an estimated state in, a command out, by the task's own maps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from inclined_landing.envs.hover import Trim
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Setpoint, StepContext
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.models.attitude import ROLL_COMMAND, YAW, X, Y, Z
+from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, IDLE_ACTION
+from inclined_landing.eval.flying.safety import Phase
+from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW, X, Y, Z
 
 
 class InvalidAction(Exception):
@@ -37,7 +39,7 @@ class PolicyRunner:
     def act(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the action (a,) in [-1, 1] and the command (4,) PWM, rad, rad, rad/s for a state (13,).
 
-        Raises BadAction when the action is NaN or infinite.
+        Raises InvalidAction when the action is NaN or infinite.
         """
         observation = self.task.observe(StepContext(state[None], platform=self.platform))
         if not self._begun:
@@ -70,3 +72,42 @@ class SetpointFollower:
         """Return the policy's roll command [rad] that holds y [m] in a planar flight."""
         shown = self._task.across(state[None], y + self.trim.offset[0, Y])[0]
         return float(self.actor.act(shown)[1][ROLL_COMMAND])
+
+
+class PolicyLanding:
+    """A landing by its policy. The pilot holds the heading, and y for policies that ask for no roll."""
+
+    phase = Phase.LANDING
+    turns = False  # are heading and yaw rate the pilot's, and commands of heading 0
+    astray = 0.0
+
+    def __init__(self, policy: Policy, follower: SetpointFollower):
+        self.policy, self._task = policy, policy.task
+        self._runner, self._follower = PolicyRunner(policy), follower
+        self._idle_steps = 0  # control steps in a row
+        self.limit = self._task.max_steps * self._task.vehicle.command_control_period  # s that it may take
+
+    def reset(self) -> None:
+        """Forget what was observed."""
+        self._runner.reset()
+        self._idle_steps = 0
+
+    def step(self, since: float, state: np.ndarray, resting: bool) -> np.ndarray | str:
+        """Return the command (4,) at a state (13,), or the outcome where the goal is reached.
+
+        since [s]: the landing began; resting: the vehicle lies still on something. Raises InvalidAction.
+        """
+        size = self._task.goal_size
+        if size is not None and self._task.in_goal(state[None], size, self._runner.platform)[0]:
+            return "goal box"
+        action, command = self._runner.act(state)
+        if self._task.is_planar:
+            command[ROLL_COMMAND] = self._follower.roll_command_to_hold(state, 0.0)
+        self._idle_steps = self._idle_steps + 1 if command[PWM] == 0.0 and action[0] <= IDLE_ACTION else 0
+        if size is None and self._idle_steps >= HOLD_STEPS and resting:
+            return "at rest"
+        return command
+
+    def heading_error(self, since: float, yaw: float) -> float:
+        """Return by how much the heading [rad] is off."""
+        return yaw

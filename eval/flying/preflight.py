@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from inclined_landing.eval.flying.estimate import StateEstimate
-from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.surroundings import CLEAR, Surroundings
 
 RECORDING_TIME = 1.0  # s that is listened to the vehicle and the motion capture
@@ -34,7 +34,7 @@ class Check:
 class PreflightData:
     """Measurements of RECORDING_TIME seconds at rest."""
 
-    poses: list[Pose]
+    poses: list[MeasuredPose]
     attitudes: int
     voltage: float  # V, NaN where none came
     locked: bool

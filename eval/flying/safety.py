@@ -1,7 +1,6 @@
-"""What ends a flight early, and how: every cause with its reaction, in the order in which they are asked.
+"""What ends a flight early, and how: every cause with its reaction and its limit, and where that comes from.
 
-`landing-eval fly --help` names no limits: they are here, each with where it comes from, and `table` writes
-them down as the documentation has them.
+`table` writes the causes down as the documentation has them.
 """
 
 from __future__ import annotations
@@ -37,20 +36,10 @@ class Reaction(enum.Enum):
     LAND = "lands beside the platform"
 
 
-@dataclasses.dataclass(frozen=True)
-class Cause:
-    """A condition that ends a flight early."""
-
-    name: str
-    when: str
-    reaction: Reaction
-    why: str
-
-
 POSE_LIMIT = 0.2  # s without a believed position: the filter is then 6 cm unsure, a goal box has 10
 ATTITUDE_LIMIT = 0.25  # s without an attitude: a quarter of a second of lost packets is no link
 TILT_LIMIT = math.radians(60.0)  # the firmware calls a vehicle tumbled there; commands end at 30 deg
-MISMATCH_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `coherence`
+MISMATCH_LIMIT = 2.0  # m/s between what forces add up to and the measured velocity, see `ConsistencyMonitor`
 DISAGREEMENT_LIMIT = math.radians(20.0)  # between the attitudes of log and motion capture
 HEADING_LIMIT = math.radians(30.0)  # off the heading held, while it is not being turned to it
 ASTRAY_LIMIT = 0.5  # m off a planned flight
@@ -59,129 +48,11 @@ LOWEST_VOLTAGE = 3.0  # V under load: the firmware's critical level of one cell
 LOG_PERIOD = 0.02  # s, two periods of the attitude's log: a silence that every link has
 SILENCE_MEMORY = 0.5  # s
 SILENCE_LIMIT = 0.1  # s
-PERSISTENT = {"disagreement": 0.1, "battery": 0.5}  # s that these must last
+DISAGREEMENT_TIME, BATTERY_TIME = 0.1, 0.5  # s that these must last
+RESTING_LIMIT = 0.5  # s of lying still in a landing or a planned flight
 APPROACH_LIMIT = 25.0  # s
 RETREAT_LIMIT = 20.0  # s
 HANG_LIMIT = 0.25  # s without a sign of the control loop
-
-_OFF, _LAND = Reaction.OFF, Reaction.LAND
-INTERRUPTED = Cause(
-    "interrupted",
-    "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
-    _OFF,
-    "whoever interrupts wants it to stop now",
-)
-ERROR = Cause(
-    "error", "any exception, also while printing or writing the log", _OFF, "nobody knows what still works"
-)
-HANG = Cause(
-    "hang",
-    f"the control loop gives no sign for {HANG_LIMIT:g} s",
-    _OFF,
-    "a thread of its own notices; the last command would be held",
-)
-BAD_STATE = Cause("bad state", "position, velocity or attitude is NaN or infinite", _OFF, "nothing to fly by")
-BAD_SETPOINT = Cause(
-    "bad set-point action", "the set-point policy gives NaN or infinity", _OFF, "nothing to fly by"
-)
-BAD_ACTION = Cause(
-    "bad action", "the landing policy gives NaN or infinity", _LAND, "the set-point policy still flies"
-)
-LINK = Cause("link lost", "cflib reports the connection lost", _OFF, "sent as often as it may help")
-STALE_ATTITUDE = Cause(
-    "no attitude",
-    f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
-    _OFF,
-    "the link is gone in one direction",
-)
-STALE_POSE = Cause(
-    "no position",
-    f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
-    _OFF,
-    "predicted positions are 6 cm unsure by then",
-)
-TUMBLED = Cause(
-    "tilt",
-    f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
-    _OFF,
-    "out of control; the firmware says the same at 60 deg",
-)
-LOCKED = Cause(
-    "supervisor", "the vehicle says that it is tumbled, locked or crashed", _OFF, "it has stopped already"
-)
-DISAGREEMENT = Cause(
-    "disagreement",
-    f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
-    f"{PERSISTENT['disagreement']:g} s",
-    _OFF,
-    "a wrong sign, or markers taken for others: every command would be wrong",
-)
-WRONG_POSITION = Cause(
-    "wrong position",
-    f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
-    _OFF,
-    "a marker left behind: positions are fresh, and not the vehicle's",
-)
-OUTSIDE = Cause("outside", "outside the arena", _OFF, "falls within the nets")
-NO_ROOM = Cause(
-    "no room",
-    "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
-    _OFF,
-    "falls inside the arena instead of leaving it",
-)
-FENCE = Cause(
-    "fence",
-    "closer to a wall or the ceiling than the distance it needs to stop, plus "
-    f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
-    _LAND,
-    "there is still room to brake",
-)
-POOR_LINK = Cause(
-    "poor link",
-    f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
-    _LAND,
-    "it may fly on under one command for as long: the set-point policy's are gentle",
-)
-SPEED = Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, "no landing needs it")
-HEADING = Cause(
-    "heading",
-    f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
-    _LAND,
-    "yaw is not under control",
-)
-BATTERY = Cause(
-    "battery",
-    f"below {LOWEST_VOLTAGE:g} V for {PERSISTENT['battery']:g} s",
-    _LAND,
-    "the firmware's critical level: seconds of thrust are left",
-)
-ASTRAY = Cause(
-    "astray",
-    f"more than {ASTRAY_LIMIT:g} m off a planned flight",
-    _LAND,
-    "no candidate flies so in the plan's simulations, which end at 0.4 m",
-)
-TOUCHED = Cause(
-    "touched",
-    "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
-    _OFF,
-    "it lies somewhere: no more thrust",
-)
-OVERTIME_APPROACH = Cause(
-    "approach takes too long",
-    f"the start is not reached after {APPROACH_LIMIT:g} s",
-    _LAND,
-    "something differs from what the policy knows",
-)
-OVERTIME_LANDING = Cause(
-    "landing takes too long", "longer than an episode of the task (6 s)", _LAND, "as an episode ends"
-)
-OVERTIME_RETREAT = Cause(
-    "retreat takes too long",
-    f"not down {RETREAT_LIMIT:g} s after it began",
-    _OFF,
-    "the way down is blocked or lost",
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +73,16 @@ class FlightStatus:
     astray: float = 0.0  # m off a planned flight
 
 
-_STRICT = (Phase.LANDING, Phase.PLAN)
+@dataclasses.dataclass(frozen=True)
+class Cause:
+    """A condition that ends a flight early."""
+
+    name: str
+    when: str
+    reaction: Reaction
+    why: str
+    holds: Callable[[SafetyMonitor, FlightStatus], bool] | None = None  # None: the pilot itself meets it
+    lasting: float = 0.0  # s that it must last
 
 
 class SafetyMonitor:
@@ -214,14 +94,14 @@ class SafetyMonitor:
         self._silence = 0.0  # s
         self._time = -math.inf  # of the last check, s
         v = vehicle
-        self._low = np.array([v.arena_x[0], v.arena_y[0], v.arena_z[0]])
+        self._low = np.array([v.arena_x[0], v.arena_y[0], -np.inf])  # markers may be below the floor
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
     def cause(self, now: FlightStatus) -> Cause | None:
         """Return the first cause that holds; in a retreat only those that switch the motors off."""
         self._listen(now.estimate)
-        for cause, holds in self._tests():
-            if not self._lasts(cause, holds(now), now.estimate.time):
+        for cause in CAUSES:
+            if cause.holds is None or not self._lasts(cause, cause.holds(self, now), now.estimate.time):
                 continue
             if cause.reaction is Reaction.LAND and now.phase is Phase.RETREAT:
                 continue
@@ -232,36 +112,12 @@ class SafetyMonitor:
         if not holds:
             self._began.pop(cause.name, None)
             return False
-        return time - self._began.setdefault(cause.name, time) >= PERSISTENT.get(cause.name, 0.0)
+        return time - self._began.setdefault(cause.name, time) >= cause.lasting
 
-    def _tests(self) -> tuple[tuple[Cause, Callable[[FlightStatus], bool]], ...]:
-        return (
-            (LINK, lambda now: not now.linked),
-            (STALE_ATTITUDE, lambda now: now.estimate.attitude_age > ATTITUDE_LIMIT),
-            (STALE_POSE, lambda now: now.estimate.pose_age > POSE_LIMIT),
-            (BAD_STATE, lambda now: not np.isfinite(now.estimate.state).all()),
-            (LOCKED, lambda now: now.locked),
-            (TUMBLED, lambda now: now.estimate.tilt > TILT_LIMIT),
-            (DISAGREEMENT, lambda now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT),
-            (WRONG_POSITION, lambda now: now.velocity_mismatch > MISMATCH_LIMIT),
-            (OUTSIDE, lambda now: self._outside(now)),
-            (NO_ROOM, self._cannot_stop),
-            (TOUCHED, lambda now: now.phase in _STRICT and now.resting_time >= 0.5),
-            (OVERTIME_RETREAT, lambda now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT),
-            (FENCE, self._near_fence),
-            (POOR_LINK, lambda now: now.phase in _STRICT and now.estimate.attitude_age > SILENCE_LIMIT),
-            (SPEED, lambda now: now.estimate.speed > SPEED_LIMIT),
-            (HEADING, lambda now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT),
-            (ASTRAY, lambda now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT),
-            (BATTERY, lambda now: now.voltage < LOWEST_VOLTAGE),
-            (OVERTIME_APPROACH, lambda now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT),
-            (OVERTIME_LANDING, lambda now: now.phase is Phase.LANDING and now.since > now.landing_limit),
-        )
-
-    def _outside(self, now: FlightStatus) -> bool:
+    def is_outside(self, now: FlightStatus) -> bool:
+        """Return whether the vehicle is outside the arena."""
         position = now.estimate.state[X : Z + 1]
-        below = np.array([0.0, 0.0, np.inf])  # a vehicle cannot be below the floor, its markers may
-        return bool((position < self._low - below).any() or (position > self._high).any())
+        return bool((position < self._low).any() or (position > self._high).any())
 
     def _listen(self, estimate: StateEstimate) -> None:
         """Track for how long the link is silent: the longest silence, forgotten in SILENCE_MEMORY."""
@@ -278,37 +134,183 @@ class SafetyMonitor:
         position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]
         return position + velocity * t + 0.5 * e.acceleration * t**2, velocity + e.acceleration * t
 
-    def _near_fence(self, now: FlightStatus) -> bool:
+    def is_beyond_fence(self, now: FlightStatus) -> bool:
+        """Return whether the vehicle has less room than it needs to brake, and the margin."""
         position, velocity = self._next_command(now)
         if not now.airborne:
             velocity[2] = max(0.0, velocity[2])  # on what it stands
         return bool(beyond_fence(position, velocity, self.vehicle))
 
-    def _cannot_stop(self, now: FlightStatus) -> bool:
+    def cannot_stop(self, now: FlightStatus) -> bool:
+        """Return whether a wall or the ceiling is nearer than the shortest way to stop."""
         position, velocity = self._next_command(now)
         velocity[2] = max(0.0, velocity[2])  # the floor is inside
         return now.airborne and bool(beyond_fence(position, velocity, self.vehicle, 0.0, 1.0))
 
 
-# In the order of the documentation; those of `SafetyMonitor`, and those that the pilot meets elsewhere.
-CAUSES = (
-    *(INTERRUPTED, ERROR, HANG, LINK, STALE_ATTITUDE, STALE_POSE, BAD_STATE, BAD_SETPOINT, BAD_ACTION),
-    *(
-        LOCKED,
-        TUMBLED,
-        DISAGREEMENT,
-        WRONG_POSITION,
-        OUTSIDE,
-        NO_ROOM,
-        FENCE,
-        POOR_LINK,
-        SPEED,
-        HEADING,
-        ASTRAY,
-        BATTERY,
-        TOUCHED,
+_OFF, _LAND = Reaction.OFF, Reaction.LAND
+_STRICT = (Phase.LANDING, Phase.PLAN)
+INTERRUPTED = Cause(
+    "interrupted",
+    "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
+    _OFF,
+    "whoever interrupts wants it to stop now",
+)
+ERROR = Cause(
+    "error", "any exception, also while printing or writing the log", _OFF, "nobody knows what still works"
+)
+HANG = Cause(
+    "hang",
+    f"the control loop gives no sign for {HANG_LIMIT:g} s",
+    _OFF,
+    "a thread of its own notices; the last command would be held",
+)
+BAD_SETPOINT = Cause(
+    "bad set-point action", "the set-point policy gives NaN or infinity", _OFF, "nothing to fly by"
+)
+BAD_ACTION = Cause(
+    "bad action", "the landing policy gives NaN or infinity", _LAND, "the set-point policy still flies"
+)
+CAUSES = (  # in the order in which they are asked
+    *(INTERRUPTED, ERROR, HANG, BAD_SETPOINT, BAD_ACTION),
+    Cause(
+        "link lost",
+        "cflib reports the connection lost",
+        _OFF,
+        "sent as often as it may help",
+        lambda _, now: not now.linked,
     ),
-    *(OVERTIME_APPROACH, OVERTIME_LANDING, OVERTIME_RETREAT),
+    Cause(
+        "no attitude",
+        f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
+        _OFF,
+        "the link is gone in one direction",
+        lambda _, now: now.estimate.attitude_age > ATTITUDE_LIMIT,
+    ),
+    Cause(
+        "no position",
+        f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
+        _OFF,
+        "predicted positions are 6 cm unsure by then",
+        lambda _, now: now.estimate.pose_age > POSE_LIMIT,
+    ),
+    Cause(
+        "bad state",
+        "position, velocity or attitude is NaN or infinite",
+        _OFF,
+        "nothing to fly by",
+        lambda _, now: not np.isfinite(now.estimate.state).all(),
+    ),
+    Cause(
+        "supervisor",
+        "the vehicle says that it is tumbled, locked or crashed",
+        _OFF,
+        "it has stopped already",
+        lambda _, now: now.locked,
+    ),
+    Cause(
+        "tilt",
+        f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
+        _OFF,
+        "out of control; the firmware says the same at 60 deg",
+        lambda _, now: now.estimate.tilt > TILT_LIMIT,
+    ),
+    Cause(
+        "disagreement",
+        f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
+        f"{DISAGREEMENT_TIME:g} s",
+        _OFF,
+        "a wrong sign, or markers taken for others: every command would be wrong",
+        lambda _, now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT,
+        DISAGREEMENT_TIME,
+    ),
+    Cause(
+        "wrong position",
+        f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
+        _OFF,
+        "a marker left behind: positions are fresh, and not the vehicle's",
+        lambda _, now: now.velocity_mismatch > MISMATCH_LIMIT,
+    ),
+    Cause("outside", "outside the arena", _OFF, "falls within the nets", SafetyMonitor.is_outside),
+    Cause(
+        "no room",
+        "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
+        _OFF,
+        "falls inside the arena instead of leaving it",
+        SafetyMonitor.cannot_stop,
+    ),
+    Cause(
+        "touched",
+        "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
+        _OFF,
+        "it lies somewhere: no more thrust",
+        lambda _, now: now.phase in _STRICT and now.resting_time >= RESTING_LIMIT,
+    ),
+    Cause(
+        "retreat takes too long",
+        f"not down {RETREAT_LIMIT:g} s after it began",
+        _OFF,
+        "the way down is blocked or lost",
+        lambda _, now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT,
+    ),
+    Cause(
+        "fence",
+        "closer to a wall or the ceiling than the distance it needs to stop, plus "
+        f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
+        _LAND,
+        "there is still room to brake",
+        SafetyMonitor.is_beyond_fence,
+    ),
+    Cause(
+        "poor link",
+        f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
+        _LAND,
+        "it may fly on under one command for as long: the set-point policy's are gentle",
+        lambda _, now: now.phase in _STRICT and now.estimate.attitude_age > SILENCE_LIMIT,
+    ),
+    Cause(
+        "speed",
+        f"faster than {SPEED_LIMIT:g} m/s",
+        _LAND,
+        "no landing needs it",
+        lambda _, now: now.estimate.speed > SPEED_LIMIT,
+    ),
+    Cause(
+        "heading",
+        f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
+        _LAND,
+        "yaw is not under control",
+        lambda _, now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT,
+    ),
+    Cause(
+        "astray",
+        f"more than {ASTRAY_LIMIT:g} m off a planned flight",
+        _LAND,
+        "no candidate flies so in the plan's simulations, which end at 0.4 m",
+        lambda _, now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT,
+    ),
+    Cause(
+        "battery",
+        f"below {LOWEST_VOLTAGE:g} V for {BATTERY_TIME:g} s",
+        _LAND,
+        "the firmware's critical level: seconds of thrust are left",
+        lambda _, now: now.voltage < LOWEST_VOLTAGE,
+        BATTERY_TIME,
+    ),
+    Cause(
+        "approach takes too long",
+        f"the start is not reached after {APPROACH_LIMIT:g} s",
+        _LAND,
+        "something differs from what the policy knows",
+        lambda _, now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT,
+    ),
+    Cause(
+        "landing takes too long",
+        "longer than an episode of the task (6 s)",
+        _LAND,
+        "as an episode ends",
+        lambda _, now: now.phase is Phase.LANDING and now.since > now.landing_limit,
+    ),
 )
 
 

@@ -1,18 +1,18 @@
-"""The Crazyflie behind cflib: connecting, what it logs, set-points, stopping."""
+"""The Crazyflie behind cflib: its URI, connecting, what it logs, set-points, stopping."""
 
 from __future__ import annotations
 
 import collections
 import contextlib
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying import frames, onboard
+from inclined_landing.eval.flying import frames, positions
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
-from inclined_landing.eval.flying.interfaces import Clock
-from inclined_landing.eval.flying.link import remedy
+from inclined_landing.eval.flying.interfaces import FlightClock
 from inclined_landing.models.errors import UserError, shown
 
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
@@ -21,6 +21,60 @@ STATUS_PERIOD = 100  # ms
 VARIANCE_PERIOD = 50  # ms
 REPEATS = 5  # of a command that is sent once, one after the other: any of them may get lost
 _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.info, see cflib's Supervisor
+UDEV = "https://www.bitcraze.io/documentation/repository/crazyflie-lib-python/master/installation/usb_permissions/"
+# Crazyradio by number or serial number, channel 0 to 125, rate, address.
+_RADIO = re.compile(
+    r"radio://(?P<dongle>[0-9]{1,3}|[0-9A-Fa-f]{10,32})/(?P<channel>[0-9]{1,3})"
+    r"(/(250K|1M|2M)(/[0-9A-Fa-f]{10})?)?(\?rate_limit=[1-9][0-9]{0,5})?",
+    re.ASCII,
+)
+_REMEDIES = {  # by scheme, where a vehicle does not answer
+    "radio": "is the vehicle on, are channel, rate and address its own, and is the Crazyradio free?",
+    "usb": "is the vehicle connected by its cable?",
+    "udp": "does anything answer there, as `landing-eval crazyflie` does?",
+}
+
+
+def check_uri(uri: str) -> None:
+    """Raise UserError for a URI that cflib does not understand or would misread.
+
+    cflib flies an unknown rate at 2M, and puts zeros before a short address.
+    """
+    if udp := re.fullmatch(r"udp://([^/?#@:\s]+:[0-9]{1,5})", uri):
+        positions.resolved(udp[1])
+        return
+    radio = _RADIO.fullmatch(uri)
+    if not ((radio and int(radio["channel"]) <= 125) or re.fullmatch(r"usb://[0-9]{1,3}", uri, re.ASCII)):
+        raise UserError(
+            "--uri must look like radio://0/80/2M/E7E7E7E7E7 (Crazyradio, channel up to 125, rate 250K, 1M "
+            "or 2M, address of ten hexadecimal digits), usb://0 or udp://127.0.0.1:19850, not "
+            f"{shown(repr(uri), 60)}"
+        )
+
+
+def find_radio(uri: str) -> None:
+    """Raise UserError where the Crazyradio that `uri` names is not plugged in or cannot be opened."""
+    match = _RADIO.fullmatch(uri)
+    if match is None:
+        return
+    from cflib.drivers.crazyradio import get_serials
+
+    try:
+        serials = get_serials()
+    except Exception as error:  # pyusb's and libusb's, whatever they are
+        raise UserError(
+            f"the Crazyradio cannot be opened ({shown(error, 100)}); on Linux udev rules give access: {UDEV}"
+        ) from error
+    dongle = match["dongle"]
+    if not serials:
+        raise UserError(
+            f"no Crazyradio found: plug it in; if it is, udev rules give access to it on Linux: {UDEV}"
+        )
+    if not (len(serials) > int(dongle) if len(dongle) < 10 else dongle.upper() in serials):
+        raise UserError(
+            f"there is no Crazyradio {shown(dongle, 40)}: found 0 to {len(serials) - 1}, "
+            f"serial numbers {shown(', '.join(map(str, serials)), 100)}"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +93,7 @@ class Radio:
     dry: nothing that moves a motor is sent.
     """
 
-    def __init__(self, crazyflie: Any, clock: Clock, angle_limit: float, *, dry: bool = False):
+    def __init__(self, crazyflie: Any, clock: FlightClock, angle_limit: float, *, dry: bool = False):
         self.crazyflie, self.clock, self.dry = crazyflie, clock, dry
         self.angle_limit = angle_limit  # rad
         self.lost: str | None = None  # why, once the link is
@@ -57,11 +111,6 @@ class Radio:
 
     def connect(self, uri: str) -> None:
         """Open the link and start the logs. Raises UserError where that fails."""
-        self.open(uri)
-        self._start_logs()
-
-    def open(self, uri: str) -> None:
-        """Open the link. Raises UserError where that fails."""
         end = self.clock.now() + CONNECTING
         self.crazyflie.open_link(uri)
         while not self._connected:
@@ -69,10 +118,10 @@ class Radio:
                 reason = (self.lost or f"no answer for {CONNECTING:g} s").strip().partition("\n")[0]
                 self.close()
                 reason = reason.removeprefix("Couldn't load link driver: ")
-                raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{remedy(uri)}")
+                remedy = _REMEDIES.get(uri.partition("://")[0])
+                hint = f"; {remedy}" if remedy else ""
+                raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{hint}")
             self.clock.wait_until(self.clock.now() + 0.02)
-
-    def _start_logs(self) -> None:
         specific_force = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
         self._log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
         try:
@@ -82,20 +131,20 @@ class Radio:
 
     def find_deck(self) -> str:
         """Return the deck that the connected vehicle positions itself by. Raises UserError for none."""
-        return onboard.find_deck(self.crazyflie.param.get_value)
+        return positions.find_deck(self.crazyflie.param.get_value)
 
-    def log_position(self, to: onboard.OnboardPosition) -> None:
+    def log_position(self, to: positions.OnboardPosition) -> None:
         """Start the logs of the vehicle's own position, and hand it on as it comes."""
 
         def position(stamp: int, data: dict[str, float], _) -> None:
             time = self._dates.date(stamp, self.clock.now())
-            to.add_position(time, np.array([data[name] for name in onboard.POSITION]))
+            to.add_position(time, np.array([data[name] for name in positions.POSITION]))
 
         def variance(stamp: int, data: dict[str, float], _) -> None:
-            to.add_variance(np.array([data[name] for name in onboard.VARIANCE]))
+            to.add_variance(np.array([data[name] for name in positions.VARIANCE]))
 
-        self._log("variance", VARIANCE_PERIOD, onboard.VARIANCE, variance)
-        self._log("position", ATTITUDE_PERIOD, onboard.POSITION, position)
+        self._log("variance", VARIANCE_PERIOD, positions.VARIANCE, variance)
+        self._log("position", ATTITUDE_PERIOD, positions.POSITION, position)
 
     def received(self) -> list[Attitude | Status]:
         """Return what has arrived since the last call, in order."""

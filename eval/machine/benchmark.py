@@ -67,7 +67,8 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
     """
     rng = np.random.default_rng(seed)
     task = make_task("landing", pwm_centre="hover")
-    environments, rates = {}, {label: [] for label in _PLANTS}
+    environments: dict[str, BatchVecEnv] = {}
+    rates: dict[str, list[float]] = {label: [] for label in _PLANTS}
     for label, (kind, options) in _PLANTS.items():
         batch = BatchEnv(task, make_plant(kind, VEHICLES, task.vehicle, **options), seed)
         environments[label] = BatchVecEnv(batch)

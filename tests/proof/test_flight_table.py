@@ -12,9 +12,9 @@ import pytest
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval.flying.consistency import TIME_CONSTANT, ConsistencyMonitor
-from inclined_landing.eval.flying.fly import load_flight
-from inclined_landing.eval.flying.pilot import Plan
+from inclined_landing.eval.flying.estimate import TIME_CONSTANT, ConsistencyMonitor
+from inclined_landing.eval.flying.fly import FlightOptions
+from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
@@ -29,8 +29,8 @@ logging.getLogger("cflib").setLevel(logging.CRITICAL)
 
 @pytest.fixture(scope="module")
 def plan():
-    landing, hover, starts = load_flight("landing", "setpoint", (), None, None)
-    return Plan(landing, hover, starts[2])
+    landing, hover, starts = FlightOptions("landing").load()
+    return FlightPlan(landing, hover, starts[2])
 
 
 def trace(states, touching, running):
@@ -102,7 +102,7 @@ def test_a_fault_is_safe_in_time_at_rest_and_inside(plan):
 def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
     """From hover at each of the starts: 0.5 s of full thrust and lean, then full thrust, then none."""
     v = plan.landing.task.vehicle
-    starts = load_flight("landing", "setpoint", (), None, None)[2]
+    starts = FlightOptions("landing").load()[2]
     plant, farthest = make_plant("mujoco", 2 * len(starts), v, threads=1), 0.0
     plant.set_platform(np.arange(plant.n), 0.0, False)
     plant.reset(np.arange(plant.n), hover_states(np.array([[x, 0.0, z] for x, z in starts * 2]), v))

@@ -14,16 +14,26 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.flying.simulated.firmware import Setpoint
+from inclined_landing.eval.flying.simulated.firmware import FirmwareSetpoint
 from inclined_landing.models import attitude_loops, forces
 from inclined_landing.models.attitude import LAG, ROLL, VX, YAW, quaternion, rotation, tilted
+from inclined_landing.models.effects import apply
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.vehicle import Vehicle
 
 FLOOR = 2  # index of the floor in geometry.SURFACES
 _SETTLING = 1e-4  # m by which the feet are set into the floor
+# Gaps of the hidden vehicle, unknown to every policy: the thrust of the paper's flights, an attitude
+# estimate levelled on a table that was not, and what a radio and firmware queues add in delay.
+HIDDEN = {
+    "thrust_scale": {"scale": 0.88},
+    "level_calibration": {"roll": math.radians(0.6), "pitch": math.radians(-1.0)},
+    "thrust_delay": {"delay": 0.015},
+    "attitude_delay": {"delay": 0.015},
+}
 
 
 class Body:
@@ -93,7 +103,7 @@ class Body:
         """Whether slab, base and floor were in contact in the last step, (3,) bool."""
         return self.plant.contacts.touch[0].any(axis=1)
 
-    def step(self, setpoint: Setpoint) -> None:
+    def step(self, setpoint: FirmwareSetpoint) -> None:
         """Advance by one engine step under the firmware's set-point."""
         self._command[0] = plant_command(setpoint)
         self.plant.step(self._command)
@@ -140,6 +150,16 @@ class Body:
         return forces.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
 
 
+def named_vehicle(name: str) -> Vehicle:
+    """Return the vehicle "nominal", "hidden" (HIDDEN applied to the nominal one), or that of a vehicle file.
+
+    Raises UserError for a file that cannot be read.
+    """
+    if name == "nominal":
+        return load_vehicle()
+    return apply(load_vehicle(), HIDDEN) if name == "hidden" else load_vehicle(name)
+
+
 def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
     """Return roll, pitch, yaw [deg] as the firmware logs them, from the project's angles [rad]."""
     r = rotation(roll, pitch, yaw)
@@ -151,7 +171,7 @@ def firmware_attitude(roll: float, pitch: float, yaw: float) -> tuple[float, flo
     )
 
 
-def plant_command(setpoint: Setpoint) -> tuple[float, float, float, float]:
+def plant_command(setpoint: FirmwareSetpoint) -> tuple[float, float, float, float]:
     """Return PWM, roll, pitch [rad], yaw rate [rad/s] of the plant for a set-point of the firmware.
 
     The rotors' axis is the same in both conventions: (sin p cos r, -sin r, cos p cos r) for the firmware's r

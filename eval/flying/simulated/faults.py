@@ -4,81 +4,65 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Any
 
+from inclined_landing.eval.flying.simulated.sensors import SAG_RATE
 from inclined_landing.models.errors import UserError, shown
-
-if TYPE_CHECKING:
-    from inclined_landing.eval.flying.simulated.world import World
 
 SWAP = 0.3  # m by which the pose jumps when markers are swapped
 BURST_LOSS, BURST_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]
-DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `dead_man`: the slowest of six over UDP
-SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
+DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `DeadManSwitch`: the slowest of six over UDP
 EVENTS = ("start", "air", "low", "near")
 
 
-def _set(name: str, **changes) -> Callable[[World], None]:
-    """Return a fault that permanently sets attributes of a part of the world."""
+@dataclasses.dataclass(frozen=True)
+class FaultKind:
+    """What goes wrong, and the method of `World` that lets it."""
 
-    def begin(world: World) -> None:
-        for key, value in changes.items():
-            setattr(getattr(world, name), key, value)
-
-    return begin
-
-
-def _link_lost(world: World) -> None:
-    world.up.down = world.down.down = True
-    link = world.up.link
-    world.schedule(world.time + link.attempts * link.again, world.report_link_lost)
+    what: str
+    method: str
+    arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def _killed(world: World) -> None:
-    world.up.down = world.down.down = True
-    world.schedule(world.time + DEAD_MAN_DELAY, lambda: world.firmware.stop_now())
+def _set(what: str, part: str, **changes: Any) -> FaultKind:
+    """Return the kind that from now on sets attributes of a part of the world."""
+    return FaultKind(what, "change", {"part": part, **changes})
 
 
-def _storm(world: World) -> None:
-    world.up.storm = world.down.storm = BURST_LOSS
-
-    def end() -> None:
-        world.up.storm = world.down.storm = 0.0
-
-    world.schedule(world.time + BURST_LENGTH, end)
-
-
-def _swap(world: World) -> None:
-    direction = world.random.normal(size=3)
-    world.view.shift = SWAP * direction / math.sqrt(direction @ direction)
-
-
-# Name: what it is, and what begins.
-FAULTS: dict[str, tuple[str, Callable[[World], None]]] = {
-    "link-lost": ("no packet gets through, either way; cflib's driver gives up soon after", _link_lost),
-    "pilot-killed": (
+FAULTS = {
+    "link-lost": FaultKind(
+        "no packet gets through, either way; cflib's driver gives up soon after", "lose_link"
+    ),
+    "pilot-killed": FaultKind(
         f"the pilot's process is gone; the one that outlives it sends a stop {DEAD_MAN_DELAY:g} s later",
-        _killed,
+        "kill_pilot",
+        {"delay": DEAD_MAN_DELAY},
     ),
-    "uplink-lost": ("set-points do not arrive; the log goes on", _set("up", down=True)),
-    "downlink-lost": ("the log stops; set-points arrive", _set("down", down=True)),
-    "packet-storm": (f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways", _storm),
-    "mocap-lost": ("the cameras see nothing any more", _set("view", blind=True)),
-    "mocap-frozen": ("the same pose again and again, with new times", _set("view", frozen=True)),
-    "mocap-stuck": ("a marker left behind: the pose stays where it was", _set("view", stuck=True)),
-    "marker-swap": (f"the pose jumps by {SWAP:g} m in a random direction", _swap),
-    "attitude-turned": ("the pose shows the vehicle turned by half a turn", _set("view", turned=True)),
-    "deck-blind": (
+    "uplink-lost": _set("set-points do not arrive; the log goes on", "up", down=True),
+    "downlink-lost": _set("the log stops; set-points arrive", "down", down=True),
+    "packet-storm": FaultKind(
+        f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways",
+        "begin_storm",
+        {"share": BURST_LOSS, "seconds": BURST_LENGTH},
+    ),
+    "mocap-lost": _set("the cameras see nothing any more", "view", blind=True),
+    "mocap-frozen": _set("the same pose again and again, with new times", "view", frozen=True),
+    "mocap-stuck": _set("a marker left behind: the pose stays where it was", "view", stuck=True),
+    "marker-swap": FaultKind(
+        f"the pose jumps by {SWAP:g} m in a random direction", "swap_markers", {"distance": SWAP}
+    ),
+    "attitude-turned": _set("the pose shows the vehicle turned by half a turn", "view", turned=True),
+    "deck-blind": _set(
         "the Lighthouse or Flow deck sees nothing any more: the onboard position is added up",
-        _set("deck", blind=True),
+        "deck",
+        blind=True,
     ),
-    "attitude-wrong": ("the onboard roll and pitch have the wrong sign", _set("sensors", sign=-1.0)),
-    "low-battery": (
-        f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it",
-        _set("sensors", failing=True),
+    "attitude-wrong": _set("the onboard roll and pitch have the wrong sign", "sensors", sign=-1.0),
+    "low-battery": _set(
+        f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it", "sensors", failing=True
     ),
-    "reboot": ("the vehicle restarts: motors off, link lost", lambda world: world.reboot()),
+    "reboot": FaultKind("the vehicle restarts: motors off, link lost", "reboot"),
 }
 
 
@@ -115,10 +99,6 @@ class Fault:
                 f"{', '.join(EVENTS)}"
             )
         return Fault(name, event, after)
-
-    def begin(self, world: World) -> None:
-        """Begin the fault now."""
-        FAULTS[self.name][1](world)
 
     def __str__(self) -> str:
         return f"{self.name}@{self.event}+{self.after:g}"

@@ -57,7 +57,7 @@ _ARMED = _CAN_FLY | {State.ARMING}
 
 
 @dataclasses.dataclass(frozen=True)
-class Conditions:
+class SupervisorConditions:
     """The conditions of the supervisor's state transitions."""
 
     armed: bool
@@ -72,7 +72,7 @@ class Conditions:
 
 
 # From each state the first transition whose condition holds is taken, one per period.
-_TRANSITIONS: dict[State, tuple[tuple[State, Callable[[Conditions], bool]], ...]] = {
+_TRANSITIONS: dict[State, tuple[tuple[State, Callable[[SupervisorConditions], bool]], ...]] = {
     State.NOT_INITIALIZED: ((State.CHECKS_NOT_PASSED, lambda c: True),),
     State.CHECKS_NOT_PASSED: (
         (State.FREE_FALL, lambda c: c.emergency),
@@ -119,7 +119,7 @@ _TRANSITIONS: dict[State, tuple[tuple[State, Callable[[Conditions], bool]], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class Setpoint:
+class FirmwareSetpoint:
     """The commander's set-point, in the firmware's units and signs."""
 
     thrust: float = 0.0  # 0 to 60000
@@ -151,7 +151,7 @@ class Firmware:
     def __init__(self, said: Callable[[str], None] = lambda line: None):
         self.state = State.NOT_INITIALIZED
         self.parameters = Parameters()
-        self.setpoint = Setpoint()
+        self.setpoint = FirmwareSetpoint()
         self.thrust = 0.0  # that the motors have
         self.armed = self.crashed = self.emergency = self.tumbled = False
         self._print = said
@@ -171,17 +171,17 @@ class Firmware:
         if thrust == 0:
             self._locked = False
         limited = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
-        self._set(Setpoint(limited, roll, pitch, -yaw_rate, time))
+        self._set(FirmwareSetpoint(limited, roll, pitch, -yaw_rate, time))
 
     def receive_manual(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
         """Receive a generic "manual" set-point with angles: no thrust lock, and yaw is not inverted."""
-        self._set(Setpoint(float(thrust), roll, pitch, yaw_rate, time))
+        self._set(FirmwareSetpoint(float(thrust), roll, pitch, yaw_rate, time))
 
     def receive_stop(self, time: float) -> None:
         """Receive the generic "stop" set-point."""
-        self._set(Setpoint(time=time))
+        self._set(FirmwareSetpoint(time=time))
 
-    def _set(self, setpoint: Setpoint) -> None:
+    def _set(self, setpoint: FirmwareSetpoint) -> None:
         self.setpoint, self._commanded = setpoint, True
 
     def request_arming(self, arm: bool) -> bool:
@@ -230,32 +230,36 @@ class Firmware:
         )
         return sum(bit << k for k, bit in enumerate(bits))
 
-    def step(self, time: float, up: float, norm: float) -> Setpoint:
+    def step(self, time: float, up: float, norm: float) -> FirmwareSetpoint:
         """Return the set-point of motors and attitude loops from `time` on.
 
         up: acceleration along the body's z, as an accelerometer shows it [g]; norm: its size [g].
         """
-        setpoint = self.setpoint if self.can_fly else Setpoint()
+        setpoint = self.setpoint if self.can_fly else FirmwareSetpoint()
         if setpoint.thrust > 0.0:
             self._last_thrust = time
         if time - self._last_supervision >= PERIOD - 1e-9:
             self._last_supervision = time
             self._supervise(self._conditions(time, setpoint, up, norm), time)
         if self.state is State.LEVEL_OUT:
-            setpoint = Setpoint(setpoint.thrust, time=setpoint.time)
+            setpoint = FirmwareSetpoint(setpoint.thrust, time=setpoint.time)
         elif self.state not in _ARMED:
-            setpoint = Setpoint()
+            setpoint = FirmwareSetpoint()
         self.thrust = setpoint.thrust
         if setpoint.thrust == 0.0:
-            return Setpoint(time=setpoint.time)
+            return FirmwareSetpoint(time=setpoint.time)
         roll, pitch = (_bounded(angle, STEEPEST) for angle in (setpoint.roll, setpoint.pitch))
-        return Setpoint(setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time)
+        return FirmwareSetpoint(
+            setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time
+        )
 
-    def _conditions(self, time: float, setpoint: Setpoint, up: float, norm: float) -> Conditions:
+    def _conditions(
+        self, time: float, setpoint: FirmwareSetpoint, up: float, norm: float
+    ) -> SupervisorConditions:
         age = time - setpoint.time
         silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG
         self.tumbled = self._is_tumbled(time, up, norm)
-        return Conditions(
+        return SupervisorConditions(
             armed=self.armed,
             flying=time - self._last_thrust < FLYING_HYSTERESIS,
             tumbled=self.tumbled and bool(self.parameters.supervisor_tmblChckEn),
@@ -278,7 +282,7 @@ class Firmware:
         lasted = time - self._tilted_since
         return lasted > TILTED_TIME or (up < UPSIDE_DOWN and lasted > UPSIDE_DOWN_TIME)
 
-    def _supervise(self, conditions: Conditions, time: float) -> None:
+    def _supervise(self, conditions: SupervisorConditions, time: float) -> None:
         new = next((to for to, holds in _TRANSITIONS[self.state] if holds(conditions)), self.state)
         if new is self.state:
             return

@@ -1,7 +1,7 @@
 """A simulated Crazyflie as a process of its own: CRTP over UDP for cflib's `UdpDriver`, in real time.
 
 One datagram is one packet, its header and its data. A pilot connects to `udp://HOST:PORT`; poses go out as
-the datagrams of `pose_stream.py`. Killing the pilot leaves a vehicle in the air that must look after itself.
+the datagrams of `positions.py`. Killing the pilot leaves a vehicle in the air that must look after itself.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import socket
 import time
 from collections.abc import Callable
 
-from inclined_landing.eval.flying import pose_stream
-from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying import positions
+from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.simulated.body import FLOOR
 from inclined_landing.eval.flying.simulated.crtp import LARGEST, Packet
 from inclined_landing.eval.flying.simulated.firmware import State
@@ -90,8 +90,8 @@ class SimulatorServer:
         if self._peer is not None:
             self._datagram(self._radio, bytes([packet[0]]) + packet[1], self._peer)
 
-    def _show(self, pose: Pose) -> None:
-        self._datagram(self._poses, pose_stream.encode(pose, self.world.time), self._poses_to)
+    def _show(self, pose: MeasuredPose) -> None:
+        self._datagram(self._poses, positions.encode(pose, self.world.time), self._poses_to)
 
     @staticmethod
     def _datagram(sender: socket.socket, data: bytes, to: tuple[str, int]) -> None:

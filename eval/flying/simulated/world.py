@@ -13,27 +13,36 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.simulated import crtp
-from inclined_landing.eval.flying.simulated.body import FLOOR, Body, firmware_attitude
+from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
-from inclined_landing.eval.flying.simulated.deck import FLOW, LIGHTHOUSE, Deck
-from inclined_landing.eval.flying.simulated.faults import FLAT, SAG_RATE, Fault
-from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
-from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
-from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQuality
+from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
+from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
+from inclined_landing.eval.flying.simulated.sensors import (
+    DECKS,
+    FLOW,
+    LIGHTHOUSE,
+    OnboardSensors,
+    PositioningDeck,
+)
+from inclined_landing.eval.flying.simulated.transport import (
+    CameraQuality,
+    LinkDirection,
+    LinkQuality,
+    SimulatedMotionCapture,
+)
 from inclined_landing.eval.logs import FlightLog, write_log
-from inclined_landing.models.attitude import ROLL, VX, VZ, WX, YAW, X, Z
-from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.attitude import ROLL, VX, VZ, YAW, X, Z
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 BOOT = 1.0  # s from switching on until somebody connects
-_LOW_BATTERY, _LOW_AFTER = 3.2, 5.0  # V and s (platform_defaults_cf2.h), after which pm.state is "low"
 _NEAR, _LOW = 0.5, 0.3  # m, of the events that faults wait for
 # Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
 _ANSWERED_AT_ONCE = {
@@ -52,10 +61,14 @@ class Setting:
     heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     platform: bool = True  # does it stand there
-    deck: str | None = None  # that it positions itself by, of deck.DECKS
+    deck: str | None = None  # that it positions itself by, of sensors.DECKS
     charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
+
+    def __post_init__(self):
+        if self.deck not in (None, *DECKS):
+            raise UserError(f"unknown deck {shown(self.deck, 40)}; known are {', '.join(DECKS)}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,74 +100,12 @@ class Trace:
         )
 
 
-class OnboardSensors:
-    """The vehicle's own measurements. sign: -1 for inverted roll and pitch.
-
-    The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north, but by a
-    Lighthouse deck. Without a deck it knows no position: that is 0.
-    """
-
-    angle_noise = 0.1  # deg, standard deviation
-    voltage_noise = 0.01  # V
-
-    def __init__(
-        self, body: Body, firmware: Callable[[], Firmware], random: np.random.Generator, deck: Deck | None
-    ):
-        self.sign = 1.0
-        self.failing = False
-        self._body, self._firmware, self._random = body, firmware, random
-        self._deck = deck
-        seen = deck is not None and deck.kind == LIGHTHOUSE
-        self._heading = 0.0 if seen else body.estimate_at(0.0)[2]
-        self._low_since: float | None = None
-        self.voltage = body.voltage
-
-    def look(self, time: float) -> None:
-        """Measure the battery voltage; once per period of the supervisor."""
-        self.voltage = self._body.voltage + self._random.normal(0.0, self.voltage_noise)
-        if self.voltage >= _LOW_BATTERY:
-            self._low_since = None
-        elif self._low_since is None:
-            self._low_since = time
-        if self.failing and self._body.voltage > FLAT:
-            self._body.voltage_drop += SAG_RATE * PERIOD
-            sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
-            self._body.scale_thrust(max(0.0, 1.0 - sensitivity * self._body.voltage_drop))
-
-    def values(self, time: float) -> dict[str, float]:
-        """Return the log variables of crtp.LOGGED."""
-        body, firmware = self._body, self._firmware()
-        roll, pitch, yaw = body.estimate_at(time)
-        angles = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
-        angles = np.add(angles, self._random.normal(0.0, self.angle_noise, 3)).tolist()
-        position, variance = (np.zeros(3), 0.0) if self._deck is None else self._deck.estimate(time)
-        groups = {
-            "stateEstimate": zip(("roll", "pitch", "yaw", *"xyz"), [*angles, *position.tolist()]),
-            "kalman": zip(("varPX", "varPY", "varPZ"), [variance] * 3),
-            "stabilizer": zip(("roll", "pitch", "yaw"), angles),
-            "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
-            "acc": zip("xyz", body.specific_force.tolist()),
-        }
-        low = self._low_since is not None and time - self._low_since > _LOW_AFTER
-        return {
-            **{f"{group}.{name}": value for group, values in groups.items() for name, value in values},
-            "stabilizer.thrust": firmware.thrust,
-            "controller.cmd_thrust": firmware.thrust,
-            "pm.vbat": self.voltage,
-            "pm.vbatMV": 1000.0 * self.voltage,
-            "pm.state": 3.0 if low else 0.0,
-            "supervisor.info": firmware.info,
-            "sys.canfly": firmware.can_fly,
-            "sys.isFlying": firmware.state in (State.FLYING, State.LEVEL_OUT),
-            "sys.isTumbled": firmware.tumbled,
-        }
-
-
 class World:
     """A simulated Crazyflie with its surroundings, from the moment it is switched on.
 
-    to_host: called with every packet that arrives at the pilot's side; broken: called with a reason where
-    the link is given up. Raises UserError for a setting that cannot be.
+    on_packet is called with every packet that arrives at the pilot's side, on_link_lost with a reason where
+    the link is given up, on_message with every line of what happens, on_pose with every pose that arrives.
+    Raises UserError for a setting that cannot be.
     """
 
     def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
@@ -177,13 +128,15 @@ class World:
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
         self._switch_on()
-        self.deck = None if setting.deck is None else Deck(setting.deck, self.body, heading, positions)
+        self.deck = (
+            None if setting.deck is None else PositioningDeck(setting.deck, self.body, heading, positions)
+        )
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
         self.on_packet: Callable[[Packet], None] = lambda packet: None
         self.on_link_lost: Callable[[str], None] = lambda reason: None
         self.on_message: Callable[[str], None] = lambda line: None
-        self.on_pose: Callable[[Pose], None] = lambda pose: None
+        self.on_pose: Callable[[MeasuredPose], None] = lambda pose: None
         self.thrust = 0.0  # that the motors are given
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -261,15 +214,51 @@ class World:
         """Schedule an action at a time [s]."""
         heapq.heappush(self._queue, (time, next(self._count), action))
 
-    def report_link_lost(self) -> None:
-        """Report the link as lost, as cflib's radio driver does without acknowledgements."""
-        self.on_link_lost("Too many packets lost")
+    # --- what faults do --------------------------------------------------------------------------
+
+    def begin(self, fault: Fault) -> None:
+        """Begin a fault now, whatever event it was to wait for."""
+        self.on_message(f"fault: {fault.name}")
+        self.begun_faults.append((self.time, fault.name))
+        kind = FAULTS[fault.name]
+        getattr(self, kind.method)(**kind.arguments)
+
+    def change(self, part: str, **values: Any) -> None:
+        """Set attributes of a part of the world."""
+        for name, value in values.items():
+            setattr(getattr(self, part), name, value)
+
+    def lose_link(self) -> None:
+        """Let no packet through any more; report it as cflib's radio driver does without acknowledgements."""
+        self.up.down = self.down.down = True
+        end = self.time + self.up.link.attempts * self.up.link.again
+        self.schedule(end, lambda: self.on_link_lost("Too many packets lost"))
+
+    def kill_pilot(self, delay: float) -> None:
+        """Let nothing of the pilot through any more but the stop that is sent `delay` [s] later."""
+        self.up.down = self.down.down = True
+        self.schedule(self.time + delay, lambda: self.firmware.stop_now())
+
+    def begin_storm(self, share: float, seconds: float) -> None:
+        """Lose a share of the packets, both ways, for so many seconds."""
+        self.up.storm = self.down.storm = share
+
+        def end() -> None:
+            self.up.storm = self.down.storm = 0.0
+
+        self.schedule(self.time + seconds, end)
+
+    def swap_markers(self, distance: float) -> None:
+        """Shift the pose by a distance [m] in a random direction."""
+        direction = self.random.normal(size=3)
+        self.view.shift = distance * direction / math.sqrt(direction @ direction)
 
     def reboot(self) -> None:
         """Restart the vehicle in flight."""
         self._switch_on()
-        self.up.down = self.down.down = True
-        self.schedule(self.time + self.up.link.attempts * self.up.link.again, self.report_link_lost)
+        self.lose_link()
+
+    # --- what happens by itself ------------------------------------------------------------------
 
     def _receive(self, packet: Packet) -> None:
         for answer in self.services.answer(self.time, packet):
@@ -287,7 +276,7 @@ class World:
             arrival, pose = frame
             self.schedule(arrival, lambda: self._arrive(pose))
 
-    def _arrive(self, pose: Pose) -> None:
+    def _arrive(self, pose: MeasuredPose) -> None:
         self.view.arrive(pose)
         self.on_pose(pose)
 
@@ -332,12 +321,6 @@ class World:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
             self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
-
-    def begin(self, fault: Fault) -> None:
-        """Begin a fault now, whatever event it was to wait for."""
-        self.on_message(f"fault: {fault.name}")
-        self.begun_faults.append((self.time, fault.name))
-        fault.begin(self)
 
     @property
     def speed(self) -> float:

@@ -11,13 +11,20 @@ from scipy.stats import chi2
 
 from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.eval.flying import frames
-from inclined_landing.eval.flying.estimate import Attitude, ClockOffset, Estimator
-from inclined_landing.eval.flying.interfaces import Pose
-from inclined_landing.eval.flying.kalman import KalmanFilter, NoiseModel, process_noise, transition
+from inclined_landing.eval.flying.estimate import (
+    Attitude,
+    ClockOffset,
+    Estimator,
+    FilterNoise,
+    KalmanFilter,
+    process_noise,
+    transition,
+)
+from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.models.attitude import quaternion, rotation
 from inclined_landing.models.parameters import load_vehicle
 
-NOISE = NoiseModel.of(load_vehicle())
+NOISE = FilterNoise.of(load_vehicle())
 STEP = 1 / 120
 
 
@@ -116,7 +123,7 @@ def test_heading_comes_from_motion_capture():
         drift = own + 0.02 * t
         turned = frames.about_z(drift) @ rotation(*angles)
         estimator.add_attitude(Attitude(t, turned))
-        estimator.add_pose(Pose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
+        estimator.add_pose(MeasuredPose(t, np.full(3, 1e-4 * (k % 2)), np.array(quaternion(*angles))))
     estimate = estimator.predict(t)
     # The drift of 0.02 rad/s is followed HEADING_TIME = 0.5 s late: 0.01 rad.
     assert frames.angle_between(rotation(*angles), estimator.to_arena(estimator.attitude)) < 0.015
@@ -127,8 +134,8 @@ def test_heading_comes_from_motion_capture():
 
 def test_frozen_cameras_are_no_measurement():
     estimator = Estimator(NOISE)
-    assert estimator.add_pose(Pose(0.0, np.zeros(3)))
-    assert not any(estimator.add_pose(Pose(k * STEP, np.zeros(3))) for k in range(1, 60))
+    assert estimator.add_pose(MeasuredPose(0.0, np.zeros(3)))
+    assert not any(estimator.add_pose(MeasuredPose(k * STEP, np.zeros(3))) for k in range(1, 60))
     assert estimator.predict(0.5).pose_age == 0.5
 
 

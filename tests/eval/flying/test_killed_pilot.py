@@ -15,8 +15,8 @@ import pytest
 
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
-from inclined_landing.eval.flying.dead_man import DeadManSwitch
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.flying.watchdog import DeadManSwitch
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.errors import UserError
 
@@ -124,7 +124,7 @@ class Listener:
 
 HOLDER = """
 import os, sys
-from inclined_landing.eval.flying.dead_man import DeadManSwitch
+from inclined_landing.eval.flying.watchdog import DeadManSwitch
 with DeadManSwitch(sys.argv[1]):
     if sys.argv[2] == "dies":
         os.kill(os.getpid(), 9)

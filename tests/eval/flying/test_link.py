@@ -11,7 +11,7 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import vehicle
-from inclined_landing.eval.flying.link import UDEV, check_uri
+from inclined_landing.eval.flying.vehicle import UDEV, check_uri
 from inclined_landing.models.errors import UserError
 
 RADIO = "radio://0/80/2M/E7E7E7E7E7"
@@ -139,7 +139,7 @@ def test_a_link_that_fails_is_one_sentence_without_tracebacks(uri, sentence, tmp
     """By cflib's own drivers, which log tracebacks; the radio is unplugged after it was found."""
     radios(monkeypatch, ("E7E7E7E7E7",))
     monkeypatch.setattr(vehicle, "CONNECTING", 0.2)
-    monkeypatch.setattr("inclined_landing.eval.flying.motion_capture.open_capture", lambda *_: None)
+    monkeypatch.setattr("inclined_landing.eval.flying.positions.open_capture", lambda *_: None)
     assert re.search(sentence, refused([f"--uri={uri}"], tmp_path, capfd))
 
 

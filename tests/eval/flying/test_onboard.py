@@ -9,15 +9,15 @@ import pytest
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.flying import onboard
-from inclined_landing.eval.flying.onboard import FLOW, LIGHTHOUSE, OnboardPosition
+from inclined_landing.eval.flying import positions
+from inclined_landing.eval.flying.positions import FLOW, LIGHTHOUSE, OnboardPosition
 from inclined_landing.eval.flying.simulated.body import Body
-from inclined_landing.eval.flying.simulated.deck import Deck, DeckQuality
+from inclined_landing.eval.flying.simulated.sensors import DeckQuality, PositioningDeck
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 VEHICLE = load_vehicle()
-UNSURE = np.full(3, 2 * onboard.UNSURE) ** 2
+UNSURE = np.full(3, 2 * positions.UNSURE) ** 2
 SURE = np.full(3, 1e-3)
 
 
@@ -41,7 +41,7 @@ def errors(kind, velocity, seconds, flights=40, blind=False):
     found = []
     for k in range(flights):
         body = _Moved(velocity)
-        deck = Deck(kind, body, 0.0, np.random.default_rng(k))
+        deck = PositioningDeck(kind, body, 0.0, np.random.default_rng(k))
         first = deck.estimate(0.0)[0] - body.state_at(0.0)[:3]
         deck.blind = blind
         for t in np.arange(0.01, seconds + 1e-9, 0.01):
@@ -69,7 +69,7 @@ def test_a_flow_deck_drifts_with_the_way_and_sees_its_height():
 
 
 def test_a_flow_deck_takes_the_platform_for_the_floor():
-    over = Deck("flow", _Moved((0.0, 0.0, 0.0), slab=1.0), 0.0, np.random.default_rng(0))
+    over = PositioningDeck("flow", _Moved((0.0, 0.0, 0.0), slab=1.0), 0.0, np.random.default_rng(0))
     assert over.estimate(0.0)[0][2] == pytest.approx(0.5, abs=0.01)
     body = Body(VEHICLE, start=(1.0, 0.0))
     assert body.ground_below(np.array([0.0, 0.0, 2.0])) == pytest.approx(VEHICLE.platform_surface_height)
@@ -79,12 +79,12 @@ def test_a_flow_deck_takes_the_platform_for_the_floor():
 
 
 def test_a_blind_deck_is_lost_and_says_so():
-    deck = Deck("lighthouse", _Moved((0.0, 0.0, 0.0)), 0.0, np.random.default_rng(0))
-    assert deck.estimate(0.0)[1] < onboard.UNSURE**2
+    deck = PositioningDeck("lighthouse", _Moved((0.0, 0.0, 0.0)), 0.0, np.random.default_rng(0))
+    assert deck.estimate(0.0)[1] < positions.UNSURE**2
     deck.blind = True
     for t in np.arange(0.01, 1.0, 0.01):
         variance = deck.estimate(t)[1]
-    assert variance > onboard.UNSURE**2
+    assert variance > positions.UNSURE**2
     assert np.linalg.norm(errors("lighthouse", (0.0, 0.0, 0.0), 3.0, 8, True), axis=1).mean() > 0.3
 
 
@@ -117,9 +117,9 @@ def test_a_flow_deck_begins_where_one_says_it_stands():
     ],
 )
 def test_the_deck_is_found_by_its_parameter(values, found):
-    assert onboard.find_deck(values.__getitem__) == found
+    assert positions.find_deck(values.__getitem__) == found
     with pytest.raises(UserError, match="neither a Lighthouse deck"):
-        onboard.find_deck(dict.fromkeys(values, "0").__getitem__)
+        positions.find_deck(dict.fromkeys(values, "0").__getitem__)
 
 
 def test_a_landing_by_lighthouse(tmp_path, capsys):

@@ -15,13 +15,13 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
-from inclined_landing.eval.flying import motion_capture, safety
 from inclined_landing.eval.flying import pilot as pilot_module
+from inclined_landing.eval.flying import positions, safety
 from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import RealClock
-from inclined_landing.eval.flying.motion_capture import Tracked, open_capture
-from inclined_landing.eval.flying.pilot import Pilot, Plan
-from inclined_landing.eval.flying.planned import PlannedFlight, read_planned
+from inclined_landing.eval.flying.pilot import Pilot
+from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
+from inclined_landing.eval.flying.positions import TrackedBody, open_capture
 from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -46,7 +46,7 @@ def policies():
 def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, seed=1, before=None, **options):
     """A flight: pilot, report, world. before: called with the pilot before it flies."""
     flight = fly_simulated(setting, seed=seed)
-    plan = Plan(*policies, start)
+    plan = FlightPlan(*policies, start)
     radio = Radio(flight.crazyflie, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
     radio.connect(flight.uri)
     options = {"say": lambda line: None, "hang_limit": 30.0} | options
@@ -312,7 +312,7 @@ def test_checks_refuse_what_must_not_fly(policies):
         radio = Radio(flight.crazyflie, flight.clock, 0.5)
         radio.connect(flight.uri)
         change(flight)
-        pilot = Pilot(radio, flight.clock, flight.motion_capture, Plan(*policies, NEAR, **plan))
+        pilot = Pilot(radio, flight.clock, flight.motion_capture, FlightPlan(*policies, NEAR, **plan))
         found = {check.name for check in pilot.check() if not check.passed}
         with pytest.raises(ValueError, match="checks"):
             pilot.fly()
@@ -365,7 +365,7 @@ def test_motion_capture_by_library():
             if next(frames) == 2:
                 self.rigidBodies = {"other": body, "cf": body}
 
-    tracked = Tracked(System(), "cf", RealClock(), latency=0.01)
+    tracked = TrackedBody(System(), "cf", RealClock(), latency=0.01)
     tracked.await_first()
     pose = tracked.latest()
     assert pose.position.tolist() == [1.0, 2.0, 3.0] and pose.attitude.tolist() == [1.0, 0.0, 0.0, 0.0]
@@ -387,7 +387,7 @@ def test_motion_capture_that_is_silent_or_refuses_is_said(connect, limit, said, 
     (tmp_path / "motioncapture.py").write_text(f"def connect(kind, options):\n    {connect}\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setitem(sys.modules, "motioncapture", SimpleNamespace())
-    monkeypatch.setattr(motion_capture, "CONNECTING", limit)
+    monkeypatch.setattr(positions, "CONNECTING", limit)
     with pytest.raises(UserError, match=said):
         open_capture("vicon:nowhere:cf", RealClock())
 

@@ -18,17 +18,26 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 from cflib.crazyflie.log import LogConfig
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.flying import pose_stream
-from inclined_landing.eval.flying.interfaces import Pose, RealClock
+from inclined_landing.eval.flying import positions
+from inclined_landing.eval.flying.interfaces import MeasuredPose, RealClock
 from inclined_landing.eval.flying.simulated import crtp, firmware
-from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude, plant_command
+from inclined_landing.eval.flying.simulated.body import (
+    HIDDEN,
+    Body,
+    firmware_attitude,
+    named_vehicle,
+    plant_command,
+)
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
-from inclined_landing.eval.flying.simulated.firmware import Firmware, Setpoint, State
-from inclined_landing.eval.flying.simulated.mocap import CameraQuality, SimulatedMotionCapture
-from inclined_landing.eval.flying.simulated.radio import LinkDirection, LinkQuality
+from inclined_landing.eval.flying.simulated.firmware import Firmware, FirmwareSetpoint, State
 from inclined_landing.eval.flying.simulated.server import SimulatorServer
-from inclined_landing.eval.flying.simulated.vehicles import HIDDEN, named_vehicle
+from inclined_landing.eval.flying.simulated.transport import (
+    CameraQuality,
+    LinkDirection,
+    LinkQuality,
+    SimulatedMotionCapture,
+)
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
@@ -88,7 +97,7 @@ def test_logged_angles_are_those_of_the_firmware(roll, pitch, yaw):
 
 @hypothesis.given(angles, angles)
 def test_setpoints_point_the_thrust_where_the_firmware_would(roll, pitch):
-    _, r, p, _ = plant_command(Setpoint(1.0, roll, pitch, 0.0))
+    _, r, p, _ = plant_command(FirmwareSetpoint(1.0, roll, pitch, 0.0))
     wanted = Rotation.from_euler("ZYX", [0.0, -pitch, roll], degrees=True).as_matrix()[:, 2]
     assert np.abs(rotation(r, p, 0.0)[:, 2] - wanted).max() < 1e-12
 
@@ -149,8 +158,8 @@ def test_the_accelerometer_feels_nothing_in_a_fall_and_gravity_s_reaction_on_the
     angle = sign * v.platform_inclination
     height = v.platform_surface_height + 0.025  # the feet 5 mm above the slope: a fall of 30 ms
     body = placed(angle, X=0.025 * math.sin(angle), Z=height, PITCH=angle)
-    assert np.abs(specific_force(body, Setpoint(), 0.02)).max() < 1e-3  # drag at 0.2 m/s
-    resting = specific_force(body, Setpoint(), 0.6)[-1]
+    assert np.abs(specific_force(body, FirmwareSetpoint(), 0.02)).max() < 1e-3  # drag at 0.2 m/s
+    resting = specific_force(body, FirmwareSetpoint(), 0.6)[-1]
     state = body.state
     assert body.touching[0] and np.linalg.norm(state[VX : VX + 3]) < 1e-3
     assert state[PITCH] == pytest.approx(angle, abs=0.01)
@@ -162,14 +171,14 @@ def test_the_accelerometer_feels_the_thrust_in_flight(share):
     """Thrust over weight, along the body's axis whatever its lean: 1 in hover."""
     v = load_vehicle()
     body = placed(Z=1.5, LAG=share * v.hover_lag, PITCH=0.2)
-    command = Setpoint(thrust=share * v.hover_pwm, pitch=-math.degrees(0.2))
+    command = FirmwareSetpoint(thrust=share * v.hover_pwm, pitch=-math.degrees(0.2))
     # Drag at 0.1 m/s, and the turning of a body that is not held still, in 20 ms.
     assert specific_force(body, command, 0.02) == pytest.approx(np.tile([0.0, 0.0, share], (5, 1)), abs=5e-3)
 
 
 def test_a_touch_is_felt():
     body = placed(X=1.0, Z=0.1)
-    hit = specific_force(body, Setpoint(), 0.8)
+    hit = specific_force(body, FirmwareSetpoint(), 0.8)
     assert hit[:, 2].max() > 2.0 and hit[-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
 
 
@@ -343,7 +352,7 @@ def test_cameras_see_with_their_noise_rate_and_latency():
 def test_the_newest_pose_is_the_one_taken_last():
     view = SimulatedMotionCapture(CameraQuality(), np.random.default_rng(0))
     for taken in (0.02, 0.01):
-        view.arrive(Pose(taken, np.full(3, taken)))
+        view.arrive(MeasuredPose(taken, np.full(3, taken)))
     assert view.latest().time == 0.02
 
 
@@ -479,8 +488,8 @@ def test_starts_that_cannot_be(start):
 )
 def test_poses_survive_the_stream(position, attitude, age, now):
     quaternion = np.array([0.5, -0.5, 0.5, 0.5]) if attitude else None
-    sent = Pose(now - age, np.array(position), quaternion)
-    got = pose_stream.decode(pose_stream.encode(sent, now), now + 3.0)
+    sent = MeasuredPose(now - age, np.array(position), quaternion)
+    got = positions.decode(positions.encode(sent, now), now + 3.0)
     assert np.abs(got.position - sent.position).max() < 1e-6
     assert got.time == pytest.approx(sent.time + 3.0, abs=2e-6)
     assert (got.attitude is None) is not attitude
@@ -493,7 +502,7 @@ def test_poses_survive_the_stream(position, attitude, age, now):
 @hypothesis.example(b'{"position": [1, 2, 1e999]}')
 @hypothesis.example(b"[" * 50)
 def test_datagrams_without_a_pose_are_none(data):
-    assert pose_stream.decode(data, 1.0) is None
+    assert positions.decode(data, 1.0) is None
 
 
 def test_the_process_answers_packets_and_streams_poses():
@@ -518,7 +527,7 @@ def test_the_process_answers_packets_and_streams_poses():
     with pytest.raises(UserError):
         SimulatorServer(World(Setting(), 3), process.port, ("127.0.0.1", 9), lines.append)
     process.close()
-    poses = [pose_stream.decode(receiver.recv(1024), 10.0) for _ in range(50)]
+    poses = [positions.decode(receiver.recv(1024), 10.0) for _ in range(50)]
     receiver.close()
     assert all(np.abs(pose.position[:2] - (1.0, 0.0)).max() < 0.01 for pose in poses)
     assert any("connected" in line for line in lines) and X == 0
@@ -552,9 +561,9 @@ def test_an_empty_datagram_does_not_end_the_poses():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.bind(("127.0.0.1", 0))
         port = sender.getsockname()[1]
-    stream = pose_stream.PoseStream(f"127.0.0.1:{port}", RealClock())
+    stream = positions.PoseStream(f"127.0.0.1:{port}", RealClock())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for data in (b"", bytes(65507), pose_stream.encode(Pose(0.0, np.ones(3), None), 0.0)):
+        for data in (b"", bytes(65507), positions.encode(MeasuredPose(0.0, np.ones(3), None), 0.0)):
             sender.sendto(data, ("127.0.0.1", port))
     end = time.monotonic() + 5.0
     while stream.latest() is None and time.monotonic() < end:
@@ -566,7 +575,7 @@ def test_an_empty_datagram_does_not_end_the_poses():
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "1" * 5000, "1_0", "٣", "x", ""])
 def test_ports_that_there_are_not_are_refused(port):
     with pytest.raises(UserError, match="a port from 1 to 65535"):
-        pose_stream.resolved(f"127.0.0.1:{port}")
+        positions.resolved(f"127.0.0.1:{port}")
     with pytest.raises(UserError, match="port 70000 cannot be used"):
         SimulatorServer(World(Setting(), 3), 70000, ("127.0.0.1", 9))
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.eval.flying import safety
-from inclined_landing.eval.flying.pilot import Pilot, Plan, Report
+from inclined_landing.eval.flying.pilot import FlightReport, Pilot
+from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
@@ -53,13 +54,13 @@ class Flown:
     """A flight as the pilot reports it, and as it was."""
 
     seed: int
-    report: Report
+    report: FlightReport
     truth: Truth
     faults: tuple[tuple[float, str], ...]  # when, which
 
 
 def fly_once(
-    plan: Plan,
+    plan: FlightPlan,
     setting: Setting,
     seed: int,
     *,
@@ -103,7 +104,7 @@ def fly_once(
     return Flown(seed, report, truth_of(world.trace, plan), tuple(world.begun_faults))
 
 
-def truth_of(trace: Trace, plan: Plan) -> Truth:
+def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
     """What happened, from every engine step."""
     task, v = plan.landing.task, plan.landing.task.vehicle
     state, time = trace.state, trace.time

@@ -11,8 +11,9 @@ import numpy as np
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import tables
 from inclined_landing.eval.flying import safety
-from inclined_landing.eval.flying.interfaces import Clock
-from inclined_landing.eval.flying.pilot import Pilot, Plan
+from inclined_landing.eval.flying.interfaces import FlightClock
+from inclined_landing.eval.flying.pilot import Pilot
+from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
 from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
@@ -40,7 +41,7 @@ class Case:
 
 
 def _of(name: str, limit: float, outside: float, why: str) -> Case:
-    return Case(name, FAULTS[name][0], limit, outside, why)
+    return Case(name, FAULTS[name].what, limit, outside, why)
 
 
 _BY_ITSELF = "the firmware: level after 0.5 s with the last thrust, off after 1 s without notice"
@@ -74,7 +75,7 @@ CASES = (
 )
 
 
-def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
+def fly_case(case: Case, plan: FlightPlan, setting: Setting, seed: int) -> Flown:
     """One flight with it, at a drawn moment: in the approach for even seeds, else the landing."""
     random = np.random.default_rng((seed, 1))
     in_landing = (seed % 2 == 1 and case.name != "setpoint-nan") or case.name == "policy-nan"
@@ -84,7 +85,7 @@ def fly_case(case: Case, plan: Plan, setting: Setting, seed: int) -> Flown:
         which = {"in_landing": (fault,)} if in_landing else {"faults": (fault,)}
         return fly_once(plan, setting, seed, **which)
     moments: list[float] = []
-    clocks: list[Clock] = []
+    clocks: list[FlightClock] = []
 
     def happen() -> None:
         moments.append(clocks[0].now())
@@ -134,7 +135,7 @@ def fly_cases(
     for case, own in zip(CASES, numbers):
         flown = []
         for k, number in enumerate(own):
-            plan = Plan(landing, hover, starts[k // 2 % len(starts)])
+            plan = FlightPlan(landing, hover, starts[k // 2 % len(starts)])
             flown.append(fly_case(case, plan, setting, int(number) // 2 * 2 + k % 2))
             done()
         records.append(record(case, flown))

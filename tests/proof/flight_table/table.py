@@ -12,9 +12,9 @@ import numpy as np
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import statistics, tables
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
-from inclined_landing.eval.flying.fly import load_flight
-from inclined_landing.eval.flying.pilot import Plan
-from inclined_landing.eval.flying.simulated.vehicles import named_vehicle
+from inclined_landing.eval.flying.fly import FlightOptions
+from inclined_landing.eval.flying.plan import FlightPlan
+from inclined_landing.eval.flying.simulated.body import named_vehicle
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.models.errors import UserError
 from tests.proof.flight_table.chain import Flown, fly_once
@@ -88,7 +88,7 @@ def read(policies: Sequence[str], vehicles: Sequence[str]) -> tuple[dict[str, Lo
     if not policies or not vehicles:
         raise UserError("name at least one policy and one vehicle")
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
-    return {name: load_flight(name, "setpoint", (), None, None) for name in policies}, settings
+    return {name: FlightOptions(name).load() for name in policies}, settings
 
 
 def fly_table(
@@ -106,7 +106,7 @@ def fly_table(
             for start, own in zip(starts, seeds_of(seed, len(starts), flights)):
                 flown.append([])
                 for number in own:
-                    flown[-1].append(fly_once(Plan(landing, hover, start), setting, int(number)))
+                    flown[-1].append(fly_once(FlightPlan(landing, hover, start), setting, int(number)))
                     done()
             rows.append(Row(policy, vehicle, tuple(starts), tuple(map(tuple, flown))))
     return rows

@@ -1,4 +1,4 @@
-"""Motion capture of the simulated vehicle: late, noisy, and sometimes blind."""
+"""What comes between the vehicle and its pilot: a radio and cameras, late, noisy, and not always there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,45 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import Pose
+from inclined_landing.eval.flying.interfaces import MeasuredPose
+
+
+@dataclasses.dataclass(frozen=True)
+class LinkQuality:
+    """Latency and losses of the radio, the same in both directions.
+
+    The Crazyradio sends a packet again until it is acknowledged, so what goes wrong on the air is mostly a
+    delay. The figures are estimates: bitcraze's own measurements give round trips of 4 to 10 ms at 2 Mbit/s.
+    """
+
+    latency: float = 0.003  # s, from call to arrival, when the first attempt succeeds
+    jitter: float = 0.001  # s, mean of an exponential on top
+    failing: float = 0.05  # share of the attempts that fail
+    again: float = 0.002  # s per further attempt
+    attempts: int = 100  # after which cflib's radio driver gives the link up (`_nr_of_retries`)
+    lost: float = 0.005  # share of the packets lost for good, in full queues
+
+
+class LinkDirection:
+    """One direction of the link. down: nothing gets through; storm: share of packets lost on top."""
+
+    def __init__(self, link: LinkQuality, random: np.random.Generator):
+        self.link = link
+        self.down = False
+        self.storm = 0.0
+        self._random = random
+        self._last = 0.0
+
+    def arrival(self, time: float) -> float | None:
+        """Return the arrival time of a packet sent at `time` [s]; None when it is lost."""
+        link, random = self.link, self._random
+        lost = random.random() < link.lost + self.storm
+        failed = random.geometric(1.0 - link.failing) - 1
+        delay = link.latency + random.exponential(link.jitter) + failed * link.again
+        if self.down or lost or failed >= link.attempts:
+            return None
+        self._last = max(self._last, time + delay)
+        return self._last
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,8 +67,8 @@ class SimulatedMotionCapture:
     """The simulated `MotionCapture`, with its faults.
 
     blind: no pose; frozen: the last one again and again, with new times; stuck: the place where it was, with
-    fresh noise; shift (3,) [m]: another marker taken
-    for the vehicle's; turned: the attitude shown the wrong way round.
+    fresh noise; shift (3,) [m]: another marker taken for the vehicle's; turned: the attitude shown the wrong
+    way round.
     """
 
     def __init__(self, cameras: CameraQuality, random: np.random.Generator):
@@ -41,13 +79,15 @@ class SimulatedMotionCapture:
         self._hidden_until = 0.0
         self._stuck_at: np.ndarray | None = None
         self._frame: tuple[np.ndarray, np.ndarray] | None = None
-        self._pose: Pose | None = None
+        self._pose: MeasuredPose | None = None
 
-    def latest(self) -> Pose | None:
+    def latest(self) -> MeasuredPose | None:
         """Return the newest pose that has arrived."""
         return self._pose
 
-    def expose(self, time: float, position: np.ndarray, attitude: np.ndarray) -> tuple[float, Pose] | None:
+    def expose(
+        self, time: float, position: np.ndarray, attitude: np.ndarray
+    ) -> tuple[float, MeasuredPose] | None:
         """Return arrival time and pose of a frame at `time` [s]; None where nothing is seen."""
         c, random = self.cameras, self._random
         delay = c.latency + random.exponential(c.jitter)
@@ -64,9 +104,9 @@ class SimulatedMotionCapture:
                 seen = _multiplied(seen, np.array([0.0, 0.0, 0.0, 1.0]))
             self._frame = position + noise + self.shift, seen
         # A system knows its latency, and not how late a single packet is.
-        return time + delay, Pose(time + delay - c.latency, *self._frame)
+        return time + delay, MeasuredPose(time + delay - c.latency, *self._frame)
 
-    def arrive(self, pose: Pose) -> None:
+    def arrive(self, pose: MeasuredPose) -> None:
         """Store a pose as the newest one, unless there is a newer one."""
         if self._pose is None or pose.time >= self._pose.time:
             self._pose = pose
