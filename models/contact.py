@@ -49,34 +49,24 @@ _MEASURED = (0.0, 0.10, 0.172, 0.237, 0.357, 0.472, 0.581, 0.688, 0.795, 0.897, 
 _OF_SPRING = (0.0, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 0.95)
 
 
+def _within(value, low: float, high: float, what: str, unit: str = "") -> np.ndarray:
+    """Return `value` as an array if all of it is from `low` to `high`, else raise UserError."""
+    value = np.asarray(value, float)
+    outside = ~((value >= low - 1e-12) & (value <= high + 1e-12))
+    if outside.any():
+        wrong = float(value[outside].flat[0])
+        raise UserError(f"{what} must be from {low:g} to {high:g}{unit}, not {wrong:g}{unit}")
+    return value
+
+
 def check_restitution(restitution) -> np.ndarray:
     """Return `restitution` as an array if all of it is in the supported range, else raise UserError."""
-    value = np.asarray(restitution, float)
-    low, high = RESTITUTION
-    if not (np.isfinite(value).all() and (value >= low).all() and (value <= high).all()):
-        raise UserError(f"restitution must be from {low:g} to {high:g}, not {_worst(value, low, high):g}")
-    return value
-
-
-def check_contact_time(contact_time) -> np.ndarray:
-    """Return `contact_time` [s] as an array if all of it is in the supported range, else UserError."""
-    value = np.asarray(contact_time, float)
-    low, high = CONTACT_TIME
-    if not (np.isfinite(value).all() and (value >= low - 1e-12).all() and (value <= high + 1e-12).all()):
-        raise UserError(
-            f"contact time must be from {low:g} to {high:g} s, not {_worst(value, low, high):g} s"
-        )
-    return value
+    return _within(restitution, *RESTITUTION, "restitution")
 
 
 def check_friction(friction) -> np.ndarray:
     """Return the friction coefficient as an array if it is from 0 to MOST_FRICTION, else UserError."""
-    value = np.asarray(friction, float)
-    if not (np.isfinite(value).all() and (value >= 0).all()):
-        raise UserError(f"friction must not be negative, it is {_worst(value, 0.0, np.inf):g}")
-    if (value > MOST_FRICTION).any():
-        raise UserError(f"friction must be at most {MOST_FRICTION:g}, it is {value.max():g}")
-    return value
+    return _within(friction, 0.0, MOST_FRICTION, "friction")
 
 
 def check_solref(value) -> np.ndarray:
@@ -99,16 +89,7 @@ def check_foot_height(height, nominal: float) -> np.ndarray:
     At least 60 % of the nominal reach, so that the feet stay below the body's collision box, and at most
     three times it.
     """
-    value = np.asarray(height, float)
-    low, high = 0.6 * nominal, 3.0 * nominal
-    if not (np.isfinite(value).all() and (value >= low).all() and (value <= high).all()):
-        raise UserError(f"foot height must be from {low:g} to {high:g} m, not {_worst(value, low, high):g} m")
-    return value
-
-
-def _worst(value: np.ndarray, low: float, high: float) -> float:
-    outside = ~((value >= low) & (value <= high))
-    return float(value[outside].flat[0]) if outside.any() else math.nan
+    return _within(height, 0.6 * nominal, 3.0 * nominal, "foot height", " m")
 
 
 def solref(restitution, contact_time, gravity: float) -> np.ndarray:
@@ -121,7 +102,9 @@ def solref(restitution, contact_time, gravity: float) -> np.ndarray:
 
     Raises UserError outside of the supported ranges.
     """
-    return spring(check_restitution(restitution), check_contact_time(contact_time), gravity)
+    return spring(
+        check_restitution(restitution), _within(contact_time, *CONTACT_TIME, "contact time", " s"), gravity
+    )
 
 
 def spring(restitution, contact_time, gravity: float) -> np.ndarray:

@@ -315,26 +315,6 @@ def _text(value) -> str:
 
 
 @functools.lru_cache(maxsize=16)
-def compile_scene(
-    vehicle: Vehicle,
-    *,
-    keep_out: Zone = 0.0,
-    timestep: Period = ENGINE_STEP,
-    integrator: str = "RK4",
-    torque_limit: bool = True,
-    pooled: float | None = None,
-    moving: bool = False,
-    loaded: bool | None = None,
-) -> mujoco.MjModel:
-    """The compiled scene for simulation, without visual geoms; one model per set of arguments."""
-    return build_spec(
-        vehicle,
-        visuals=False,
-        keep_out=keep_out,
-        timestep=timestep,
-        integrator=integrator,
-        torque_limit=torque_limit,
-        pooled=pooled,
-        moving=moving,
-        loaded=loaded,
-    ).compile()
+def compile_scene(vehicle: Vehicle, **options) -> mujoco.MjModel:
+    """Return the compiled scene for simulation, without visual geoms; options as of `build_spec`."""
+    return build_spec(vehicle, visuals=False, **options).compile()

@@ -5,11 +5,8 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
 
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
-The terms are those of `equations.py` and of the plugin attributes in `plugin/README.md`. All that the gap
-workflow knows of an effect is in its entry: what it says, how it is told, and which constant of
-the vehicle it rescales. To add one that changes fields the `Vehicle` has, write its entry in the file of
-its family; new physics needs a field with its entry in the vehicle file, a line of
-`plugin/attributes.toml`, and its term in `equations.py` and in a plugin.
+The terms are those of `forces.py`, `attitude_loops.py` and the plugins' attributes (`plugin/README.md`). All
+that the gap workflow knows of an effect is in its entry. docs/howto/effect.md says how one is added.
 """
 
 from collections.abc import Mapping
@@ -19,18 +16,17 @@ from inclined_landing.models.effects import (
     attitude,
     battery,
     body,
-    contact,
     delays,
     motor,
-    platform,
     rotors,
+    touchdown,
 )
 from inclined_landing.models.effects import thrust as _thrust
 from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
 from inclined_landing.models.errors import UserError, choices
 from inclined_landing.models.vehicle import Vehicle
 
-_FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, contact, platform)
+_FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, touchdown)
 LIBRARY: dict[str, Effect] = {effect.name: effect for family in _FAMILIES for effect in family.EFFECTS}
 
 

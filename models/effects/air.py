@@ -21,9 +21,7 @@ def _ground_effect(vehicle, values):
 
 
 def _drag(name: str, parts: tuple[int, ...]) -> Parameter:
-    constant = FittedConstant(
-        f"rotor drag, {name}", field="drag_coefficients", number=lambda v, x: x, parts=parts
-    )
+    constant = FittedConstant(f"rotor drag, {name}", field="drag_coefficients", share=True, parts=parts)
     return Parameter(name, neutral=1.0, bounds=(0.0, 10.0), plausible=2.0, negligible=0.1, constant=constant)
 
 

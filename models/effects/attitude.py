@@ -40,13 +40,7 @@ def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
     """Roll and pitch added to a field of two angles."""
 
     def angle(axis: str, k: int) -> Parameter:
-        constant = FittedConstant(
-            name.format(axis),
-            field=field,
-            unit="rad",
-            number=lambda v, x: x + getattr(v, field)[k],
-            offset=True,
-        )
+        constant = FittedConstant(name.format(axis), field=field, unit="rad", offset=True, parts=(k,))
         size = -plausible if k else plausible
         return Parameter(
             axis, unit="rad", bounds=(-0.25, 0.25), plausible=size, negligible=0.0035, constant=constant
@@ -68,9 +62,7 @@ EFFECTS = (
                 bounds=(0.4, 1.8),
                 plausible=0.85,
                 negligible=0.02,
-                constant=FittedConstant(
-                    "attitude gain k", field="attitude_gain", number=lambda v, x: x * v.attitude_gain
-                ),
+                constant=FittedConstant("attitude gain k", field="attitude_gain"),
             ),
         ),
         regimes=("attitude_step", "lateral"),
@@ -96,10 +88,7 @@ EFFECTS = (
                 negligible=0.08,
                 manoeuvre=0.12,
                 constant=FittedConstant(
-                    "attitude time constant tau",
-                    field="attitude_time_constant",
-                    unit="s",
-                    number=lambda v, x: x * v.attitude_time_constant,
+                    "attitude time constant tau", field="attitude_time_constant", unit="s"
                 ),
             ),
         ),
@@ -128,10 +117,7 @@ EFFECTS = (
                 negligible=0.008,
                 manoeuvre=0.015,
                 constant=FittedConstant(
-                    "rate loop lag",
-                    field="attitude_bandwidth",
-                    unit="s",
-                    number=lambda v, x: x + 1.0 / v.attitude_bandwidth,
+                    "rate loop lag", field="attitude_bandwidth", unit="s", inverse=True, offset=True
                 ),
             ),
         ),
@@ -230,9 +216,7 @@ EFFECTS = (
                 plausible=0.9,
                 negligible=0.01,
                 manoeuvre=0.05,
-                constant=FittedConstant(
-                    "yaw rate gain", field="attitude_yaw_gain", number=lambda v, x: x * v.attitude_yaw_gain
-                ),
+                constant=FittedConstant("yaw rate gain", field="attitude_yaw_gain"),
             ),
             Parameter(
                 "time_constant",
@@ -242,10 +226,7 @@ EFFECTS = (
                 negligible=0.1,
                 manoeuvre=0.3,
                 constant=FittedConstant(
-                    "yaw rate time constant",
-                    field="attitude_yaw_bandwidth",
-                    unit="s",
-                    number=lambda v, x: x / v.attitude_yaw_bandwidth,
+                    "yaw rate time constant", field="attitude_yaw_bandwidth", unit="s", inverse=True
                 ),
             ),
         ),

@@ -10,9 +10,7 @@ def _delay(
 
     All have the same step: where their slopes bend, at whole rows of a log, they stay sums of each other.
     """
-    constant = FittedConstant(
-        name, field=field, unit="s", number=lambda v, x: x + getattr(v, field), offset=True
-    )
+    constant = FittedConstant(name, field=field, unit="s", offset=True)
     return Parameter(
         "delay",
         unit="s",

@@ -15,16 +15,27 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class FittedConstant:
-    """The vehicle's constant that a parameter rescales: what `landing-eval identify` fits and reports."""
+    """The vehicle's constant that a parameter changes: what `landing-eval identify` fits and reports."""
 
     name: str  # as a person calls it
     _: dataclasses.KW_ONLY
     field: str  # of Vehicle
     unit: str = "1"  # of the number reported
-    number: Callable[[Vehicle, float], float]  # reported for a vehicle whose parameter is this value
+    share: bool = False  # reported is the parameter itself
+    inverse: bool = False  # reported is 1 over the field
     also: tuple[str, ...] = ()  # fields that scale with it
-    offset: bool = False  # the parameter is added to the field, else the field is rescaled
-    parts: tuple[int, ...] = ()  # which numbers of the field it rescales; (): all
+    offset: bool = False  # the parameter is added to what is reported, else this is rescaled
+    parts: tuple[int, ...] = ()  # which numbers of the field it changes; (): all
+
+    def number(self, vehicle: Vehicle, value: float) -> float:
+        """Return what is reported for a vehicle whose parameter is `value`."""
+        if self.share:
+            return value
+        constant = getattr(vehicle, self.field)
+        constant = constant[self.parts[0]] if self.parts else constant
+        if self.offset:
+            return value + (1.0 / constant if self.inverse else constant)
+        return value / constant if self.inverse else value * constant
 
     def unit_of(self, vehicle: Vehicle) -> float:
         """Return by how much [unit] a factor greater by 1 changes the number; 1 for a share."""

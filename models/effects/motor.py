@@ -25,9 +25,7 @@ EFFECTS = (
                 bounds=(0.2, 5.0),
                 plausible=1.5,
                 negligible=0.08,
-                constant=FittedConstant(
-                    "thrust lag", field="thrust_lag_rate", unit="s", number=lambda v, x: x / v.thrust_lag_rate
-                ),
+                constant=FittedConstant("thrust lag", field="thrust_lag_rate", unit="s", inverse=True),
             ),
         ),
         regimes=("climb",),

@@ -21,7 +21,7 @@ EFFECTS = (
                 constant=FittedConstant(
                     "thrust gain",
                     field="thrust_state_gain",
-                    number=lambda v, x: x,
+                    share=True,
                     also=("thrust_direct_gain", "effects_thrust_bias"),
                 ),
             ),

@@ -245,9 +245,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
         if LIBRARY[effect].of_the_place:
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
-        c = p.constant or FittedConstant(
-            label.replace("_", " "), field="", unit=p.unit, number=lambda v, x: x
-        )
+        c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)
         ends = (float(np.clip(value + s * _half_width(problem, known), *p.bounds)) for s in (-1, 1))
         low, high = sorted(c.number(before, x) for x in ends)
         result.append(

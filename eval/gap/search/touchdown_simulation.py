@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.search.columns import Candidates
 from inclined_landing.eval.gap.search.rollout import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.effects.contact import spring_of
+from inclined_landing.models.effects.touchdown import spring_of
 from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly

@@ -1,6 +1,8 @@
-"""Effects on how vehicle and surfaces touch. MuJoCo only: the equations know no contact."""
+"""Effects that touchdowns show: of contact, which MuJoCo alone knows, and of where the platform stands."""
 
-from inclined_landing.models.effects.effect import Effect, Parameter, scaled
+import math
+
+from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
 
 
 def _spring(vehicle, stiffness: float, damping: float):
@@ -23,6 +25,13 @@ def spring_of(vehicle) -> tuple[float, float]:
     if first > 0:
         return 1.0 / (first * first * second * second), 2.0 / first
     return -first, -second
+
+
+def _tilt(vehicle, values):
+    tilt = vehicle.platform_inclination + values.get("offset", 0.0)
+    # The board keeps its length, so that its horizontal extent changes.
+    width = vehicle.platform_width * (math.cos(tilt) / math.cos(vehicle.platform_inclination))
+    return vehicle.changed(platform_inclination=tilt, platform_width=width)
 
 
 EFFECTS = (
@@ -70,5 +79,31 @@ EFFECTS = (
         # Friction in MuJoCo answers within 1/damping of the contact: with less damping vehicles slide
         # further than feet do.
         couples_with=("friction",),
+    ),
+    Effect(
+        name="platform_height",
+        description="The platform's surface is higher or lower than measured.",
+        formula="surface height at x = 0: platform_surface_height + offset",
+        source="bookkeeping; a tape measure is good for about 5 mm",
+        parameters=(Parameter("offset", unit="m", bounds=(-0.15, 0.15), plausible=0.02, negligible=0.001),),
+        regimes=("touchdown", "near_surface"),
+        confused_with=("platform_tilt", "contact_stiffness", "ground_effect"),
+        remedy="Put a motion capture marker on the platform, or the vehicle itself, and read its height.",
+        channels=("touchdown",),
+        apply=added("platform_surface_height", "offset"),
+        says="the platform's surface is off by {offset} in height",
+    ),
+    Effect(
+        name="platform_tilt",
+        description="The platform is tilted by another angle than measured.",
+        formula="inclination: platform_inclination + offset",
+        source="bookkeeping; a protractor is good for about 1 deg",
+        parameters=(Parameter("offset", unit="rad", bounds=(-0.2, 0.2), plausible=0.05, negligible=0.002),),
+        regimes=("touchdown", "near_surface"),
+        confused_with=("friction", "platform_height"),
+        remedy="Put a spirit level app or three markers on the platform and read the angle.",
+        channels=("touchdown",),
+        apply=_tilt,
+        says="the platform's tilt is off by {offset}",
     ),
 )
