@@ -13,7 +13,6 @@ import pytest
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
-from inclined_landing.models.plants import make_plant
 from inclined_landing.models.scene import build_spec
 from tests import ROOT
 
@@ -63,75 +62,41 @@ def test_a_variant_differs_where_it_says_so(load, text):
     assert heavy.thrust_lag_rate == load_vehicle().thrust_lag_rate
 
 
-def _without(line_start: str):
-    return lambda text: "\n".join(k for k in text.splitlines() if not k.startswith(line_start))
-
-
-WRONG = {
-    "missing entry": (_without("mass "), r"lacks entries: body\.mass; one that holds only"),
-    "unknown entry": (
-        lambda t: t.replace(
-            "[thrust]", '[thrust]\nlag = { value = 1, unit = "1", source = "x", uncertainty = 0 }'
-        ),
-        r"has unknown entries: thrust\.lag$",
+WRONG = {  # what stands in the file, what instead, part of the sentence
+    "missing": ("\nmass ", "\n#", r"lacks entries: body\.mass; one that holds only"),
+    "unknown": (
+        "[thrust]",
+        '[thrust]\nlag = { value = 1, unit = "1", source = "", uncertainty = 0 }',
+        r"thrust\.lag$",
     ),
-    "too few values": (
-        lambda t: t.replace("[0.04076521, 380.8359]", "[0.04076521]"),
+    "few": (
+        "[0.04076521, 380.8359]",
+        "[0.04076521]",
         r"motor\.pwm_to_speed needs a list of 2, it has a list of 1",
     ),
-    "too many values": (
-        lambda t: t.replace("value = 0.03303", "value = [0.03, 0.04]"),
-        r"body\.mass needs one number, it has a list of 2",
-    ),
-    "a list of one": (
-        lambda t: t.replace("value = 0.03303", "value = [0.03]"),
-        r"body\.mass needs one number, it has a list of 1",
-    ),
-    "one for a list": (
-        lambda t: t.replace("value = [-3.4, 3.4]", "value = 3.4"),
-        r"arena\.x needs a list of 2",
-    ),
-    "NaN": (lambda t: t.replace("value = 0.03303", "value = nan"), r"\[body\.mass\] value must be a number"),
-    "infinite": (
-        lambda t: t.replace("value = 15.467", "value = -inf"),
-        r"\[thrust\.lag_rate\] value must be a",
-    ),
-    "text": (lambda t: t.replace("value = 0.03303", 'value = "heavy"'), r"\[body\.mass\] value must be a"),
-    "no unit": (
-        lambda t: t.replace('unit = "kg", ', "", 1),
-        r"\[body\.mass\] lacks unit",
-    ),
-    "bare number": (lambda t: "mass = 0.03\n" + t, r"mass must be a table, not 0\.03"),
-    "negative mass": (
-        lambda t: t.replace("value = 0.03303", "value = -1.0"),
-        r"body\.mass is -1 kg; it must be from 0\.001 to 20 kg$",
-    ),
-    "another unit": (
-        lambda t: t.replace('unit = "kg"', 'unit = "g"'),
-        r"body\.mass must be in 'kg', not in 'g'",
-    ),
-    "another range": (lambda t: t.replace("[0.001, 20.0]", "[0, 99]"), r"body\.mass has a range of its own"),
-    "source": (
-        lambda t: t.replace('source = "[P] 50 Hz"', "source = 50"),
-        r"\[command\.control_period\] source must be text, not 50",
-    ),
+    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass needs one number, it has a list of 1"),
+    "NaN": ("value = 0.03303", "value = nan", r"\[body\.mass\] value must be a number"),
+    "text": ("value = 0.03303", 'value = "heavy"', r"\[body\.mass\] value must be a"),
+    "no unit": ('unit = "kg", ', "", r"\[body\.mass\] lacks unit"),
+    "negative": ("value = 0.03303", "value = -1.0", r"body\.mass is -1 kg; it must be from 0\.001 to 20 kg$"),
+    "unit": ('unit = "kg"', 'unit = "g"', r"body\.mass must be in 'kg', not in 'g'"),
+    "range": ("[0.001, 20.0]", "[0, 99]", r"body\.mass has a range of its own"),
     "uncertainty": (
-        lambda t: t.replace("uncertainty = 0.0003", "uncertainty = -1"),
-        r"\[body\.mass\] uncertainty must be text or a number of at least 0 or .*, not -1",
+        "uncertainty = 0.0003",
+        "uncertainty = -1",
+        r"\[body\.mass\] uncertainty must be text or a",
     ),
-    "not TOML": (lambda t: "<mujoco/>", r"is not TOML"),
+    "not TOML": ("[body]", "<mujoco/>", r"is not TOML"),
 }
 
 
 @pytest.mark.parametrize("problem", WRONG)
 def test_wrong_files_are_refused_in_one_sentence(load, text, problem):
-    change, sentence = WRONG[problem]
-    changed = change(text)
-    assert changed != text
+    there, instead, sentence = WRONG[problem]
+    assert there in text
     with pytest.raises(UserError, match=sentence) as error:
-        load(changed)
-    assert "vehicle.toml" in str(error.value)
-    assert "\n" not in str(error.value)
+        load(text.replace(there, instead, 1))
+    assert "vehicle.toml" in str(error.value) and "\n" not in str(error.value)
 
 
 CONTRADICTIONS = {
@@ -225,31 +190,14 @@ def test_every_shipped_value_is_within_its_range_and_ranges_are_closed():
             assert math.isfinite(high - low)
 
 
-@pytest.mark.parametrize("wrong", [3, [], (), {}, object(), b"x", float("nan"), True, int])
+@pytest.mark.parametrize("wrong", [3, b"x", float("nan"), True, int])
 def test_what_is_no_vehicle_is_refused(wrong):
-    for read in (load_vehicle, constants):
-        with pytest.raises(UserError, match="vehicle file must be a path, not"):
-            read(wrong)
+    with pytest.raises(UserError, match="vehicle file must be a path, not"):
+        load_vehicle(wrong)
     with pytest.raises(UserError, match="a Vehicle is expected, not"):
         check_vehicle(wrong)
-    for build in (build_spec, lambda vehicle: make_plant("analytic", 1, vehicle)):
-        with pytest.raises(UserError, match="vehicle must be a Vehicle or the path of a file, not"):
-            build(wrong)
-
-
-@pytest.mark.parametrize("wrong", ["x", [1.0], {}, b"x", 10**400, float("nan"), -1.0, int])
-def test_numbers_of_a_plant_are_numbers(wrong):
-    for call, name in (
-        (lambda: make_plant("analytic", 1, control_period=wrong), "control_period"),
-        (lambda: make_plant("hybrid", 1, keep_out=wrong), "keep_out"),
-        (lambda: make_plant("mujoco", 1, timestep=wrong), "timestep"),
-        (lambda: build_spec(timestep=wrong), "timestep"),
-        (lambda: make_plant("analytic", 1, pool=[wrong]), "a Vehicle"),
-        (lambda: make_plant("analytic", 1, pool=3), "pool"),
-        (lambda: make_plant("mujoco", 1, attitude=wrong), "attitude"),
-    ):
-        with pytest.raises(UserError, match=f"^{name} "):
-            call()
+    with pytest.raises(UserError, match="vehicle must be a Vehicle or the path of a file, not"):
+        build_spec(wrong)
 
 
 def test_missing_and_binary_files_are_refused(tmp_path):
@@ -264,11 +212,7 @@ def test_missing_and_binary_files_are_refused(tmp_path):
 def test_inclinations_outside_the_range_are_refused(wrong):
     with pytest.raises(UserError, match="outside the supported range of -50 to 50 deg"):
         load_vehicle().check_inclination(wrong)
-
-
-def test_inclinations_up_to_the_limit_are_taken():
-    for degrees in (-50, 0, 50):
-        assert load_vehicle().check_inclination(math.radians(degrees)) == math.radians(degrees)
+    assert load_vehicle().check_inclination(math.radians(-50)) == math.radians(-50)
 
 
 def test_the_two_hover_points_differ():

@@ -430,41 +430,21 @@ def test_kinematic_mode_lets_go_after_contact():
 # --- errors ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options, sentence", [
-    ({"integrator": "rk4"}, "unknown integrator 'rk4'; known are RK4, implicitfast, Euler"),
-    ({"timestep": 0.003}, "control period 0.02 s is not a whole number of time steps of 0.003 s"),
-    ({"timestep": 0.03}, "not a whole number"),
-    ({"timestep": 0.0}, "timestep must be a number from 1e-05 to 1, not 0.0"),
-    ({"timestep": -0.004}, "timestep must be a number"),
-    ({"timestep": math.nan}, "timestep must be a number"),
-    ({"attitude": "quaternion"}, "attitude must be 'kinematic' or 'rate_loop', not 'quaternion'"),
-    ({"keep_out": -0.01}, "keep_out must be a number from 0 to 1, not -0.01"),
-    ({"control_period": 0.0}, "control_period must be a number from 1e-05 to 1, not 0.0"),
-    ({"control_period": 0.002}, "control period 0.002 s is not a whole number of time steps of 0.004 s"),
-    ({"keep_out": math.nan}, "keep_out must be a number from 0 to 1, not nan"),
-    ({"n": 0}, "n must be a whole number of at least 1"),
-    ({"n": "64"}, "n must be a whole number of at least 1"),
-    ({"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
+@pytest.mark.parametrize("kind, options, sentence", [
+    ("mujoco", {"integrator": "rk4"}, "unknown integrator 'rk4'; known are RK4, implicitfast, Euler"),
+    ("mujoco", {"timestep": 0.003}, "control period 0.02 s is not a whole number of time steps of 0.003 s"),
+    ("mujoco", {"timestep": math.nan}, "timestep must be a number"),
+    ("mujoco", {"attitude": "quaternion"}, "attitude must be 'kinematic' or 'rate_loop', not 'quaternion'"),
+    ("hybrid", {"keep_out": -0.01}, "keep_out must be a number from 0 to 1, not -0.01"),
+    ("hybrid", {"n": "64"}, "n must be a whole number of at least 1"),
+    ("analytic", {"substeps": 0}, "substeps must be a whole number from 1 to 1000, not 0"),
+    ("analytic", {"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
+    ("analytic", {"pool": 3}, "pool "),
+    ("gazebo", {}, "unknown plant 'gazebo'; known are mujoco, hybrid, analytic"),
 ])  # fmt: skip
-def test_wrong_options_of_the_mujoco_plant(options, sentence):
+def test_wrong_options_are_refused(kind, options, sentence):
     with pytest.raises(UserError, match=sentence):
-        MujocoPlant(**({"n": 1} | options))
-
-
-@pytest.mark.parametrize("options, sentence", [
-    ({"substeps": 0}, "substeps must be a whole number from 1 to 1000, not 0"),
-    ({"attitude": ""}, "attitude must be"),
-    ({"keep_out": -1.0}, "keep_out must be a number"),
-    ({"n": -3}, "n must be a whole number"),
-])  # fmt: skip
-def test_wrong_options_of_the_analytic_plant(options, sentence):
-    with pytest.raises(UserError, match=sentence):
-        AnalyticPlant(**({"n": 1} | options))
-
-
-def test_an_unknown_plant_is_refused():
-    with pytest.raises(UserError, match="unknown plant 'gazebo'; known are mujoco, hybrid, analytic"):
-        make_plant("gazebo", 1)
+        make_plant(kind, **({"n": 1} | options))
 
 
 def test_divergence_is_an_error_that_names_the_vehicle():
