@@ -162,14 +162,10 @@ def test_zyx_angles_are_converted_as_rotations(tmp_path):
     write_log(tmp_path / "a.csv", log)
     back = read(tmp_path / "a.csv", mapping=mapping)
     roll, pitch, yaw = log.attitude.T
-    given = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
+    written = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()
     roll, pitch, yaw = back.attitude.T
-    cx, sx, cy, sy, cz, sz = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    zero, one = np.zeros(40), np.ones(40)
-    x = np.array([[one, zero, zero], [zero, cx, -sx], [zero, sx, cx]])
-    y = np.array([[cy, zero, sy], [zero, one, zero], [-sy, zero, cy]])
-    z = np.array([[cz, -sz, zero], [sz, cz, zero], [zero, zero, one]])
-    assert np.allclose(np.einsum("ijm,jkm,klm->mil", z, x, y), given)
+    found = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=1)).as_matrix()
+    assert np.allclose(found, written)
     # A vehicle that does as it is told is told what it does, in this convention as in the other.
     assert np.allclose(back.command[:, 1:3], back.attitude[:, :2])
 
@@ -510,7 +506,7 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
         ("[columns]\nx = { column = 'x', full = 2.0 }", "full is for a thrust command or a request"),
         ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
-        ("inherit = 'mine'", "inherit mine: .*documented"),
+        ("inherit = 'mine'", "inherit mine: known are"),
     ],
 )
 def test_bad_mappings_are_refused_in_words(tmp_path, text, words):

@@ -1,6 +1,5 @@
 """Files in the layouts of the public sets, with made-up rows, become documented CSV."""
 
-import gzip
 import math
 
 import numpy as np
@@ -145,14 +144,3 @@ def test_without_arguments_it_says_where_the_sets_are(capsys):
     text = capsys.readouterr().out
     for known in public_sets().values():
         assert known.repository in text and known.licence in text
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured flights at {DATA}")
-@pytest.mark.parametrize("name", ["utias_fmpc", "nanobench", "crazypad", "arp_sysid"])
-def test_columns_are_those_of_the_tidy_flights(name):
-    for path in DATA.joinpath(name).glob("*.csv.gz"):
-        with gzip.open(path, "rt") as file:
-            header = file.readline().strip().split(",")
-        expected = list(public_sets()[name].columns)
-        assert header == [column for column in expected if column in header]
-        assert set(expected) - set(header) <= {"yaw"}

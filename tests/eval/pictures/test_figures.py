@@ -425,17 +425,6 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
         assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 4 + 1.0), abs=0.1)
 
 
-def test_picture_and_curves_commands(hover_policy, tmp_path):
-    out = tmp_path / "new" / "picture.png"
-    size = ["--width", "160", "--height", "90", "--backend", "ray", "--plant", "analytic"]
-    assert cli.main(["picture", hover_policy, "--out", str(out), "--start", "1,2", *size]) == 0
-    with Image.open(out) as image:
-        assert image.size == (160, 90)
-    run, curves = write_run(tmp_path / "run"), tmp_path / "curves.pdf"
-    assert cli.main(["curves", str(run), "--out", str(curves)]) == 0
-    assert curves.read_bytes().startswith(b"%PDF")
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
