@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any
 
@@ -20,13 +20,12 @@ from msgspec import Meta
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import mean
-from inclined_landing.envs.shared.tables import count_words, share_cell
-from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.envs.shared.tables import count_words
 from inclined_landing.eval.policies.flying import effect_outcome, fly, frozen_starts
 from inclined_landing.eval.policies.study import Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, outcomes_table, size_words
+from inclined_landing.eval.policies.tables import Panel
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.vehicle import Vehicle
 
 # Of a vehicle that has the effect: how far from neutral, in distances of what is plausible.
@@ -34,6 +33,11 @@ SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
 ThrustScale = Annotated[float, Meta(gt=0, le=3)]
 THRUSTS = tuple(round(0.70 + 0.05 * k, 2) for k in range(10))
 ENOUGH, ENOUGH_MEDIUM = 0.97, 0.95  # shares from which a thrust, and a medium effect, count as survived
+REMARK = (
+    "strict: the goal box within 300 steps and no touch before; at rest on feet: 2 s after a motor cut "
+    "there; into it: median speed at the touchdown. Of an effect, medium is the size that a real vehicle may "
+    "well have; weak is half as much, strong twice as much, within physical limits. 95 % Wilson intervals."
+)
 _THRUST = "thrust_scale"  # the effect that the curve goes along
 
 
@@ -59,6 +63,13 @@ class Change:
         """Return what a report says of the change."""
         effect = self.effect or LIBRARY[_THRUST]
         return {"effect": effect.name, "size": self.size, "parameters": sizes(effect, self.values)}
+
+
+def check_effects(names: Sequence[str]) -> None:
+    """Raise UserError for a name that is of no effect of the library."""
+    for name in names:
+        if name not in LIBRARY:
+            raise UserError(f"unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
 
 
 def sizes(effect: Effect, values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
@@ -132,7 +143,20 @@ def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, 
         "differences": _differences(cases, names, flown),
         "versions": runs.versions(),
     }
-    return Study("robustness", report, joined(flown), _sections(report), _panels(report))
+    return Study(
+        name="robustness",
+        title=f"Other thrusts, effects of the library, {plant} plant",
+        report=report,
+        flights=joined(flown),
+        heads=("condition", "policy"),
+        rows=[
+            ((case.name, name), outcome)
+            for case, row in zip(cases, rows)
+            for name, outcome in zip(names, row["outcomes"])
+        ],
+        panels=_panels(report, names),
+        remarks=[REMARK, *_comparisons(report), *_answers(report)],
+    )
 
 
 def _description(name: str, policy: Policy) -> dict[str, Any]:
@@ -180,99 +204,28 @@ def survived(report: dict, k: int) -> tuple[float, float] | None:
     return scales[low], scales[high]
 
 
-def _sections(report: dict) -> list[Section]:
-    """Return the sections of the page: in short, over thrust, effects of the library."""
-    names = [policy["name"] for policy in report["policies"]]
-    rows: list[tuple[tuple[str, ...], dict]]
-    note = (
-        "Strict success: the goal box within 300 steps, no touch before; at rest: on the feet, motors cut "
-        f"there. {report['starts']} starts, {report['plant']} plant, 95 % Wilson intervals."
-    )
-    found = [Section("short", "In short", [], [], [_summary(report)], {}, [note, *_comparisons(report)])]
-    if len(report["thrust"]) > 1:
-        rows = [
-            ((f"x {row['parameters']['scale']['value']:g}", name), outcome)
-            for row in report["thrust"]
-            for name, outcome in zip(names, row["outcomes"])
-        ]
-        table = outcomes_table(("thrust", "policy"), rows)
-        figure = {"robustness_thrust": "Shares over the plant's thrust, with 95 % intervals."}
-        found.append(Section("thrust", "Over thrust", [], [], [table], figure))
-    if report["effects"]:
-        text = (
-            "Only the vehicle in the plant has the effect. Medium is the size that a real vehicle may well "
-            "have; weak is half as much, strong twice as much, within physical limits."
-        )
-        rows = [
-            ((row["effect"], f"{row['size']}: {size_words(row['parameters'])}", name), outcome)
-            for row in _by_cost(report)
-            for name, outcome in zip(names, row["outcomes"])
-        ]
-        table = outcomes_table(("effect", "size", "policy"), rows, "All numbers")
-        figure = {"robustness_effects": "Shares for every effect and size; the most costly at the top."}
-        found.append(Section("effects", "Effects of the library", text, [], [table], figure))
-    found[-1].remarks.extend(_answers(report))
-    return found
-
-
-def _panels(report: dict) -> dict[str, list[Panel]]:
-    """Return the panels of the figures: both shares over the thrust, strict success under each effect."""
-    names = [policy["name"] for policy in report["policies"]]
-
-    def shares(rows: list[dict], at: Callable[[dict], Any], key: str) -> dict[str, dict]:
-        return {name: {at(row): row["outcomes"][k][key] for row in rows} for k, name in enumerate(names)}
-
-    shown = {"strict": "Goal box reached, no touch", "at_rest_on_feet": "At rest, motors cut there"}
-    panels = {}
+def _panels(report: dict, names: Sequence[str]) -> list[Panel]:
+    """Return strict success over the thrust, and under the effects of each size, the most costly first."""
+    panels = []
     if len(curve := report["thrust"]) > 1:
-        panels["robustness_thrust"] = [
-            Panel(title, shares(curve, _scale, key), "thrust of the vehicle over the known one [1]")
-            for key, title in shown.items()
-        ]
-    if report["effects"]:
-        by_size: dict[str, list[dict]] = {}
-        for row in _by_cost(report):
-            by_size.setdefault(row["size"], []).append(row)
-        panels["robustness_effects"] = [
-            Panel(f"{size} effects", shares(rows, lambda row: row["effect"], "strict"))
-            for size, rows in by_size.items()
-        ]
-    return panels
+        lines = {n: {_scale(r): r["outcomes"][k]["strict"] for r in curve} for k, n in enumerate(names)}
+        panels = [Panel("Other thrusts", lines, "thrust of the vehicle over the known one [1]")]
+    cost: dict[str, float] = {}
+    for row in report["effects"]:
+        landed = sum(one["strict"]["share"] for one in row["outcomes"])
+        cost[row["effect"]] = cost.get(row["effect"], 0.0) + landed
+    by_cost = sorted(report["effects"], key=lambda row: cost[row["effect"]])
+    for size in dict.fromkeys(row["size"] for row in report["effects"]):
+        of_size = [row for row in by_cost if row["size"] == size]
+        shares = {n: {r["effect"]: r["outcomes"][k]["strict"] for r in of_size} for k, n in enumerate(names)}
+        panels.append(Panel(f"{size.capitalize()} effects", shares))
+    return panels or [
+        Panel("No effect", {n: {"known": curve[0]["outcomes"][k]["strict"]} for k, n in enumerate(names)})
+    ]
 
 
 def _scale(row: dict) -> float:
     return row["parameters"]["scale"]["value"]
-
-
-def _summary(report: dict) -> Table:
-    """Return a row for each policy: no effect, thrust range, means over the effects of a size."""
-    of_sizes = list(dict.fromkeys(row["size"] for row in report["effects"]))
-    heads = ["policy", "trained", "no effect [%]", f"thrusts with {100 * ENOUGH:.0f} %"]
-    heads += [f"{size} effects [%]" for size in of_sizes]
-    rows = []
-    for k, policy in enumerate(report["policies"]):
-        trained = "randomised" if policy["randomised"] else "nominal"
-        trained += f", history {policy['history']}" if policy["history"] else ""
-        ends = survived(report, k)
-        row = [policy["name"], trained, share_cell(_nominal(report)["outcomes"][k]["strict"])]
-        row.append("-" if ends is None else "{:g} to {:g}".format(*ends))
-        for size in of_sizes:
-            shares = [r["outcomes"][k]["strict"]["share"] for r in report["effects"] if r["size"] == size]
-            row.append(f"{100 * np.mean(shares):.1f}")
-        rows.append(tuple(row))
-    return Table("", tuple(heads), rows)
-
-
-def _nominal(report: dict) -> dict:
-    return next(row for row in report["thrust"] if _scale(row) == 1.0)
-
-
-def _by_cost(report: dict) -> list[dict]:
-    """Return the rows of the effects, those of the effect that costs most at the top."""
-    shares: dict[str, list[float]] = {}
-    for row in report["effects"]:
-        shares.setdefault(row["effect"], []).extend(one["strict"]["share"] for one in row["outcomes"])
-    return sorted(report["effects"], key=lambda row: float(np.mean(shares[row["effect"]])))
 
 
 def _comparisons(report: dict) -> list[str]:
@@ -293,21 +246,18 @@ def _answers(report: dict) -> list[str]:
     """Return a sentence on what each policy lands under: thrusts, effects of medium size, the worst one."""
     said = []
     for k, policy in enumerate(report["policies"]):
-        parts = [f"{policy['name']} landed in {count_words(_nominal(report)['outcomes'][k]['strict'])}"]
+        known = next(row for row in report["thrust"] if _scale(row) == 1.0)
+        parts = [f"{policy['name']} landed in {count_words(known['outcomes'][k]['strict'])}"]
         if len(report["thrust"]) > 1 and (ends := survived(report, k)):
-            low, high = ends
-            parts.append(f"{100 * ENOUGH:.0f} % or more at thrusts x {low:g} to x {high:g}")
-        medium = {
-            row["effect"]: row["outcomes"][k]["strict"]
-            for row in report["effects"]
-            if row["size"] == "medium"
-        }
+            parts.append(f"{100 * ENOUGH:.0f} % or more at thrusts x {ends[0]:g} to x {ends[1]:g}")
+        medium = [row for row in report["effects"] if row["size"] == "medium"]
         if medium:
-            good = sum(share["share"] >= ENOUGH_MEDIUM for share in medium.values())
-            worst = min(medium, key=lambda name: medium[name]["share"])
+            shares = {row["effect"]: row["outcomes"][k]["strict"] for row in medium}
+            good = sum(share["share"] >= ENOUGH_MEDIUM for share in shares.values())
+            worst = min(shares, key=lambda name: shares[name]["share"])
             parts.append(
-                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(medium)} medium effects, least "
-                f"under {worst}: {count_words(medium[worst])}"
+                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(shares)} medium effects, least "
+                f"under {worst}: {count_words(shares[worst])}"
             )
         said.append("; ".join(parts) + ".")
     return said

@@ -38,15 +38,17 @@ def parse_entrant(text: str) -> Entrant:
     head, _, files = text.partition("=")
     label, at, vehicle = head.partition("@")
     policies = tuple(files.split("+"))
-    if not (label and all(policies) and (vehicle or not at)) or len(set(policies)) < len(policies):
+    well_written = label and all(policies) and (vehicle or not at) and len(set(policies)) == len(policies)
+    if not (well_written and label.isprintable()):
         raise UserError(
             "policies are written LABEL=POLICY+POLICY or LABEL@VEHICLE=POLICY, each policy once, not "
             f"{shown(repr(text), 60)}"
         )
-    if len(label) > LONGEST_LABEL or not label.isprintable():
-        raise UserError(f"label {shown(label, 40)}: at most {LONGEST_LABEL} printable characters are read")
-    if len(policies) > MOST_SEEDS:
-        raise UserError(f"{label} has {len(policies)} policies; at most {MOST_SEEDS} count as one")
+    if len(label) > LONGEST_LABEL or len(policies) > MOST_SEEDS:
+        raise UserError(
+            f"{shown(label, 40)}: at most {LONGEST_LABEL} characters are a label, and at most {MOST_SEEDS} "
+            "policies count as one"
+        )
     return Entrant(label, policies, vehicle or None)
 
 

@@ -116,7 +116,9 @@ def command(
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)
-    flown = fly(plan, starts)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        bar = progress.add_task("missions", total=len(starts))
+        flown = fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
     report = report_of(flown) | {
         "seed": None if start else seed,
         "vehicle": str(vehicle) if vehicle is not None else "crazyflie.toml",
@@ -145,13 +147,6 @@ def make_plan(
         (x, z),
         *(given.near, given.slow, given.dwell, not given.drift),
     )
-
-
-def fly(plan: Plan, starts: np.ndarray) -> list[Mission]:
-    """Return the missions from starts (n, 3) [m], with a progress bar on stderr."""
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("missions", total=len(starts))
-        return fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
 
 
 def _point(text: str, option: str, form: str) -> tuple[float, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import tyro
 from msgspec import Meta
@@ -22,13 +22,13 @@ from inclined_landing.eval.policies.moving.scenario import read_scenario, shippe
 from inclined_landing.eval.policies.study import Study, write_studies
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
+from inclined_landing.models.vehicle import Vehicle
 
-OVER = ("thrust", "effects", "slopes", "vehicles", "moving")
-# Without --full: each 8th start, medium effects, few drawn vehicles, few flights of a scenario.
-QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 8, 32, 4, 256
+# Without --full: each 10th start, medium effects, few drawn vehicles, few flights of a scenario.
+QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 10, 32, 4, 256
 _FPS, _LOOK = 12.5, {"camera": "chase", "width": 400, "height": 226, "backend": "auto"}  # of the film
 
 Policies = Annotated[
@@ -44,7 +44,7 @@ Policies = Annotated[
     ),
     Meta(max_length=100),
 ]
-Over = Annotated[tuple[str, ...], tyro.conf.arg(metavar="{thrust,effects,slopes,vehicles,moving} [...]")]
+Over = Literal["thrust", "effects", "slopes", "vehicles", "moving"]
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
 _VEHICLE = tyro.conf.arg(
     metavar="VEHICLE [...]",
@@ -101,7 +101,7 @@ def command(
     policies: Policies = (),
     /,
     *,
-    over: Over = ("thrust", "effects"),
+    over: tuple[Over, ...] = ("thrust", "effects"),
     full: Flag = False,
     out: NewFolder = None,
     plant: PlantName = "hybrid",
@@ -125,14 +125,14 @@ def command(
         out: new folder for index.html, the numbers as JSON, flights.csv, and the figures.
         plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere. moving is
             always flown in mujoco.
-        every: fly from every n-th start of the frozen sets (default: 8; with --full 1).
+        every: fly from every n-th start of the frozen sets (default: 10; with --full 1).
         vehicle: vehicle files, or shipped vehicles by name: the one that is flown, or those of --over
             vehicles.
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
     """
     over, vehicle, film = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle)), moving_platforms.film
     _check(policies, over, plant, vehicle)
-    _check_changes(thrust_and_effects)
+    changes.check_effects(thrust_and_effects.effect)
     if out is not None:
         runs.check_new_run(out)
     if film is not None:
@@ -141,7 +141,15 @@ def command(
             raise UserError("--film goes with --over moving and --out, the folder that the film is put into")
     every = every or (1 if full else QUICK_EVERY)
     controllers = find_all(policies) if "moving" in over else []
-    found = _landings(policies, over, full, plant, every, vehicle, thrust_and_effects)
+    found: list[Study] = []
+    if {"thrust", "effects", "slopes"} & set(over):
+        cases = changes.changes(
+            thrust_and_effects.thrust if "thrust" in over else (),
+            tuple(dict.fromkeys(thrust_and_effects.effect)) if "effects" in over else (),
+            tuple(changes.SIZES) if full else ("medium",),
+        )
+        known = load_vehicle(vehicle[0]) if vehicle else None
+        found += _landings(policies, over, known, cases, {"plant": plant, "every": every})
     if "vehicles" in over:
         draws = drawn_vehicles.draws
         options = dataclasses.asdict(drawn_vehicles)
@@ -168,57 +176,31 @@ def command(
 
 def _check(policies: tuple[str, ...], over: tuple[str, ...], plant: str, vehicle: tuple[str, ...]) -> None:
     """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
-    for name in over:
-        if name not in OVER:
-            raise UserError(f"--over {shown(name, 40)}: {choices(OVER, name)}; policies are named before it")
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
     if len(labels := {policy.partition("=")[0] for policy in policies}) > MOST_COMPARED:
         raise UserError(f"policies: at most {MOST_COMPARED} stand side by side, not {len(labels)}")
     if plant not in PLANTS:
         raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
-    if len(vehicle) > 1 and over != ("vehicles",):
-        raise UserError("several --vehicle are compared by --over vehicles alone")
-    if vehicle and over == ("moving",):
-        raise UserError("--over moving is flown with the vehicle of the benchmark: leave --vehicle out")
-
-
-def _check_changes(chosen: ChangeOptions) -> None:
-    """Raise UserError for an unknown effect, or a thrust that is none."""
-    for name in chosen.effect:
-        if name not in LIBRARY:
-            raise UserError(f"unknown effect {shown(name, 40)}; landing-eval effects lists them")
+    if vehicle and (over == ("moving",) or (len(vehicle) > 1 and over != ("vehicles",))):
+        raise UserError("--vehicle is one vehicle, of --over vehicles several; moving platforms have theirs")
 
 
 def _landings(
     policies: tuple[str, ...],
     over: tuple[str, ...],
-    full: bool,
-    plant: str,
-    every: int,
-    vehicle: tuple[str, ...],
-    chosen: ChangeOptions,
+    known: Vehicle | None,
+    cases: list[changes.Change],
+    options: dict[str, Any],
 ) -> list[Study]:
-    """Return the studies of landing policies over thrust and effects, and over slopes."""
-    if not {"thrust", "effects", "slopes"} & set(over):
-        return []
-    known = load_vehicle(vehicle[0]) if vehicle else None
+    """Return the studies of landing policies, for a known vehicle, over thrust and effects, and slopes."""
     loaded = {}
     for entrant in parse_entrants(policies):
         if entrant.vehicle is not None:
             raise UserError(f"{entrant.label}: LABEL@VEHICLE=POLICY goes with --over vehicles alone")
         loaded[entrant.label] = load_policy(entrant.only, vehicle=known)
-    studies = []
-    if {"thrust", "effects"} & set(over):
-        cases = changes.changes(
-            chosen.thrust if "thrust" in over else (),
-            tuple(dict.fromkeys(chosen.effect)) if "effects" in over else (),
-            tuple(changes.SIZES) if full else ("medium",),
-        )
-        studies.append(changes.run(loaded, cases, plant=plant, every=every))
-    if "slopes" in over:
-        studies.append(slopes.run(loaded, plant=plant, every=every))
-    return studies
+    studies = [changes.run(loaded, cases, **options)] if {"thrust", "effects"} & set(over) else []
+    return studies + ([slopes.run(loaded, **options)] if "slopes" in over else [])
 
 
 def _write_film(folder: Path, scenario: str, controller: Controller) -> None:

@@ -22,10 +22,9 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.shared.tables import count_words
 from inclined_landing.envs.tasks import Start, Task, make_task
-from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.policies.flying import fly, outcome
 from inclined_landing.eval.policies.study import Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, outcomes_table, slope_words
+from inclined_landing.eval.policies.tables import Panel, Row, slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.errors import UserError
 
@@ -51,7 +50,17 @@ def run(policies: Mapping[str, Policy], *, plant: str, every: int = 1) -> Study:
         "policies": [_entry(name, policy, flown, every) for name, policy in policies.items()],
         "versions": runs.versions(),
     }
-    return Study("slopes", report, joined(flown), [_section(report)], {"slopes": _panels(report)})
+    rows, remarks = _rows(report)
+    return Study(
+        name="slopes",
+        title=f"Over slopes, {plant} plant",
+        report=report,
+        flights=joined(flown),
+        heads=("policy", "slopes"),
+        rows=rows,
+        panels=_panels(report),
+        remarks=remarks,
+    )
 
 
 def _starts(task: Task, every: int) -> dict[str, Start]:
@@ -130,9 +139,9 @@ def _share(flags: np.ndarray) -> dict[str, Any]:
     return proportion(flags.sum(), len(flags))
 
 
-def _section(report: dict[str, Any]) -> Section:
-    """Return the section of the page: a row for each policy and kind of slopes, and a sentence of each."""
-    rows = []
+def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
+    """Return a row for each policy and kind of slopes, and a sentence of each policy."""
+    rows: list[Row] = []
     remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
     for entry in report["policies"]:
         name, slopes = entry["name"], slope_words(entry["task_options"])
@@ -144,9 +153,7 @@ def _section(report: dict[str, Any]) -> Section:
         landed = entry.get("all", entry["single"][0])["strict"]
         where = f"on slopes {slopes}" if "all" in entry else f"on the slope of {slopes}"
         remarks.append(f"{name} landed in {count_words(landed)} {where}.")
-    table = outcomes_table(("policy", "slopes"), rows)
-    figure = {"slopes": "Strict success over the inclination and the azimuth, with 95 % intervals."}
-    return Section("slopes", f"Over slopes, {report['plant']} plant", [], [], [table], figure, remarks)
+    return rows, remarks
 
 
 def _panels(report: dict[str, Any]) -> list[Panel]:

@@ -23,7 +23,7 @@ from inclined_landing.envs.shared.tables import count_words, printer
 from inclined_landing.eval.base.claims import Section, show_sections
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.policies.tables import Panel, draw_panels
+from inclined_landing.eval.policies.tables import Panel, Row, draw_panels, outcomes_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -79,20 +79,30 @@ def joined(flown: Mapping[Key, pd.DataFrame]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Study:
     """What policies did under the conditions of a study."""
 
-    name: str  # of its JSON file
+    name: str  # of its JSON file and its figure
+    title: str
     report: dict[str, Any]  # plain numbers
     flights: pd.DataFrame  # of `joined`
-    sections: list[Section]
-    panels: Mapping[str, Sequence[Panel]]  # of each figure of the sections, by its file name
-    share: str = "strict success"  # what figures show the share of
+    heads: Sequence[str]  # of the labels of `rows`
+    rows: Sequence[Row]  # of the table
+    panels: Sequence[Panel]  # of the figure
+    share: str = "strict success"  # what the figure shows the share of
+    remarks: Sequence[str]  # under the table: what is counted, and what came out
+
+    @property
+    def section(self) -> Section:
+        """Return the section of the page."""
+        table = outcomes_table(self.heads, self.rows)
+        figure = {self.name: f"Share of the flights, with 95 % intervals: {self.share}."}
+        return Section(self.name, self.title, [], [], [table], figure, list(self.remarks))
 
     def show(self) -> None:
-        """Print the tables, and what came out."""
-        show_sections(self.sections)
+        """Print the table, and what came out."""
+        show_sections([self.section])
 
 
 def write_studies(folder: Path, studies: Sequence[Study]) -> None:
@@ -100,18 +110,17 @@ def write_studies(folder: Path, studies: Sequence[Study]) -> None:
     images = {}
     for study in studies:
         storage.write_json(folder / f"{study.name}.json", study.report)
-        for name, panels in study.panels.items():
-            figure = draw_panels(panels, study.share)
-            save_figure(figure, folder / f"{name}.png")
-            save_figure(figure, folder / f"{name}.pdf")
-            images[name] = embedded(png(figure))
+        figure = draw_panels(study.panels, study.share)
+        save_figure(figure, folder / f"{study.name}.png")
+        save_figure(figure, folder / f"{study.name}.pdf")
+        images[study.name] = embedded(png(figure))
     flights = pd.concat([study.flights.assign(study=study.name) for study in studies])
     storage.write_text(folder / "flights.csv", csv(flights))
     page = render(
         __package__,
         "studies.html.j2",
         title="What policies do under other conditions",
-        sections=[section for study in studies for section in study.sections],
+        sections=[study.section for study in studies],
         images=images,
         run=shlex.join(["landing-eval", *sys.argv[1:]]),
         versions=studies[0].report["versions"],

@@ -176,7 +176,7 @@ def evaluate_all(
     flown = fly_all(work)
     reports = {}
     for name, policy in policies.items():
-        report = {
+        report: dict[str, Any] = {
             "command": "success --effects" if effects else "success",
             "policy": str(policy.path),
             "trained": policy.metadata,

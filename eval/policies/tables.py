@@ -20,7 +20,7 @@ from inclined_landing.envs.shared.tables import share_cell, spread_cell
 from inclined_landing.eval.base.claims import Table
 from inclined_landing.eval.base.style import MUTED, colour, literal, marker, percent, share_curve, styled
 
-Outcome = Mapping[str, Any]
+Row = tuple[tuple[str, ...], Mapping[str, Any]]  # labels and outcome
 
 
 def _median(found: dict, factor: float = 1.0) -> str:
@@ -55,13 +55,10 @@ MEASURES: dict[str, tuple[str, Callable[[dict], str]]] = {
 }
 
 
-def outcomes_table(
-    heads: Sequence[str], rows: Sequence[tuple[Sequence[str], Outcome]], caption: str = ""
-) -> Table:
+def outcomes_table(heads: Sequence[str], rows: Sequence[Row]) -> Table:
     """Return a row of labels, under `heads`, and cells for each outcome; also how many flights it is of.
 
-    A label that is the one above, in the first column, is left out. caption: of a table that a page folds and
-    a terminal does not show.
+    A label that is the one above, in the first column, is left out.
     """
     shown = [name for name in MEASURES if rows and name in rows[0][1]]
     counted = shown[0] if shown else ""
@@ -71,7 +68,7 @@ def outcomes_table(
         before = labels[0]
         texts = (MEASURES[name][1](found[name]) if name in found else "-" for name in shown)
         cells.append((first, *labels[1:], str(found[counted]["of"]), *texts))
-    return Table(caption, (*heads, "flights", *(MEASURES[name][0] for name in shown)), cells)
+    return Table("", (*heads, "flights", *(MEASURES[name][0] for name in shown)), cells)
 
 
 def size_words(parameters: dict) -> str:

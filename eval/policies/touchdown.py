@@ -37,7 +37,7 @@ from inclined_landing.envs.shared.tables import count_words
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
 from inclined_landing.eval.base.claims import Section, show_sections
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
-from inclined_landing.eval.policies.changes import sizes
+from inclined_landing.eval.policies.changes import check_effects, sizes
 from inclined_landing.eval.policies.flying import summary
 from inclined_landing.eval.policies.rest import PolicyPilot, fly_to_rest
 from inclined_landing.eval.policies.study import csv, fly_all, joined
@@ -45,7 +45,7 @@ from inclined_landing.eval.policies.tables import outcomes_table
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP
@@ -176,9 +176,7 @@ def command(
         raise UserError("give at least one --friction and one --restitution")
     contact.check_friction(friction)
     contact.check_restitution(restitution)
-    for name in effect:
-        if name not in LIBRARY:
-            raise UserError(f"unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
+    check_effects(effect)
     if out is not None:
         runs.check_new_run(out)
     flown = load_vehicle(vehicle) if vehicle is not None else None

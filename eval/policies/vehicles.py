@@ -23,11 +23,10 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
-from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.policies.entrants import Entrant
 from inclined_landing.eval.policies.flying import fly, outcome, table_of
 from inclined_landing.eval.policies.study import Key, Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, outcomes_table
+from inclined_landing.eval.policies.tables import Panel, Row
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
@@ -89,7 +88,17 @@ def run(
         "draws": {"ranges": str(ranges), **_drawn(entrants, flown, pool, starts)} if pool else None,
         "versions": runs.versions(),
     }
-    return Study("vehicles", report, joined(flown), [_section(report)], {"vehicles": _panels(report)})
+    rows, remarks = _rows(report)
+    return Study(
+        name="vehicles",
+        title=f"Over vehicles, {plant} plant",
+        report=report,
+        flights=joined(flown),
+        heads=("vehicle", "mass [g]", "thrust/weight", "policy"),
+        rows=rows,
+        panels=_panels(report),
+        remarks=remarks,
+    )
 
 
 def _called(entrant: Entrant, path: str) -> str:
@@ -183,8 +192,8 @@ def _description(vehicle: Vehicle) -> dict[str, float]:
     return {"mass": vehicle.body_mass, **{name.replace(" ", "_"): value for name, value in numbers}}
 
 
-def _section(report: dict[str, Any]) -> Section:
-    """Return the section of the page: a row for each vehicle and policy, and a sentence of each policy."""
+def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
+    """Return a row for each vehicle and policy, and a sentence of each policy."""
     flown = {}
     for row in report["vehicles"]:
         flown[row["vehicle"]] = f"{1e3 * row['mass']:.1f}", f"{row['thrust_to_weight']:.2f}", row["outcomes"]
@@ -193,15 +202,15 @@ def _section(report: dict[str, Any]) -> Section:
         masses = f"{1e3 * min(mass):.1f} to {1e3 * max(mass):.0f}"
         powers = f"{min(power):.2f} to {max(power):.2f}"
         flown[f"{draws['count']} drawn vehicles"] = masses, powers, draws["outcomes"]
-    rows = [((name, *size, label), of[label]) for name, (*size, of) in flown.items() for label in of]
+    rows: list[Row] = [
+        ((name, *size, label), of[label]) for name, (*size, of) in flown.items() for label in of
+    ]
     remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
     for label in report["labels"]:
         shares = {name: of[label]["strict"] for name, (_, _, of) in flown.items() if label in of}
         counts = [f"{share['count']} of {share['of']} flights with {name}" for name, share in shares.items()]
         remarks.append(f"{label} landed in {', '.join(counts)}.")
-    table = outcomes_table(("vehicle", "mass [g]", "thrust/weight", "policy"), rows)
-    figure = {"vehicles": "Strict success over mass and thrust to weight of drawn vehicles; named vehicles."}
-    return Section("vehicles", f"Over vehicles, {report['plant']} plant", [], [], [table], figure, remarks)
+    return rows, remarks
 
 
 def _panels(report: dict[str, Any]) -> list[Panel]:

@@ -11,9 +11,10 @@ must make such a function; one is made for every scenario, so that it may rememb
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,25 +97,26 @@ class _Checked:
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
         where = f"controller {self._name} at {t:.2f} s"
-        try:
+        with _blamed(where):
             answer = self._answer(t, context.state[:, :_SEEN].copy(), context.platform.copy())
-        except UserError:
-            raise
-        except (Exception, SystemExit) as error:  # whatever the code does
-            raise UserError(f"{where} raised {type(error).__name__}: {shown(error, 120)}") from error
-        try:
-            commands = as_floats(answer, where)
-        except UserError:
-            raise UserError(f"{where} must answer with real numbers, not {shown(repr(answer), 60)}") from None
-        shape = (len(context.state), COMMAND_SIZE)
-        if commands.shape != shape:
-            raise UserError(f"{where} must answer with commands of shape {shape}, not {commands.shape}")
-        if not np.isfinite(commands).all():
-            raise UserError(f"{where} answered with NaN or infinity")
+        commands, shape = as_floats(answer, f"the answer of {where}"), (len(context.state), COMMAND_SIZE)
+        if commands.shape != shape or not np.isfinite(commands).all():
+            raise UserError(f"{where} must answer with finite numbers of shape {shape}, not {commands.shape}")
         stopped = commands[:, PWM] <= 0.0
         commands = np.clip(commands, self._low, self._high)
         commands[stopped, PWM] = 0.0
         return commands
+
+
+@contextlib.contextmanager
+def _blamed(who: str) -> Iterator[None]:
+    """Turn whatever the code of others raises into a UserError that names it."""
+    try:
+        yield
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise UserError(f"{who} raised {type(error).__name__}: {shown(error, 120)}") from error
 
 
 def _imported(name: str, vehicle: Vehicle) -> Controller:
@@ -124,10 +126,8 @@ def _imported(name: str, vehicle: Vehicle) -> Controller:
         raise UserError(f"{what}: {name.rpartition(':')[0]} has no function or class of this name")
 
     def pilot(n: int) -> Pilot:
-        try:
+        with _blamed(what):
             made = found(vehicle) if isinstance(found, type) else found
-        except (Exception, SystemExit) as error:
-            raise UserError(f"{what} raised {type(error).__name__}: {shown(error, 120)}") from error
         if not callable(made):
             raise UserError(f"{what} cannot be called with t, states and platforms: it lacks __call__")
         return _Checked(made, name, vehicle)

@@ -7,7 +7,6 @@ amplitude cos(2 pi t / period + phase_deg + phase), the last drawn for each flig
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
 import math
 import os
@@ -21,7 +20,7 @@ from msgspec import Meta, field, structs
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.models import schema, storage
 from inclined_landing.models.attitude import PITCH, YAW, Z
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.schema import Table
@@ -206,10 +205,7 @@ def read_scenario(name: str | Path) -> Scenario:
     """
     path = shipped().get(str(name)) or storage.as_path(name, "scenario")
     if not os.path.lexists(path):
-        known = shipped()
-        near = difflib.get_close_matches(str(name), known, 1) or list(known)
-        frozen = f"the {len(known)} frozen ones are such as {near[0]}"
-        raise UserError(f"scenario {shown(path, 200)} does not exist; {frozen}")
+        raise UserError(f"scenario {shown(path, 200)} does not exist; {choices(shipped(), str(name))}")
     content = storage.read_bytes(path, "scenario")
     try:
         return _parse(path.stem, storage.read_toml(path, "scenario"), hashlib.sha256(content).hexdigest())

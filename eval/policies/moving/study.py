@@ -9,22 +9,18 @@ import pandas as pd
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import count_words
-from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.policies.flying import summary
 from inclined_landing.eval.policies.moving.controllers import Controller
 from inclined_landing.eval.policies.moving.flying import fly
 from inclined_landing.eval.policies.moving.scenario import Scenario
 from inclined_landing.eval.policies.study import Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, outcomes_table
+from inclined_landing.eval.policies.tables import Panel
 
 COUNTED = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
 RULE = (
-    "A flight counts when the vehicle rests on the platform, on its feet alone, motors idle, as long as its "
-    "scenario says; in the frozen ones for 0.3 s within 10 s, slower than 0.05 m/s relative to the platform."
-)
-CAPTION = (
-    "95 % Wilson intervals. Speeds and tilt at the first touch, relative to the platform, and the time until "
-    "rest: medians."
+    "At rest: on the platform, on the feet alone, motors idle, as long as the scenario says; in the frozen "
+    "ones 0.3 s within 10 s, slower than 0.05 m/s relative to the platform. 95 % Wilson intervals. Speeds "
+    "and tilt at the first touch, relative to the platform, and the time until rest: medians."
 )
 PARTLY = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
 
@@ -65,30 +61,22 @@ def run(
         "all": [{"name": name} | share for name, share in overall.items()],
         "versions": runs.versions(),
     }
-    rows = [((s.name, name), counted[name, s.name]) for s in scenarios for name in names]
-    what = [(s.name, s.title, s.fingerprint[:12]) for s in scenarios]
     whole = all(row["whole"] for row in report["scenarios"])  # type: ignore[index]
-    section = Section(
-        "moving",
-        "Moving platforms",
-        RULE,
-        [],
-        tables=[
-            outcomes_table(("scenario", "controller"), rows),
-            Table("What was flown", ("scenario", "platform", "fingerprint"), what),
-        ],
-        figures={"moving": "Share of the flights at rest on the platform, with 95 % intervals."},
-        remarks=[
-            CAPTION,
-            *([] if whole else [PARTLY]),
-            *(
-                f"{name} came to rest on the platform in {count_words(share['at_rest'])}."
-                for name, share in overall.items()
-            ),
-        ],
+    answers = [
+        f"{name} came to rest on the platform in {count_words(share['at_rest'])}."
+        for name, share in overall.items()
+    ]
+    return Study(
+        name="moving",
+        title="Moving platforms",
+        report=report,
+        flights=joined(flown),
+        heads=("scenario", "controller"),
+        rows=[((s.name, name), counted[name, s.name]) for s in scenarios for name in names],
+        panels=_panels(scenarios, names, counted),
+        share="at rest on the platform",
+        remarks=[RULE, *([] if whole else [PARTLY]), *answers],
     )
-    panels = {"moving": _panels(scenarios, names, counted)}
-    return Study("moving", report, joined(flown), [section], panels, "at rest on the platform")
 
 
 def _panels(

@@ -32,8 +32,8 @@ def test_entries():
         with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
             parse_entrant(wrong)
     for wrong, sentence in (
-        ("seeds=" + "+".join(f"{k}.zip" for k in range(3000)), "seeds has 3000 policies; at most 100"),
-        (f"{'x' * 41}=a.zip", "at most 40 printable characters"),
+        ("seeds=" + "+".join(f"{k}.zip" for k in range(3000)), "at most 100 policies"),
+        (f"{'x' * 41}=a.zip", "at most 40 characters"),
     ):
         with pytest.raises(UserError, match=sentence):
             parse_entrant(wrong)
