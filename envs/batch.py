@@ -79,7 +79,7 @@ class BatchEnv:
 
     Per-vehicle records of the running episodes: `length`, `total` (sum of rewards), `contact_steps`
     (steps in contact with the platform or within the plant's keep-out zone), `touched`
-    (did any part touch the platform so far), `held` (steps in a row up to now that the task counts as
+    (did any part touch the platform so far), `held_steps` (steps in a row up to now that the task counts as
     held).
 
     nominal: share of the random episodes that have the plant's own vehicle; the others have one of its pool,
@@ -88,8 +88,8 @@ class BatchEnv:
 
     def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
         if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
-            given = shown(f"{task!r} and {plant!r}", 80)
-            raise UserError(f"BatchEnv takes a Task and a Plant, of make_task and make_plant, not {given}")
+            objects = shown(f"{task!r} and {plant!r}", 80)
+            raise UserError(f"BatchEnv takes a Task and a Plant, of make_task and make_plant, not {objects}")
         self.task, self.n = task, plant.n
         self.plant: Any = plant  # a Plant of one of the kinds in PLANTS, or what stands for one
         self.nominal = nominal
@@ -99,7 +99,7 @@ class BatchEnv:
         self.total = np.zeros(n)
         self.contact_steps = np.zeros(n, int)
         self.touched = np.zeros(n, bool)
-        self.held = np.zeros(n, int)
+        self.held_steps = np.zeros(n, int)
         self.commands = np.zeros((n, 4))
         self.actions = np.zeros((n, len(task.action_names)))
         self.past = History(task, n)
@@ -148,7 +148,7 @@ class BatchEnv:
             array[:] = records[name]
 
     def _records(self) -> dict[str, np.ndarray]:
-        names = ("length", "total", "contact_steps", "touched", "held")
+        names = ("length", "total", "contact_steps", "touched", "held_steps")
         start = {name: getattr(self._start, name) for name in _START}
         past = {"past": self.past.steps} if self.task.history else {}
         return {name: getattr(self, name) for name in names} | start | past
@@ -214,7 +214,7 @@ class BatchEnv:
         self.total[ids] = 0.0
         self.contact_steps[ids] = 0
         self.touched[ids] = False
-        self.held[ids] = 0
+        self.held_steps[ids] = 0
         observation = self._present(ids)
         self.past.reset(ids, observation)
         return self._with_past(observation, ids)
@@ -303,13 +303,13 @@ class BatchEnv:
         self.length += 1
         self.contact_steps += contacts.platform_near
         self.touched |= contacts.platform
-        records = self._start, self.length, self.contact_steps, self.held
+        records = self._start, self.length, self.contact_steps, self.held_steps
         context = StepContext(
             self.plant.state, contacts, self.actions, *records, platform=self.plant.platform
         )
         verdict: Evaluation = self.task.evaluate(context)
         if verdict.holding is not None:
-            self.held = np.where(verdict.holding, self.held + 1, 0)
+            self.held_steps = np.where(verdict.holding, self.held_steps + 1, 0)
         reward = verdict.reward
         if not np.isfinite(reward).all():
             raise TaskError(f"task {self.task.name}: the reward of a step is NaN or infinite")

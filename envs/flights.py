@@ -202,7 +202,7 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
     for with its motors cut.
     """
     vehicle = flight.task.vehicle
-    held = round(vehicle.command_control_period / STEP)
+    substeps = round(vehicle.command_control_period / STEP)
     moving = flight.motion is not None
     plant = MujocoPlant(
         1, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True, threads=1, moving=moving
@@ -220,7 +220,7 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
         return plant.state[0].copy(), plant.platform[0].copy(), *met
 
     off = np.zeros((round(cut / STEP), 4))
-    commands = np.concatenate([np.repeat(flight.commands[:-1], held, axis=0), off])
+    commands = np.concatenate([np.repeat(flight.commands[:-1], substeps, axis=0), off])
     rows = [seen()]
     for command in commands:
         plant.step(command[None])

@@ -78,6 +78,6 @@ class History:
             past = self.steps[ids]
             parts.append(past.reshape(len(past), -1))
         if self._privileged is not None:
-            own = np.broadcast_to(self._privileged, (len(observation), len(self._privileged)))
-            parts.append(own if vehicle is None else vehicle)
+            usual = np.broadcast_to(self._privileged, (len(observation), len(self._privileged)))
+            parts.append(usual if vehicle is None else vehicle)
         return np.concatenate(parts, axis=1) if len(parts) > 1 else observation

@@ -67,11 +67,11 @@ def make_for(
 
     vehicle = as_vehicle(vehicle)
     trained = load_policy(policy, vehicle=vehicle).task
-    given = {"vehicle": vehicle, **trained.options, **options}
+    arguments = {"vehicle": vehicle, **trained.options, **options}
     name = f"{__package__}:{TASK_CLASSES[trained.name]}-v0"
     env: Any
     if num_envs is None:
-        env = gymnasium.make(name, **given)
+        env = gymnasium.make(name, **arguments)
     else:
-        env = gymnasium.make_vec(name, num_envs=num_envs, **given)
+        env = gymnasium.make_vec(name, num_envs=num_envs, **arguments)
     return env, load_policy(policy, env.unwrapped.task, inclination=options.get("inclination"))

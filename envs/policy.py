@@ -132,17 +132,17 @@ class Policy:
         # With first-layer weights [W_o; W_v]: b <- b + clip((v - centre_v) / scale_v, -limit, limit) W_v
         options = {k: v for k, v in task.options.items() if k != "observe_vehicle"}
         plain = make_task(task.name, task.vehicle, **options | {"pwm_centre": task.pwm_centre})
-        given = len(input_names(plain))
+        kept = len(input_names(plain))
         observed = vehicle_parameters(task.vehicle) if task.observe_vehicle else np.zeros(0)
-        scaled = np.clip((observed - self.centre[given:]) / self.scale[given:], -self.limit, self.limit)
+        scaled = np.clip((observed - self.centre[kept:]) / self.scale[kept:], -self.limit, self.limit)
         first, *others = self.weights
         return dataclasses.replace(
             self,
             task=plain,
-            centre=self.centre[:given],
-            scale=self.scale[:given],
-            weights=(np.ascontiguousarray(first[:given]), *others),
-            biases=(self.biases[0] + scaled @ first[given:], *self.biases[1:]),
+            centre=self.centre[:kept],
+            scale=self.scale[:kept],
+            weights=(np.ascontiguousarray(first[:kept]), *others),
+            biases=(self.biases[0] + scaled @ first[kept:], *self.biases[1:]),
         )
 
 
@@ -366,10 +366,10 @@ def _typed(value: Any) -> str:
 
 def _build_task(name, metadata, vehicle, slope, path) -> Task:
     options = dict(metadata.get("task_options", {}))
-    given = {key: angle for key, angle in slope.items() if angle is not None}
-    if given and not task_class(name).has_platform:
+    angles = {key: angle for key, angle in slope.items() if angle is not None}
+    if angles and not task_class(name).has_platform:
         raise UserError(f"policy {path} is for the task {name}, which has no inclined platform")
-    options |= given
+    options |= angles
     try:
         if vehicle is not None:
             options["pwm_centre"], options["pwm_span"] = _action_map(options)

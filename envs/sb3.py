@@ -189,11 +189,11 @@ class BatchVecEnv(VecEnv):
             self.env.seed(self._seeds[0])
         self._reset_seeds()
         states, self._states = self._states, [None] * self.num_envs
-        given = {i: state for i, state in enumerate(states) if state is not None}
-        if len(given) < self.num_envs:
+        chosen = {i: state for i, state in enumerate(states) if state is not None}
+        if len(chosen) < self.num_envs:
             observation = self.env.reset()
-        if given:
-            self.env.reset(list(given), np.array(list(given.values())))
+        if chosen:
+            self.env.reset(list(chosen), np.array(list(chosen.values())))
             observation = self.env.observe()
         return observation
 
@@ -272,9 +272,9 @@ class BatchVecEnv(VecEnv):
         every = range(self.num_envs)
         if indices is None:
             return list(every)
-        given = list(indices) if isinstance(indices, Iterable) else [indices]
-        if not all(is_whole(i) and -self.num_envs <= i < self.num_envs for i in given):
+        numbers = list(indices) if isinstance(indices, Iterable) else [indices]
+        if not all(is_whole(i) and -self.num_envs <= i < self.num_envs for i in numbers):
             raise UserError(
                 f"indices are numbers of vehicles below {self.num_envs}, not {shown(repr(indices), 40)}"
             )
-        return [every[i] for i in given]
+        return [every[i] for i in numbers]

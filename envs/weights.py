@@ -336,14 +336,14 @@ def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
 
     limit: of the network's own scaling; infinite without one.
     """
-    given = metadata.get(NORMALISATION)
-    if given is None:
+    statistics = metadata.get(NORMALISATION)
+    if statistics is None:
         return {}
     if limit < np.inf:
         raise UserError(f"policy {path} scales its observations twice, by VecNormalize and by its extractor")
     try:
-        centre, scale = (np.array(given[name], float) for name in ("centre", "scale"))
-        limit = np.inf if given["limit"] is None else float(given["limit"])
+        centre, scale = (np.array(statistics[name], float) for name in ("centre", "scale"))
+        limit = np.inf if statistics["limit"] is None else float(statistics["limit"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise UserError(
             f"policy {path}: {NORMALISATION} in its {METADATA} has no centre, scale and limit"

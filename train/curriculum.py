@@ -353,7 +353,7 @@ class TouchdownCurriculum(Curriculum):
             leave_limit=0.3,
             out_of_bounds_penalty=150.0,
             steep=0.3,
-            beside=0.3,
+            around_edge=0.3,
             close=0.2 * (1.0 - self.level),
             impact_share=min(1.0, 2.0 * self.level),
             friction=touchdown.FRICTION,

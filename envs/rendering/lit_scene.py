@@ -150,8 +150,8 @@ class LitScene:
 
     def _corner_shade(self, points: np.ndarray) -> np.ndarray:
         """Return the ambient occlusion (n,) of the floor (n, 3) beside the wall and the base."""
-        beside = np.minimum(points[:, 1] - self.model.geom_pos[self.wall][1], 0.0)
-        shade = 0.12 * np.exp(beside / 0.4)
+        away = np.minimum(points[:, 1] - self.model.geom_pos[self.wall][1], 0.0)
+        shade = 0.12 * np.exp(away / 0.4)
         if self.base is not None:
             low, high = self.base
             outside = np.maximum(np.maximum(low - points[:, :2], points[:, :2] - high), 0.0)

@@ -50,20 +50,20 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     """
     import tyro
 
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words and words[0].replace("_", "-").startswith("--tyro-"):  # would write a file
-        raise UserError(f"{shown(words[0])} is no option; {prog} --help says what is right")
-    for k, word in enumerate(words):
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments and arguments[0].replace("_", "-").startswith("--tyro-"):  # would write a file
+        raise UserError(f"{shown(arguments[0])} is no option; {prog} --help says what is right")
+    for k, word in enumerate(arguments):
         option, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
         if not value and (sign or not option):
-            option = option or (words[k - 1] if k and words[k - 1].startswith("--") else "a word")
+            option = option or (arguments[k - 1] if k and arguments[k - 1].startswith("--") else "a word")
             raise UserError(f"{shown(option)} is empty; was a variable of the shell not set?")
         if value.isdigit() and not value.isascii():
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     message, page = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            return tyro.cli(target, prog=prog, args=words, config=_config())
+            return tyro.cli(target, prog=prog, args=arguments, config=_config())
     except SystemExit as end:
         if end.code:
             raise UserError(_sentence(message.getvalue(), prog)) from end
@@ -145,10 +145,10 @@ def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
     return script.getvalue()
 
 
-def shell_of(words: Sequence[str]) -> str:
+def shell_of(arguments: Sequence[str]) -> str:
     """Return SHELL of `--print-completion SHELL` or `--print-completion=SHELL`; "" where it is not given."""
-    _, _, joined = words[0].partition("=")
-    return joined or " ".join(words[1:2])
+    _, _, joined = arguments[0].partition("=")
+    return joined or " ".join(arguments[1:2])
 
 
 def versions(prog: str) -> str:

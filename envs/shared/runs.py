@@ -79,7 +79,7 @@ def hand_over(
 
 
 @contextlib.contextmanager
-def held(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
+def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
     """Lock the run folder for this process, and for those that it gives the descriptor it gets.
 
     log: the file that is opened, to append to it: a folder is not locked for other machines that share it.
@@ -122,9 +122,9 @@ def staged_run(path: str | Path) -> Iterator[Path]:
     check_new_run(path)
     path = Path(path)
     there = path.is_dir()
-    beside = path if there else path.parent
-    part = beside / f".{path.name[:40] or 'run'}.{os.getpid()}.part"
-    with storage.made(beside):
+    parent = path if there else path.parent
+    part = parent / f".{path.name[:40] or 'run'}.{os.getpid()}.part"
+    with storage.made(parent):
         try:
             part.mkdir()
             yield part

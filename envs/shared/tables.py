@@ -28,11 +28,11 @@ def say(*sentences: str, style: str | None = None, console: Console | None = Non
         console.print(sentence, style=style, soft_wrap=not console.is_terminal)
 
 
-def new_table(title: str | None, *columns: str, left: int = 1) -> Table:
-    """Return an empty table; its first `left` columns are left-aligned, the others, with numbers, right."""
+def new_table(title: str | None, *columns: str, labels: int = 1) -> Table:
+    """Return an empty table; its first `labels` columns are aligned left, the others, with numbers, right."""
     result = Table(title=title, box=box.SIMPLE_HEAD)
     for k, column in enumerate(columns):
-        result.add_column(column, justify="left" if k < left else "right")
+        result.add_column(column, justify="left" if k < labels else "right")
     return result
 
 
@@ -52,11 +52,13 @@ def show_table(table: Table, console: Console | None = None) -> None:
     if numbers and sum(natural) >= console.width:
         least = [_PAD + max(cell, *map(cell_len, head.split() or [""])) for head, cell in zip(heads, cells)]
         widths = [width - _PAD if k in numbers else None for k, width in enumerate(least)]
-        beside = sum(natural[k] for k in labels)
-        beside = min(beside, max(console.width // 2, console.width - sum(least[k] for k in numbers) - 1))
+        labels_width = sum(natural[k] for k in labels)
+        labels_width = min(
+            labels_width, max(console.width // 2, console.width - sum(least[k] for k in numbers) - 1)
+        )
         blocks = [[]]
         for k in numbers:
-            if blocks[-1] and beside + sum(least[j] for j in (*blocks[-1], k)) >= console.width:
+            if blocks[-1] and labels_width + sum(least[j] for j in (*blocks[-1], k)) >= console.width:
                 blocks.append([])
             blocks[-1].append(k)
     if table.title:

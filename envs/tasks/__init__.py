@@ -95,10 +95,10 @@ def make_task(name: str, vehicle=None, **options) -> Task:
     """Return the task of this name with the options of its class; raises UserError for any other option."""
     kind = task_class(name)
     known = kind.option_names()
-    for given in options:
-        if given not in known:
-            known_words = ", ".join(known)
-            raise UserError(f"the task {name} has no option {shown(repr(given), 40)}; it has {known_words}")
+    for key in options:
+        if key not in known:
+            wrong = shown(repr(key), 40)
+            raise UserError(f"the task {name} has no option {wrong}; it has {', '.join(known)}")
     try:
         task = class_for(kind, options)(vehicle, **options)
     except TypeError as error:

@@ -61,7 +61,7 @@ class StepContext:
     start: Start = _UNKNOWN  # of the running episodes
     length: np.ndarray = _UNKNOWN  # (n,) steps of the episode so far, the last one included
     in_contact: np.ndarray = _UNKNOWN  # (n,) of them, steps in contact with the platform
-    held: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
+    held_steps: np.ndarray = _UNKNOWN  # (n,) consecutive held steps before the last one
     platform: np.ndarray = _UNKNOWN  # (n, 12) states of the platforms, see `Plant.set_platform`
 
 
@@ -161,15 +161,15 @@ class Task(abc.ABC):
         return [*added, *(field.name for field in dataclasses.fields(cls.options_type))]
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
-        given = self.options_type(**options)
-        self.vehicle = limited(as_vehicle(vehicle), given.angle_limit)
-        self.pwm_centre = resolve_pwm_centre(given.pwm_centre, self.vehicle)
-        self.pwm_span = resolve_pwm_span(given.pwm_span, self.vehicle)
-        given.check()
-        self.history = int(given.history)
-        self.observe_vehicle = given.observe_vehicle
+        settings = self.options_type(**options)
+        self.vehicle = limited(as_vehicle(vehicle), settings.angle_limit)
+        self.pwm_centre = resolve_pwm_centre(settings.pwm_centre, self.vehicle)
+        self.pwm_span = resolve_pwm_span(settings.pwm_span, self.vehicle)
+        settings.check()
+        self.history = int(settings.history)
+        self.observe_vehicle = settings.observe_vehicle
         self.options: dict[str, Any] = {}
-        self.settings = given
+        self.settings = settings
         self._resolve(pwm_span=self.pwm_span)
 
     def _resolve(self, **values: Any) -> None:

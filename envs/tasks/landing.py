@@ -181,11 +181,11 @@ class InclinedLanding(Task):
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
         super().__init__(vehicle, **options)
-        given, v = self.settings, self.vehicle
+        settings, v = self.settings, self.vehicle
         asked = (
-            given.dimensions == 2,
-            given.dimensions == 3 or given.steepest is not None,
-            given.fastest is not None,
+            settings.dimensions == 2,
+            settings.dimensions == 3 or settings.steepest is not None,
+            settings.fastest is not None,
         )
         if asked != (self.is_planar, self.observes_slope, self.platform_moves):
             raise UserError(
@@ -193,7 +193,9 @@ class InclinedLanding(Task):
                 "for them, from which one of your own is derived"
             )
         usual = self._usual_inclination()
-        self.inclination = v.check_inclination(usual if given.inclination is None else given.inclination)
+        self.inclination = v.check_inclination(
+            usual if settings.inclination is None else settings.inclination
+        )
         self._resolve(inclination=self.inclination)
         self.conditions = LandingConditions()
         self._shapes = geometry.shapes_of(compile_scene(v))

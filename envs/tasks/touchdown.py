@@ -81,7 +81,7 @@ class TouchdownConditions(LandingConditions):
     staying there, episodes that it or leave_limit ends are terminated; without one they are truncated.
     """
 
-    beside: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
+    around_edge: float = 0.0  # share of the episodes that begin around the raised edge, mostly low
     close: float = 0.0  # share of the episodes that begin just over the slope, in any motion
     impact_share: float = 1.0  # of the price of a hard touchdown
     friction: tuple[float, float] | None = None  # drawn per episode, mostly low; None: the plant's own
@@ -164,9 +164,9 @@ class InclinedTouchdown(InclinedLanding):
         """Return k starts: as in the landing task, but for the conditions' shares of others."""
         c = self.conditions
         start = super().sample(rng, k)
-        if c.beside > 0.0:
-            rows = (rng.random(k) < c.beside) & start.present
-            start.state[rows] = touchdown_starts.beside(self, rng, start[rows])
+        if c.around_edge > 0.0:
+            rows = (rng.random(k) < c.around_edge) & start.present
+            start.state[rows] = touchdown_starts.around_edge(self, rng, start[rows])
         if c.close > 0.0:
             rows = (rng.random(k) < c.close) & start.present
             start.state[rows] = touchdown_starts.close(self, rng, start[rows], self.goal_height)
@@ -210,7 +210,7 @@ class InclinedTouchdown(InclinedLanding):
             "obstacle": weight["obstacle"] * wrong,
             "impact": weight["impact"] * self.conditions.impact_share * excess,
         }
-        success = holding & (context.held + 1 >= HOLD_STEPS)
+        success = holding & (context.held_steps + 1 >= HOLD_STEPS)
         return self.end_in_training(context, Evaluation(terms, success, holding=holding))
 
     def end_in_training(self, context: StepContext, evaluation: Evaluation) -> Evaluation:

@@ -25,15 +25,15 @@ _THRUST = (0.3, 1.1)  # lag state as a share of hover
 _ALONG = 0.25  # m to both sides of the centre, always
 _ACROSS = 0.6  # of the slab's half depth to both sides, always, in space
 # Around the raised edge, in half lengths of the slab towards it from the centre.
-_BESIDE = (-1.0, 2.5)
+_ALONG_SLAB = (-1.0, 2.5)
 
 
-def beside(task: InclinedLanding, rng: np.random.Generator, start: Start) -> np.ndarray:
+def around_edge(task: InclinedLanding, rng: np.random.Generator, start: Start) -> np.ndarray:
     """Return states (k, 13) at rest around the raised edge, which the way to the slope leads over.
 
     Half of them lie in the lowest quarter of the start box.
     """
-    given, start = start, task.at_standstill(start)
+    original, start = start, task.at_standstill(start)
     k, v = len(start), task.vehicle
     uphill = np.where(start.inclination > 0.0, -1.0, 1.0) * v.slab_half_length
     (*_, low), (*_, high) = task.start_box()
@@ -41,16 +41,16 @@ def beside(task: InclinedLanding, rng: np.random.Generator, start: Start) -> np.
     todo = np.arange(k)
     found = dataclasses.replace(start, state=np.zeros((k, STATE_SIZE)), present=np.ones(k, bool))
     while len(todo):
-        positions[todo, 0] = uphill[todo] * rng.uniform(*_BESIDE, len(todo))
+        positions[todo, 0] = uphill[todo] * rng.uniform(*_ALONG_SLAB, len(todo))
         positions[todo, 2] = low + (high - low) * rng.random(len(todo)) ** 2
         found.state[todo] = _into_space(rng, hover_states(positions[todo], v), start[todo], v)
         todo = todo[task.start_clearance(found[todo]) < START_CLEARANCE]
-    return _with_platforms(found.state, given, v)
+    return _with_platforms(found.state, original, v)
 
 
 def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_height: float) -> np.ndarray:
     """Return states (k, 13) just over the slope, in motion; rest_height [m]: of a vehicle on its feet."""
-    given, start = start, task.at_standstill(start)
+    original, start = start, task.at_standstill(start)
     inclination = start.inclination
     k, v = len(start), task.vehicle
     sin, cos = np.sin(inclination), np.cos(inclination)  # along (cos, -sin), normal (sin, cos)
@@ -71,7 +71,7 @@ def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_he
         roll, pitch = surface.attitude_at_rest(inclination, start.azimuth - state[:, YAW])
         state[:, ROLL] = roll + far * rng.uniform(-_TILT, _TILT, k)
         state[:, PITCH] += pitch - inclination
-    return _with_platforms(state, given, v, moving=True)
+    return _with_platforms(state, original, v, moving=True)
 
 
 def _into_space(rng: np.random.Generator, state: np.ndarray, start: Start, v: Vehicle) -> np.ndarray:

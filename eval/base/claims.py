@@ -106,7 +106,7 @@ def show_sections(sections: Sequence[Section]) -> None:
         for table in section.tables:
             if table.caption:
                 continue
-            printed = new_table(section.title, *table.heads, left=2)
+            printed = new_table(section.title, *table.heads, labels=2)
             grouped = not all(row[0] for row in table.rows)
             for row in table.rows:
                 if grouped and row[0]:

@@ -257,7 +257,7 @@ def _show(findings: list[Finding]) -> None:
 
     from inclined_landing.envs.shared.tables import new_table, say, show_table
 
-    table = new_table(None, "", "", "", left=3)
+    table = new_table(None, "", "", "", labels=3)
     table.show_header = False
     for finding in findings:
         state = Text("ok", "green") if finding.ok else Text(*_MISSING[finding.needed])

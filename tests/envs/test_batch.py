@@ -43,14 +43,6 @@ def test_actions_that_are_no_numbers_are_refused_before_anything_moves(kind, wro
     assert not env.length.any()
 
 
-@pytest.mark.parametrize("shape", [(2,), (4,), (4, 3), (3, 2), (4, 2, 1), ()])
-def test_actions_of_another_shape_are_refused(shape):
-    env = build(4)
-    env.reset()
-    with pytest.raises(UserError, match=r"actions must have shape \(4, 2\), not"):
-        env.step(np.zeros(shape))
-
-
 def test_actions_are_clipped():
     env = build(2, "setpoint")
     env.reset()
@@ -80,18 +72,6 @@ def trajectory(env, steps=60, seed=1):
         if len(done):
             rows.append(env.reset(done))
     return rows
-
-
-def test_same_seed_same_trajectory(kind):
-    a, b, other = (trajectory(build(**kind, seed=seed)) for seed in (5, 5, 6))
-    for x, y in zip(a, b, strict=True):
-        np.testing.assert_array_equal(x, y)
-    assert not np.array_equal(a[0], other[0])
-    env = build(**kind, seed=0)
-    trajectory(env)
-    env.seed(5)
-    for x, y in zip(a, trajectory(env), strict=True):
-        np.testing.assert_array_equal(x, y)
 
 
 def test_n_vehicles_equal_n_single_ones(kind):
@@ -184,15 +164,6 @@ def test_conditions_of_running_episodes_do_not_change():
     assert step.success.tolist() == [True, False]
 
 
-def test_the_plants_keep_their_distance_from_the_slab_in_the_same_way():
-    """Starts sampled for the MuJoCo plant touch nothing in their first step."""
-    for plant in ("mujoco", "analytic"):
-        env = build(256, plant=plant)
-        env.reset()
-        env.step(np.zeros((256, 2)))
-        assert not env.touched.any()
-
-
 def test_records_can_be_restored():
     env = build(3, plant="mujoco")
     trajectory(env, 20)
@@ -218,19 +189,6 @@ def test_records_can_be_restored():
         np.testing.assert_array_equal(x, y)
 
 
-def test_a_step_is_an_act_the_plants_step_and_its_outcome(kind):
-    whole, halves = build(3, **kind), build(3, **kind)
-    for env in (whole, halves):
-        env.reset()
-    actions = np.random.default_rng(1).uniform(-1.0, 1.0, (3, len(whole.task.action_names)))
-    step = whole.step(actions)
-    halves.act(actions)
-    halves.plant.step(halves.commands)
-    other = halves.outcome()
-    np.testing.assert_array_equal(step.observation, other.observation)
-    np.testing.assert_array_equal(step.reward, other.reward)
-
-
 def test_an_episode_taken_over_begins_where_the_vehicle_is():
     env = build(2, "touchdown", "mujoco")
     env.reset()
@@ -250,22 +208,3 @@ def test_vehicles_that_are_not_there_are_refused(ids):
     for call in (env.reset, env.observe, env.begin_in_place):
         with pytest.raises(UserError, match=r"ids must be numbers of vehicles from 0 to 3, or a mask \(4,\)"):
             call(ids)
-
-
-def test_a_mask_or_no_vehicle_can_be_reset():
-    env = build(4)
-    env.reset()
-    env.step(np.zeros((4, 2)))
-    assert len(env.reset([])) == 0
-    assert env.reset([True, False, True, False]).shape == (2, 5) and env.length.tolist() == [0, 1, 0, 1]
-
-
-def test_what_is_no_task_plant_or_start_is_refused():
-    env = build(2)
-    for wrong in (lambda: BatchEnv("landing", env.plant), lambda: BatchEnv(type(env.task), env.plant)):
-        with pytest.raises(UserError, match="BatchEnv takes a Task and a Plant"):
-            wrong()
-    with pytest.raises(UserError, match="start must be a Start, not"):
-        env.reset(start=hovering((0, 0, 1.8)))
-    with pytest.raises(UserError, match="active must be 2 times True or False"):
-        env.step(np.zeros((2, 2)), [True])

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env as gymnasium_check
-from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -117,16 +116,6 @@ def test_other_render_modes_are_refused():
         InclinedLandingEnv(render_mode="ansi")
     with pytest.raises(UserError, match="the vector environment does not render"):
         gym.make_vec(IDS["landing"], num_envs=2, render_mode="rgb_array")
-
-
-@pytest.mark.parametrize("option", ["camera", "render_backend"])
-def test_unknown_cameras_and_backends_are_refused(option):
-    with pytest.raises(UserError, match=r"unknown .*polaroid"):
-        InclinedLandingEnv(**(PICTURE | {option: "polaroid"}))
-
-
-def test_without_a_render_mode_there_is_no_picture():
-    assert InclinedLandingEnv(plant="analytic").render() is None
 
 
 @pytest.mark.parametrize("plant", ["mujoco", "analytic"])
@@ -242,14 +231,6 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         vec_env(task=task).seed(-1)
 
 
-def test_episode_ends_after_300_steps_by_truncation(task):
-    env = gym.make(IDS[task], plant="analytic", pwm_centre="hover")
-    env.reset(options={"state": hovering((2, 0, 1.8))[0]})
-    for k in range(300):
-        *_, terminated, truncated, _ = env.step(np.zeros(SIZES[task][1]))
-        assert (terminated, truncated) == (False, k == 299)
-
-
 def test_tensors_are_actions_but_for_those_with_a_gradient(task):
     zero = torch.zeros(SIZES[task][1])
     for env, action in (
@@ -294,28 +275,6 @@ def make_vec(n=3, task="landing", **options):
         IDS[task], num_envs=n, vectorization_mode="vector_entry_point",
         **({"plant": "analytic", "pwm_centre": "hover"} | options),
     )  # fmt: skip
-
-
-def test_make_vec_takes_the_batched_environment(task):
-    env = gym.make_vec(IDS[task], num_envs=5)
-    assert type(env.unwrapped).__name__.endswith("VectorEnv") and env.num_envs == 5
-    assert env.unwrapped.batch.n == 5 and env.unwrapped.batch.plant.kind == "mujoco"
-    assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
-    observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    env.action_space.seed(0)
-    observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
-    assert env.observation_space.contains(observation)
-    assert reward.shape == terminated.shape == truncated.shape == (5,)
-    assert terminated.dtype == truncated.dtype == bool
-    env.close()
-
-
-def test_vector_seeds():
-    a, b = make_vec(), make_vec()
-    np.testing.assert_array_equal(a.reset(seed=4)[0], b.reset(seed=4)[0])
-    np.testing.assert_array_equal(a.reset()[0], b.reset()[0])
-    assert not np.array_equal(a.reset(seed=5)[0], b.reset(seed=6)[0])
 
 
 def test_a_list_of_seeds_and_a_limit_of_steps_are_those_of_single_environments():
@@ -444,11 +403,6 @@ def test_vecenv_attributes():
     env.set_attr("reward_scale", 0.5)
     assert env.reward_scale == 0.5
     env.close()
-
-
-def test_what_is_no_batch_is_refused():
-    with pytest.raises(UserError, match="BatchVecEnv takes a BatchEnv, as make_batch gives, not"):
-        BatchVecEnv(make_vec())
 
 
 def test_ppo_learns_from_it_and_evaluates_on_it(task):

@@ -19,7 +19,6 @@ from inclined_landing.envs.policy import (
 )
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
-from inclined_landing.eval.policies import touchdown
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -96,28 +95,6 @@ def test_a_recorded_flight_gives_the_policy_its_history():
     assert not np.array_equal(without[0].actions, flights[0].actions[:3])
 
 
-def test_the_touchdown_table_gives_the_policy_its_history():
-    """Both fly the same actions: of the vehicle that the other loop recorded, and of this one."""
-    task = make_task("touchdown", pwm_centre="hover", history=K)
-    policy = pilot(task)
-    states = task.sample(np.random.default_rng(3), 2).state
-    given = []
-
-    class Watched(type(policy)):
-        def predict(self, observation):
-            given.append(observation.copy())
-            return super().predict(observation)
-
-    watched = Watched(**vars(policy))
-    touchdown.land(watched, states, 0.8, 0.0)
-    env = BatchEnv(task, make_plant("mujoco", 2, threads=1), seed=0)
-    env.plant.set_contact(np.arange(2), friction=0.8, restitution=0.0, contact_time=touchdown.CONTACT_TIME)
-    observation = env.reset(state=states)
-    for row in given[:40]:
-        np.testing.assert_allclose(row, observation, atol=1e-5)  # float32; two engines stepped alike
-        observation = env.step(policy.predict(observation)).observation
-
-
 def test_every_face_shows_it():
     single = InclinedLandingEnv(plant="analytic", history=K)
     several = InclinedLandingVectorEnv(5, plant="analytic", history=K)
@@ -132,18 +109,6 @@ def test_every_face_shows_it():
     assert several.reset(seed=0)[0].shape == (5, size)
 
 
-def test_an_episode_goes_on_from_its_record_with_its_history():
-    env, other = build(), build()
-    env.reset()
-    other.reset()
-    actions = np.random.default_rng(4).uniform(-1, 1, (2 * K, 4, 2))
-    for row in actions:
-        env.step(row)
-    other.plant.restore(env.plant.save())
-    other.restore_episodes(env.episode_state())
-    np.testing.assert_array_equal(other.observe(), env.observe())
-
-
 def test_a_policy_is_not_flown_without_its_history(tmp_path):
     path = shutil.copy(locate("landing-nominal"), tmp_path / "h.zip")
     write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
@@ -156,9 +121,3 @@ def test_a_policy_is_not_flown_without_its_history(tmp_path):
         UserError, match="takes 5 observations and gives 2 actions, but the task landing has 19"
     ):
         load_policy(path)
-
-
-@pytest.mark.parametrize("wrong", [-1, 51, 1.5, True, "2"])
-def test_what_is_no_number_of_steps_is_refused(wrong):
-    with pytest.raises(UserError, match="history must be a whole number from 0 to 50"):
-        make_task("landing", history=wrong)

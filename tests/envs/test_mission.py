@@ -62,18 +62,6 @@ def test_a_mission_does_not_depend_on_the_others(flown):
         assert mission.end == other.end
 
 
-def test_from_the_hand_over_point_the_landing_begins_at_once():
-    mission = fly_missions(PLAN, PLAN.point)[0]
-    assert [leg.name for leg in mission.legs] == ["landing", "touchdown"] and mission.success
-    assert mission.leg[0] == LANDING
-
-
-def test_fewer_starts_are_the_first_of_many():
-    few, many = (PLAN.sample(np.random.default_rng(3), n) for n in (4, 9))
-    np.testing.assert_array_equal(few, many[:4])
-    assert PLAN.admissible(many).all()
-
-
 def test_roll_holds_the_plane_and_drifts_without():
     """A loose box hands over beside the plane and on the move."""
     loose = {"near": 0.3, "slow": 1.0, "dwell": 0.0}
@@ -108,13 +96,6 @@ def test_a_landing_in_three_dimensions_commands_its_own_roll():
     for channel in leaning.task.channels:
         action = leaning.predict([0])[0][leaning.task.action_names.index(channel.name)]
         np.testing.assert_allclose(own[:, channel.column], channel.centre + channel.span * action)
-
-
-def test_the_shipped_landing_in_three_dimensions():
-    plan = Plan(POLICIES[0], load_policy("landing-3d"), POLICIES[2])
-    flown = fly_missions(plan, np.array([[1.5, 1.0, 0.6], [-1.0, 0.0, 1.8]]))
-    assert [mission.end for mission in flown] == ["at rest"] * 2
-    assert np.ptp(flown[0].commands[flown[0].leg == LANDING, 1]) > 0.0  # it rolls as it likes
 
 
 def test_trim_holds_what_sinks():

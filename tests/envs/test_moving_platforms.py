@@ -1,6 +1,5 @@
 """Tasks over moving platforms: everything is relative to the platform."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -14,7 +13,7 @@ from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import FRICTION, TouchdownConditions, resting
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
+from inclined_landing.models.attitude import ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import Contacts, make_plant
 from inclined_landing.train.descent import Descent
@@ -181,20 +180,6 @@ def test_options_that_fit_nothing_are_sentences(options, said):
         make_task("touchdown", **options)
 
 
-def test_a_plain_plant_cannot_move_its_platforms():
-    task = make_task("landing", dimensions=3, fastest=1.0)
-    env = BatchEnv(task, make_plant("hybrid", 2, task.vehicle, threads=1), seed=0)
-    with pytest.raises(UserError, match="moving=True"):
-        env.reset()
-
-
 def test_a_policy_of_a_still_platform_is_refused_over_moving_ones():
     with pytest.raises(UserError, match="trained with"):
         load_policy("touchdown", TASK)
-
-
-def test_given_starts_stand_over_platforms_that_stand_still():
-    start = TASK.start(TASK.states_at([(0.0, 0.0, 2.0)]))
-    assert start.motion is None and dataclasses.is_dataclass(start)
-    platform = start.platforms(TASK.vehicle)[0]
-    assert (platform[VX : VZ + 1] == 0.0).all() and platform[PITCH] == TASK.inclination

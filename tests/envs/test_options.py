@@ -7,7 +7,7 @@ import pytest
 from msgspec import Meta
 
 from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, SlopeLanding, make_task
-from inclined_landing.envs.tasks.options import TaskOptions, Training
+from inclined_landing.envs.tasks.options import Training
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.config import TrainConfig
 
@@ -70,9 +70,3 @@ def test_options_find_the_class(name, kind):
         if options:
             with pytest.raises(UserError, match=f"make_task.'{name}', .... takes the class"):
                 kind(**options)
-
-
-def test_what_is_no_option_is_refused():
-    with pytest.raises(UserError, match="the task setpoint has no option 'swell'; it has angle_limit"):
-        make_task("setpoint", swell=1.0)
-    assert {field.name for field in dataclasses.fields(TaskOptions)} == set(TASKS["setpoint"].option_names())

@@ -16,10 +16,8 @@ from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.models.attitude import PITCH, YAW
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
-from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 
-V = load_vehicle()
 LOOK = {"width": 160, "height": 120, "camera": "hero"}
 
 

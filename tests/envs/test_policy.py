@@ -89,14 +89,6 @@ def test_predict_is_that_of_sac_and_td3(tmp_path, kind, options):
     assert_same_actions(network, saved(tmp_path / "p.zip", network))
 
 
-def test_predict_is_that_of_sac_with_state_dependent_exploration(tmp_path):
-    network = SAC("MlpPolicy", Spaces(5, 2), seed=0, device="cpu", buffer_size=1, use_sde=True)
-    with torch.no_grad():  # means beyond the hard limit of 2
-        network.actor.mu[0].weight.mul_(100.0)
-    actions = assert_same_actions(network, saved(tmp_path / "p.zip", network))
-    assert abs(actions).max() == pytest.approx(np.tanh(2.0))
-
-
 def assert_same_actions(network, path, task=None):
     """float32 sums: 256 terms at 6e-8, before a gain below 10."""
     rows = np.random.default_rng(1).normal(scale=3.0, size=(300, 5)).astype(np.float32)
@@ -111,26 +103,6 @@ def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
     together = loaded.predict(rows)
     assert together.dtype == np.float32
     np.testing.assert_array_equal(together, [loaded.predict(row) for row in rows])
-
-
-def test_hand_made_network(tmp_path):
-    network = model(**SCALED)
-    with torch.no_grad():
-        for parameter in network.policy.parameters():
-            parameter.zero_()
-        network.policy.action_net.bias.copy_(torch.tensor([0.25, 3.0]))
-    loaded = policy.load_policy(saved(tmp_path / "p.zip", network))
-    np.testing.assert_array_equal(loaded.predict(np.ones((2, 5))), [[0.25, 1.0]] * 2)
-
-
-def test_the_metadata_builds_the_task(tmp_path):
-    path = saved(tmp_path / "p.zip", model())
-    loaded = policy.load_policy(path)
-    assert loaded.metadata == METADATA and loaded.name == "p"
-    assert loaded.task.name == "landing"
-    assert loaded.task.pwm_centre == load_vehicle().hover_pwm
-    tilted = policy.load_policy(path, inclination=-0.2)
-    assert tilted.task.inclination == -0.2
 
 
 def test_another_vehicle_keeps_the_action_map_of_training(tmp_path):
@@ -149,12 +121,6 @@ def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
         assert json.loads(archive.read(policy.METADATA))["seed"] == 4
     assert PPO.load(path, device="cpu").observation_space.shape == (5,)
     assert [p.name for p in tmp_path.iterdir()] == ["p.zip"]
-
-
-def test_metadata_must_name_its_task(tmp_path):
-    model().save(tmp_path / "p.zip")
-    with pytest.raises(UserError, match="lacks task_options"):
-        policy.write_metadata(tmp_path / "p.zip", {"task": "landing"})
 
 
 def test_a_plain_sb3_file_needs_the_task(tmp_path):
@@ -537,26 +503,3 @@ def test_start_states_of_a_vector_environment():
     for wrong in ({"start": states}, {"state": states[:2]}, [{}] * 2, [{}, {}, {"x": 1}], 3):
         with pytest.raises(UserError):
             env.set_options(wrong)
-
-
-def test_what_all_vehicles_share_is_not_set_for_one():
-    env = vehicles(3)
-    env.set_attr("reward_scale", 2.0)
-    env.env_method("set_conditions", env.env.task.conditions, indices=range(3))
-    refused = {
-        "leave indices out": (
-            lambda: env.set_attr("reward_scale", 7.0, [0]),
-            lambda: env.env_method("set_conditions", None, indices=1),
-            lambda: VecMonitor(env).set_attr("reward_scale", 7.0, 0),
-        ),
-        "numbers of vehicles below 3": (lambda: env.get_attr("reward_scale", 3),),
-        "call reset itself": (lambda: env.env_method("reset"),),
-    }
-    for said, acts in refused.items():
-        for act in acts:
-            with pytest.raises(UserError, match=said):
-                act()
-    with pytest.raises(AttributeError):
-        env.set_attr("gravity", 3.0)
-    assert env.get_attr("reward_scale", [0, 2]) == [2.0] * 2 and not env.has_attr("gravity")
-    assert env.get_images() == [None] * 3

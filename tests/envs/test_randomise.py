@@ -92,12 +92,6 @@ def test_wrong_files_are_refused(text, sentence, tmp_path):
     assert str(refused.value).startswith(f"randomise file {tmp_path}")
 
 
-def test_ranges_of_vehicles_that_cannot_be_are_refused(tmp_path):
-    ranges = written(tmp_path, "[body]\nmass = [0.03, 19]")
-    with pytest.raises(UserError, match=r"ranges.toml gives vehicles that cannot be: .*"):
-        ranges.draw(V, 0)
-
-
 def test_a_pool_fills_its_ranges(tmp_path):
     """Evenly: of 100 numbers one in every hundredth; and half of the vehicles have what half have."""
     ranges, count = written(tmp_path), 100
@@ -162,20 +156,6 @@ def test_without_ranges_nothing_is_drawn(plant):
         states.append(env.plant.state.copy())
     np.testing.assert_array_equal(states[0], states[1])
     np.testing.assert_array_equal(states[0], states[2])
-
-
-def test_policies_fly_the_assigned_vehicles():
-    """As in a plant of their own; the platform's tilt is the vehicle's, the goal the task's."""
-    policy = load_policy("landing-nominal")
-    pool = [LIBRARY[name].apply(V, LIBRARY[name].plausible) for name in ("platform_tilt", "thrust_scale")]
-    starts = policy.task.states_at([(1.0, 2.0)] * 3)
-    plant = make_plant("mujoco", 3, policy.task.vehicle, pool=pool)
-    plant.assign(np.arange(3), [1, 2, 0])
-    flights = record_flights(policy, plant, starts)
-    for flight, vehicle in zip(flights, (*pool, V)):
-        assert flight.inclination == pytest.approx(vehicle.platform_inclination, abs=1e-15)
-    alone = record_flights(policy, make_plant("mujoco", 1, pool[1]), starts[:1])[0]
-    np.testing.assert_array_equal(flights[1].state, alone.state)
 
 
 def test_a_drawn_vehicle_that_diverges_has_failed():

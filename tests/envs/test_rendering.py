@@ -11,10 +11,10 @@ from inclined_landing.envs import starts
 from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.camera import nearest_position
-from inclined_landing.envs.rendering.overlay import caption_height, draw_caption
+from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
-from inclined_landing.envs.rendering.scenery import rendering_model, scaled_centres, scaled_points
+from inclined_landing.envs.rendering.scenery import scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import shapes_of
@@ -46,13 +46,6 @@ def side():
     return make_renderer(W, H, "side", "ray", scale=1.0)
 
 
-def test_size_and_determinism(hero):
-    frame = hero.render(hovering(), caption="t 0.00 s")
-    assert frame.shape == (H, W, 3) and frame.dtype == np.uint8
-    again = make_renderer(W, H, "hero", "ray").render(hovering(), caption="t 0.00 s")
-    np.testing.assert_array_equal(frame, again)
-
-
 def test_kept_background_equals_a_fresh_picture_bit_for_bit(hero):
     trail = np.stack([hovering(x=1.2 - 0.02 * k) for k in range(20)])
     goal = Ghost(qpos_of_state(hovering(0.0, 1.2, -0.4)))
@@ -62,13 +55,6 @@ def test_kept_background_equals_a_fresh_picture_bit_for_bit(hero):
             trail[k], trail=trail[: k + 1], ghosts=[goal], caption="x"
         )
         np.testing.assert_array_equal(kept, fresh)
-
-
-def test_only_pixels_of_vehicle_and_shadow_are_drawn_anew(hero, monkeypatch):
-    """The picture does not depend on the rectangle that the vehicle's rays are cast in."""
-    tight = hero.render(hovering())
-    monkeypatch.setattr(RayRenderer, "_bounds", lambda self, view: (0, 0, W, H))
-    np.testing.assert_array_equal(hero.render(hovering()), tight)
 
 
 def test_side_camera_shows_metres_exactly():
@@ -103,24 +89,6 @@ def test_rays_meet_the_points_they_are_cast_at(hero, side):
         pixel, depth = view.project(points)
         rays = view.rays(pixel[:, 0], pixel[:, 1])
         np.testing.assert_allclose(view.eye + depth[:, None] * rays, points, atol=1e-6)
-
-
-def test_vehicle_stays_at_its_place_when_drawn_larger():
-    """The feet's tips, and only they, do not move when the vehicle is scaled."""
-    vehicle = load_vehicle()
-    small, large = (rendering_model(vehicle, scale=s) for s in (1.0, 3.0))
-
-    def lowest(model):
-        leg = model.geom("leg_front_left").id
-        return model.geom_pos[leg, 2] - model.geom_size[leg, 1] - model.geom_size[leg, 0]
-
-    assert lowest(small) == pytest.approx(lowest(large), abs=1e-9)
-    ratio = large.geom("marker_0").size[0] / small.geom("marker_0").size[0]
-    assert ratio == pytest.approx(3.0)
-    for name in ("foot_front_left", "rotor_front_left", "body_collision"):
-        np.testing.assert_array_equal(small.geom(name).size, large.geom(name).size)
-    centre = scaled_centres(small, hovering(0.0, 1.0, 0.0)[None], 3.0)[0]
-    np.testing.assert_allclose(centre, [0, 0, 1.0 - 2.0 * lowest(small)], atol=1e-9)
 
 
 def test_shadow_falls_where_the_light_says():
@@ -231,15 +199,6 @@ def test_base_is_closed_for_any_inclination():
             geom, _, normal = scene.cast(np.array([0, -3.0, 0.5]), np.array([[0, 1.0, 0]]), 0)
             assert scene.model.geom(geom[0]).name == "prism"
             np.testing.assert_allclose(normal[0], [0, -1, 0], atol=1e-6)
-
-
-def test_a_note_that_does_not_fit_is_left_out():
-    text, note = "t 1.10 s   x +0.90  z 1.80 m   pitch  +17.2 deg   PWM  42000", "vehicle drawn 3x"
-    for width, fits in ((320, False), (640, True)):
-        plain, noted = np.zeros((180, width, 3), np.uint8), np.zeros((180, width, 3), np.uint8)
-        draw_caption(plain, text)
-        draw_caption(noted, text, note)
-        assert (plain != noted).any() == fits
 
 
 def test_caption_covers_the_bottom_only(hero):

@@ -1,15 +1,12 @@
 """`Setpoint`: observation, action map, reward and starts."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inclined_landing.envs.tasks import Setpoint, StepContext, make_task, setpoint
+from inclined_landing.envs.tasks import Setpoint, StepContext, setpoint
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 V = load_vehicle()
@@ -61,19 +58,6 @@ def test_success_is_within_five_centimetres(distance, success):
         assert judge(state(setpoint.GOAL + distance * axis), [0, 0, 0]).success.tolist() == [success]
 
 
-def test_observation():
-    assert TASK.observe(StepContext(np.arange(13.0)[None])).tolist() == [[0, 1, 2, 3, 4, 5, 6, 7]]
-    assert TASK.observe(StepContext(np.zeros((2, 13)))).dtype == np.float32
-    assert len(TASK.observation_names) == 8 == len(TASK.observation_scale) == len(TASK.observation_centre)
-
-
-def test_action_map():
-    u = TASK.commands(np.array([[0, 1, -0.5], [1, 0, 0], [-1, 0, 0]]))
-    np.testing.assert_allclose(u[0], [V.hover_pwm, math.radians(30), math.radians(-15), 0])
-    np.testing.assert_allclose(u[1:, 0], V.hover_pwm + np.array([16_500, -16_500]))
-    assert make_task("setpoint", pwm_centre="paper").commands(np.zeros((1, 3)))[0, 0] == 42_000
-
-
 def test_conditions_ease_the_effort_and_shorten_episodes():
     task = Setpoint()
     assert task.conditions == setpoint.SetpointConditions(setpoint.EFFORT_FLOOR, Setpoint.max_steps)
@@ -95,15 +79,6 @@ def test_starts_fill_their_box_at_rest_without_a_platform():
         assert outer_low < inner_low and inner_high < outer_high
     assert not start.state[:, 3:LAG].any() and (start.state[:, LAG] == V.hover_lag).all()
     assert not start.present.any() and np.isnan(start.goal_size).all()
-
-
-@pytest.mark.parametrize("options, sentence", [
-    ({"pwm_centre": "middle"}, "pwm_centre must be"),
-    ({"inclination": 0.1}, "the task setpoint has no option 'inclination'"),
-])  # fmt: skip
-def test_wrong_options_are_refused(options, sentence):
-    with pytest.raises(UserError, match=sentence):
-        make_task("setpoint", **options)
 
 
 def test_any_goal_is_the_own_one_seen_from_elsewhere():

@@ -89,17 +89,6 @@ def test_goal_lies_along_the_normal_with_the_papers_half_widths(inclination):
                 assert PLANE.in_goal(state[None], 0.1, platform)[0] == (inside or column in across)
 
 
-def test_the_plain_task_is_as_it_was():
-    """Names, options and the stream of random starts."""
-    task = make_task("landing")
-    assert set(task.options) == {"inclination", "pwm_centre", "pwm_span"}
-    assert task.observation_names == ("x", "z", "vx", "vz", "pitch") and task.table == "goal_box"
-    rng = np.random.default_rng(3)
-    assert (rng.random(1) < 1.0).all()
-    x, z = rng.uniform([-3.3, 1.2], [3.3, 2.3], (1, 2))[0]
-    np.testing.assert_array_equal(task.sample(np.random.default_rng(3), 1).state[0, :3], [x, 0.0, z])
-
-
 def test_attitude_limit_is_that_of_task_plant_and_actions():
     batch = make_batch("landing", 1, plant="analytic", angle_limit=math.radians(55))
     assert batch.plant.vehicle.command_angle_limit == pytest.approx(math.radians(55))

@@ -7,10 +7,8 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.gym_env import InclinedLandingEnv  # type: ignore[attr-defined]
 from inclined_landing.envs.history import input_centre, input_names, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, locate, observes_vehicle, write_metadata
-from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
 from inclined_landing.models.attitude import LAG, VZ
@@ -96,15 +94,6 @@ def test_what_is_hidden_in_the_plant_is_not_told():
     hidden = LIBRARY["thrust_scale"].apply(V, {"scale": 0.8})
     env = BatchEnv(make_task("landing", observe_vehicle=True), make_plant("analytic", 1, hidden), 0)
     np.testing.assert_array_equal(told(env.task, env.reset())[0], vehicle_parameters(V))
-
-
-def test_the_faces_show_it():
-    single = InclinedLandingEnv(plant="analytic", observe_vehicle=True)
-    assert single.observation_space.shape == single.reset(seed=0)[0].shape == (5 + len(NAMES),)
-    env = BatchEnv(make_task("landing", observe_vehicle=True), make_plant("analytic", 3), 0)
-    assert BatchVecEnv(env).reset().shape == (3, 5 + len(NAMES))
-    with pytest.raises(UserError, match="observe_vehicle must be True or False, not 'yes'"):
-        make_task("landing", observe_vehicle="yes")
 
 
 def test_action_0_is_the_hover_of_each_vehicle():

@@ -50,19 +50,6 @@ def test_wrappers_of_observation_reward_and_action(plant):
     assert np.isfinite(made(wrappers.NormalizeReward)[1]).all()
 
 
-def test_normalised_observations_have_mean_zero_and_variance_one():
-    """Over a few episodes from random starts, what the running estimate makes of them at its end."""
-    env = wrappers.NormalizeObservation(gym.make(ID, plant="analytic", max_episode_steps=50))
-    rows = []
-    for episode in range(40):
-        env.action_space.seed(episode)
-        env.reset(seed=episode)
-        rows += [env.step(env.action_space.sample())[0] for _ in range(50)]
-    late = np.array(rows[len(rows) // 2 :])
-    # 20 starts: a mean within 3 / sqrt(20) of zero
-    assert np.abs(late.mean(axis=0)).max() < 0.67 and 0.3 < late.std(axis=0).min()
-
-
 @pytest.mark.slow
 def test_record_video_writes_a_film_that_plays(tmp_path):
     pytest.importorskip("moviepy", reason="moviepy is not installed")
@@ -76,35 +63,6 @@ def test_record_video_writes_a_film_that_plays(tmp_path):
     meta = next(reader)
     assert tuple(meta["size"]) == (96, 64) and meta["fps"] == pytest.approx(50)
     assert len(list(reader)) == 5
-
-
-def test_frames_as_a_list_and_as_an_observation():
-    env = wrappers.RenderCollection(gym.make(ID, plant="analytic", **PICTURE))
-    flown(env)
-    assert [frame.shape for frame in env.render()] == [(64, 96, 3)] * 4
-    pixels = wrappers.AddRenderObservation(gym.make(ID, plant="analytic", **PICTURE))
-    observation, _ = pixels.reset(seed=0)
-    assert observation.shape == (64, 96, 3) and pixels.observation_space.contains(observation)
-
-
-def test_vector_wrappers():
-    """Those that change observations want episodes to begin in the next step, as Gymnasium says itself."""
-
-    def made(**options):
-        return gym.make_vec(ID, num_envs=3, plant="analytic", **options)
-
-    plain, reward = flown(made())
-    normal, _ = flown(wrappers.vector.NormalizeObservation(made(autoreset_mode="NextStep")))
-    assert normal.shape == plain.shape and np.isfinite(normal).all()
-    _, tripled = flown(wrappers.vector.TransformReward(made(), lambda r: 3 * r))
-    np.testing.assert_array_equal(tripled, 3 * reward)
-    flat, _ = flown(wrappers.vector.FlattenObservation(made(autoreset_mode="NextStep")))
-    np.testing.assert_array_equal(flat, plain)
-    counted = wrappers.vector.RecordEpisodeStatistics(made())
-    counted.reset(seed=0)
-    for _ in range(300):
-        *_, info = counted.step(np.zeros((3, 2)))
-    assert info["episode"]["l"].max() == 300
 
 
 def test_next_step_and_disabled_resets_are_gymnasiums():
@@ -135,19 +93,6 @@ def test_next_step_and_disabled_resets_are_gymnasiums():
     assert not plain.step(np.zeros((2, 2)))[3].any()
     with pytest.raises(UserError, match="autoreset_mode must be one of"):
         gym.make_vec(ID, num_envs=2, autoreset_mode="sometimes")
-
-
-@pytest.mark.slow
-def test_vectors_are_filmed_one_by_one(tmp_path):
-    pytest.importorskip("moviepy", reason="moviepy is not installed")
-    with pytest.raises(UserError, match="vectorization_mode='sync'"):
-        gym.make_vec(ID, num_envs=2, render_mode="rgb_array")
-    env = gym.make_vec(ID, num_envs=2, vectorization_mode="sync", plant="analytic", **PICTURE)
-    env = wrappers.vector.RecordVideo(env, str(tmp_path), disable_logger=True)
-    env.reset(seed=0)
-    env.step(env.action_space.sample())
-    env.close()
-    assert list(tmp_path.glob("*.mp4"))
 
 
 # --- the window ----------------------------------------------------------------------------------------

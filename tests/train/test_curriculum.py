@@ -219,7 +219,9 @@ def test_effort_eases_the_set_point_and_holds_the_learning_rate_for_60_percent()
 def test_touchdown_begins_without_a_price_of_impact_and_ends_at_the_task():
     curriculum = make_curriculum("touchdown", "touchdown", 0.99)
     first = curriculum.conditions()
-    assert first.impact_share == 0.0 and min(first.out_of_bounds_penalty, first.close, first.beside) > 0.0
+    assert (
+        first.impact_share == 0.0 and min(first.out_of_bounds_penalty, first.close, first.around_edge) > 0.0
+    )
     assert first.friction == (0.5, 1.2)
     curriculum.advance(curriculum.RAMP)
     last = curriculum.conditions()

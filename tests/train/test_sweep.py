@@ -260,7 +260,7 @@ def test_a_damaged_record_is_refused(text, place):
 def test_no_two_processes_do_the_same_job(place):
     job = jobs.jobs_of(read_recipe(Path("pretended.toml")), Path("runs"))["a", 5]
     job.log.parent.mkdir(parents=True)
-    with runs.held(job.folder, job.log) as log:
+    with runs.locked(job.folder, job.log) as log:
         other = os.dup(log)  # as the program that was begun has it
     with pytest.raises(UserError, match=r"another process works in the run folder \S+a-5; wait"):
         jobs.work(1, 0.1, None, job)

@@ -84,7 +84,7 @@ def command(
         (folder / STEPS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
-    with run_folders.held(folder):
+    with run_folders.locked(folder):
         return sweep.run(on, address, jobs)
 
 
@@ -152,7 +152,7 @@ class Sweep:
             measured=tuple(measured),
         )
         storage.write_json(self.folder / RESULT, msgspec.to_builtins(result))
-        table = new_table(recipe.title, *HEADS, left=2)
+        table = new_table(recipe.title, *HEADS, labels=2)
         for row in result.rows(recipe):
             table.add_row(*row)
         table.caption = result.cost()

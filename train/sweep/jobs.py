@@ -129,7 +129,7 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
             return work(threads, patience, leash, job)
     if not job.record.parent.is_dir():
         raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
-    with runs.held(job.folder, job.log, patience) as log:
+    with runs.locked(job.folder, job.log, patience) as log:
         steps = read(job)
         for step in steps:
             if step.done:

@@ -14,14 +14,14 @@ from inclined_landing.eval.gap.result import Diagnosis, InconsistentFlights
 
 def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:
     """Print effects, limits, ties, remedies, gap and verdict; report: the folder with the page."""
-    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", left=2)
+    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", labels=2)
     for effect in d.effects:
         ends = (words.label(effect.name), words.probability(effect.probability), words.share(effect.gain))
         for name, p in effect.parameters.items():
             value = words.rounded(p.value, p.ci95, p.unit)
             rows.add_row(ends[0], name, value, words.interval(p.ci95, p.unit), *ends[1:])
             ends = ("", "", "")
-    answer = new_table(None, *words.ANSWER_HEADS, left=4)
+    answer = new_table(None, *words.ANSWER_HEADS, labels=4)
     for row in words.answer_rows(d):
         answer.add_row(*row)
     lines = words.sentences(d)

@@ -66,7 +66,7 @@ def command(
     drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)
-    with runs.held(out):
+    with runs.locked(out):
         storage.remove_parts(out)
         _open_set(out, {"set": set, "seed": seed, "cases": len(drawn)}, labels)
         _diagnose_all(drawn, labels, methods, out, processes)
