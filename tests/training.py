@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from inclined_landing.eval.pictures import frames
-from inclined_landing.train import cli, trials, warm_start
+from inclined_landing.train import cli, evaluation, warm_start
 
 
 def train(arguments: list[str], log: str, dies_at: int | None = None) -> None:
@@ -26,7 +26,7 @@ def train(arguments: list[str], log: str, dies_at: int | None = None) -> None:
     os.dup2(handle, 1)
     os.dup2(handle, 2)
     sys.stdout = sys.stderr = os.fdopen(handle, "w", buffering=1)
-    trials.EVALUATION_STARTS = 2
+    evaluation.EVALUATION_STARTS = 2
     warm_start._ROUNDS, warm_start._STEPS, warm_start.CRITIC_FIRST = 2, 20, 1000
     frames.render_flight = functools.partial(frames.render_flight, width=64, height=48, fps=1.0)
     if dies_at is not None:

@@ -35,7 +35,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 Row = dict[str, int | float]
 
 
-class State(Struct, forbid_unknown_fields=True):
+class TrainingState(Struct, forbid_unknown_fields=True):
     """What state.json holds besides its format."""
 
     steps: Count
@@ -132,13 +132,13 @@ def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
     return arrays | {"torch_rng": torch.get_rng_state().numpy()}
 
 
-def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> State:
+def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
     """Carry a new model on to a checkpoint, for `learn(..., reset_num_timesteps=False)`; return its state.
 
     Raises UserError for whatever is not of the names, shapes and types that this model and this environment
     would have written.
     """
-    state, arrays, batch = schema.parse(saved.state, State), saved.arrays, env.env
+    state, arrays, batch = schema.parse(saved.state, TrainingState), saved.arrays, env.env
     batch.reset()  # which makes room for the waves of moving platforms
     moments = _checked_moments(model, env, arrays)
 

@@ -83,7 +83,7 @@ def help_page(complete: bool) -> str:
 
 def _report(run: Run, metrics: dict) -> None:
     """Report on a run that has ended, or say why there is no report."""
-    from inclined_landing.train.evaluation import look_up
+    from inclined_landing.train.lookup import look_up
     from inclined_landing.train.run import VEHICLE
 
     try:

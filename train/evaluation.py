@@ -1,23 +1,73 @@
-"""What training uses of evaluation, looked up by name: training runs where evaluation is not installed."""
+"""Periodic evaluation: flights of the present policy, as the task judges them."""
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
 
-from inclined_landing.models.errors import UserError, not_installed
+import numpy as np
 
-_MODULES = {
-    "report": "after_training",  # after a run
-    "find": "cli",  # the commands of a recipe
-}
+from inclined_landing.envs.flights import record_flights
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.guard import TaskError
+from inclined_landing.envs.tasks.own import blame
+from inclined_landing.models.attitude import LAG
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
+from inclined_landing.train import ppo
+from inclined_landing.train.config import TrainConfig
+
+EVALUATION_STARTS = 64
+ENDING_STARTS = 256  # of evaluations that end a run
 
 
-def look_up(name: str) -> Callable[..., Any]:
-    """Return a function of evaluation by its name; raises UserError where a package of it is missing."""
-    try:
-        module = importlib.import_module(f"inclined_landing.eval.{_MODULES[name]}")
-    except ModuleNotFoundError as error:
-        raise UserError(not_installed(error, "eval")) from error
-    return getattr(module, name)
+class PeriodicEvaluation:
+    """Random starts of a stream of its own, hybrid plant in RK4, no training aids.
+
+    Of a randomised run two of three flights have a vehicle of another pool than the training's, hovering at
+    first: the score is that of all flights, and after it stands that of either kind.
+    """
+
+    def __init__(self, config: TrainConfig, vehicle: Vehicle):
+        self.task = ppo.build_task(config)
+        rng = np.random.default_rng(ppo.evaluation_seed(config))
+        count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
+        count += 0 if config.randomise is None else count // 2
+        self.starts = self.task.evaluation_starts(rng, count)
+        drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), 2 * (count // 3))
+        self.plant = make_plant(
+            "hybrid", count, vehicle, threads=config.threads, **drawn | self.task.plant_options
+        )
+        if self.plant.pool:
+            others = np.flatnonzero(np.arange(count) % 3)
+            self.plant.assign(others, 1 + np.arange(len(others)))
+            self.starts.state[:, LAG] *= self.plant.hover_share
+
+    def score(self, policy: Policy) -> dict:
+        """Return the task's score of flights from all starts."""
+        flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
+        score = self.task.score(flights)
+        if self.plant.pool:
+            kinds = {
+                "score_nominal": flights[::3],
+                "score_drawn": [f for k, f in enumerate(flights) if k % 3],
+            }
+            score |= {name: self.task.score(some)["score"] for name, some in kinds.items()}
+        return score
+
+    def rehearse(self) -> None:
+        """Ask the task for all that evaluation asks, of two flights of 20 steps; raises TaskError."""
+        task = self.task
+        idle = SimpleNamespace(task=task, predict=lambda seen: np.zeros((len(seen), len(task.action_names))))
+        try:
+            plant = make_plant("hybrid", 2, task.vehicle, threads=1, **task.plant_options)
+            starts = task.evaluation_starts(np.random.default_rng(0), 2)
+            flights = record_flights(idle, plant, starts, steps=min(20, task.judged_steps or 20))
+            task.score_words(task.score(flights))
+            task.flight_words(flights[0])
+            task.start_words(task.states_at(task.film_starts[:1])[0])
+        except (UserError, MemoryError, FloatingPointError):
+            raise
+        except Exception as error:
+            reason = blame(error) or f"{type(error).__name__}: {shown(error, 120)}"
+            raise TaskError(f"task {task.name}: what it says of itself does not fit: {reason}") from error

@@ -28,7 +28,7 @@ RECORD = "run.json"
 FREE = ("out", "max_seconds", "max_cpu_seconds", "report", "threads")
 
 
-class Record(schema.Table, frozen=True):
+class RunRecord(schema.Table, frozen=True):
     """The content of run.json."""
 
     config: dict
@@ -70,7 +70,7 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
     storage.check_folder(folder)
     record = storage.read_json(path, "run record", storage.LARGEST)
     try:
-        found = schema.parse(record, Record)
+        found = schema.parse(record, RunRecord)
         for package, now in runs.packages().items():
             then = found.versions.get(package)
             if then != now:

@@ -40,6 +40,7 @@ from inclined_landing.train.callbacks import (
 )
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig
+from inclined_landing.train.evaluation import PeriodicEvaluation
 from inclined_landing.train.record import (
     FREE,
     RECORD,
@@ -50,7 +51,6 @@ from inclined_landing.train.record import (
     ranges_of,
     stored,
 )
-from inclined_landing.train.trials import PeriodicEvaluation
 
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]

@@ -17,7 +17,7 @@ from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from inclined_landing.train import cli, ppo, trials, warm_start
+from inclined_landing.train import cli, evaluation, ppo, warm_start
 from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig
 from inclined_landing.train.curriculum import SETTLING
 from inclined_landing.train.run import CHECKPOINT, Run, train
@@ -127,8 +127,8 @@ def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_
 @pytest.mark.parametrize("length", [{"steps": 256}, {"steps": None, "max_steps": 256, "evaluate_every": 2}])
 def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
     """One of fixed length, or one that was to end by success; interrupted, it then goes on as any other."""
-    monkeypatch.setattr(trials, "ENDING_STARTS", 2)
-    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
+    monkeypatch.setattr(evaluation, "ENDING_STARTS", 2)
+    monkeypatch.setattr(evaluation, "EVALUATION_STARTS", 2)
     folder, first = train(config(tmp_path / "a", **length))
     assert first["finished"] and first["steps"] == 256
     with pytest.raises(UserError, match="has 256 steps, more than the 128 asked for"):
@@ -372,9 +372,11 @@ OPEN = {"steps": None, "evaluate_every": 2, "environments": 4, "curriculum": "no
 def scores(monkeypatch):
     """Scores of the evaluations to come, instead of flights; the last one is repeated."""
     said = [0.0]
-    monkeypatch.setattr(trials, "ENDING_STARTS", 2)
+    monkeypatch.setattr(evaluation, "ENDING_STARTS", 2)
     monkeypatch.setattr(
-        trials.PeriodicEvaluation, "score", lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]}
+        evaluation.PeriodicEvaluation,
+        "score",
+        lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]},
     )
     return said
 
@@ -400,9 +402,9 @@ def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, m
     drawn = iter(
         [0.50, 0.60, 0.70, 0.80, 0.80, 0.81, 0.80]
     )  # sums of pairs: 1.5 after 1.1, ..., 1.61 after 1.6
-    monkeypatch.setattr(trials, "ENDING_STARTS", 4)
+    monkeypatch.setattr(evaluation, "ENDING_STARTS", 4)
     monkeypatch.setattr(
-        trials.PeriodicEvaluation,
+        evaluation.PeriodicEvaluation,
         "score",
         lambda *_: {"score": 0.9, "score_nominal": next(nominal), "score_drawn": next(drawn)},
     )
@@ -576,7 +578,7 @@ WRONG = {
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(trials, "EVALUATION_STARTS", 2)
+    monkeypatch.setattr(evaluation, "EVALUATION_STARTS", 2)
     # Options that would be taken by mistake then end soon.
     tiny = "--environments 2 --rollout 4 --batch-size 8 --steps 8 --evaluate-every 0".split()
     words = arguments.split()

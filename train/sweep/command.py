@@ -23,7 +23,7 @@ from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
-from inclined_landing.train.evaluation import look_up
+from inclined_landing.train.lookup import look_up
 from inclined_landing.train.sweep.jobs import (
     STEPS,
     failure,

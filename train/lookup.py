@@ -1,0 +1,23 @@
+"""What training uses of evaluation, looked up by name: training runs where evaluation is not installed."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from inclined_landing.models.errors import UserError, not_installed
+
+_MODULES = {
+    "report": "after_training",  # after a run
+    "find": "cli",  # the commands of a recipe
+}
+
+
+def look_up(name: str) -> Callable[..., Any]:
+    """Return a function of evaluation by its name; raises UserError where a package of it is missing."""
+    try:
+        module = importlib.import_module(f"inclined_landing.eval.{_MODULES[name]}")
+    except ModuleNotFoundError as error:
+        raise UserError(not_installed(error, "eval")) from error
+    return getattr(module, name)
