@@ -109,14 +109,14 @@ def panel(figure: Figure, left: float, bottom: float, width: float, height: floa
 def legend_below(axes: Axes, **options) -> Legend:
     """Return the legend of axes, drawn below their x label."""
     lower = axes.transAxes + ScaledTranslation(0, -0.54, axes.figure.dpi_scale_trans)
-    given = {
+    settings = {
         "ncols": 2,
         "columnspacing": 1.4,
         "handlelength": 1.8,
         "borderaxespad": 0,
         "borderpad": 0,
     } | options
-    return axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=lower, **given)
+    return axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=lower, **settings)
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

@@ -1,10 +1,17 @@
-"""The texts that exports are written from."""
+"""The texts that exports are written from, and names of others in them."""
 
 from __future__ import annotations
 
+import re
+
 import jinja2
 
-from inclined_landing.eval.base.markdown import escaped
+from inclined_landing.models.errors import shown
+
+LONGEST = 2000  # characters of a value
+# What Markdown or HTML would read as its own within a line; `_` not within a word, `]` where a link goes on,
+# `[` where it may begin the definition of one.
+_SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|\A\[")
 
 
 def render(template: str, **content) -> str:
@@ -18,3 +25,9 @@ def render(template: str, **content) -> str:
         finalize=escaped if template.endswith(".md.j2") else None,
     )
     return environment.get_template(template).render(content)
+
+
+def escaped(value: object) -> str:
+    """Return any value as one printable line of Markdown, without formatting, link or HTML of its own."""
+    # Character references instead of backslashes, which differ between dialects.
+    return _SPECIAL.sub(lambda mark: f"&#{ord(mark[0])};", shown(value, LONGEST))

@@ -63,15 +63,15 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     low, high = level[:cut], level[cut:]
     group_spread = max(np.ptp(low) / low[0], np.ptp(high) / high[0])
     names = [_list_names([name for _, name in group]) for group in (known[:cut], known[cut:])]
-    words = (
+    groups = (
         f"{names[0]} hover{'s' if len(low) == 1 else ''} at {np.mean(low):.0f} {unit}, "
         f"{names[1]} at {np.mean(high):.0f} {unit}"
     )
     if steps[cut - 1] > HOVER_JUMP and steps[cut - 1] > 2 * group_spread:
-        return (refuse("cmd_thrust_pwm", f"flights of different vehicles are mixed: {words}"),)
+        return (refuse("cmd_thrust_pwm", f"flights of different vehicles are mixed: {groups}"),)
     if level[-1] / level[0] - 1 > HOVER_SPREAD:
         spread = 100 * (level[-1] / level[0] - 1)
-        text = f"hover thrust differs by {spread:.0f} % between flights ({words}): one vehicle, one load?"
+        text = f"hover thrust differs by {spread:.0f} % between flights ({groups}): one vehicle, one load?"
         return (limit("cmd_thrust_pwm", text),)
     return ()
 

@@ -43,11 +43,11 @@ def named(names: Iterable[str]) -> str | None:
     return called[min(called)] if called else None
 
 
-def with_clock(record: Record, wanted: Mapping[str, str | None], given: str | None) -> Record:
+def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | None) -> Record:
     """Return the record with a clock: where it lacks the columns that are wanted, time by another name.
 
     A unit that neither name nor file states is inferred from the time step; a clock that wraps is unwrapped.
-    wanted: the mapping's columns and their units. given: the unit as the user says. What was done is noted.
+    wanted: the mapping's columns and their units. stated: the unit as the user says. What was done is noted.
     """
     here = next((name for name in wanted if name in record.columns), None)
     name = here or named(record.columns)
@@ -57,7 +57,7 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], given: str | No
     if name in record.columns:
         values = record.columns[name]
         alias = units.split(name)[1] or (name if units.known("t", name) else None)
-        unit = given or record.units.get(name) or (wanted[name] if here else alias)
+        unit = stated or record.units.get(name) or (wanted[name] if here else alias)
     else:
         first, rest = name.split(" + ")
         values, unit = record.columns[first] + 1e-9 * record.columns[rest], "s"

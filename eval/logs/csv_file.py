@@ -174,8 +174,8 @@ def _cells(path: Path, line: str, separator: str) -> list[str]:
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether the cells are units: text, of which some may be missing or 1."""
-    words = sum(not _is_number(cell) for cell in cells if cell)
-    return all(cell in ("", "1") or not _is_number(cell) for cell in cells) and words > cells.count("1")
+    texts = sum(not _is_number(cell) for cell in cells if cell)
+    return all(cell in ("", "1") or not _is_number(cell) for cell in cells) and texts > cells.count("1")
 
 
 def _names(path: Path, cells: list[str]) -> list[str]:

@@ -135,7 +135,7 @@ class FlightLog:
         """
         t = self.t[0] + np.arange(int(np.floor(self.duration * rate + 1e-6)) + 1) / rate
         t[-1] = min(t[-1], self.t[-1])
-        held = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
+        latest = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
 
         # x(t) = x_k + (t - t_k) / (t_k+1 - t_k) (x_k+1 - x_k)
         def linear(value: np.ndarray | None) -> np.ndarray | None:
@@ -150,11 +150,11 @@ class FlightLog:
             t=t,
             position=linear(self.position),
             attitude=linear(self.attitude),
-            command=self.command[held],
+            command=self.command[latest],
             velocity=linear(self.velocity),
             voltage=linear(self.voltage),
-            contact=None if self.contact is None else self.contact[held],
-            requests=None if self.requests is None else self.requests[held],
+            contact=None if self.contact is None else self.contact[latest],
+            requests=None if self.requests is None else self.requests[latest],
             rotor_speed=linear(self.rotor_speed),
         )
 

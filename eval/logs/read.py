@@ -44,10 +44,10 @@ def read_log(
     """
     paths = _paths(path)
     try:
-        given = dict(units or {})
+        stated = dict(units or {})
     except (TypeError, ValueError) as error:
         raise UserError(f"units must be units by column, not {shown(repr(units), 40)}") from error
-    log = _read(paths, mapping, given, name or _stem(paths[0]))
+    log = _read(paths, mapping, stated, name or _stem(paths[0]))
     if not check:
         return log
     return checks.enforce(log, where="+".join(map(str, paths)))
@@ -92,8 +92,8 @@ def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], n
     channels: dict[str, Channel] = {}
     notes: list[str] = []
     for record in records:
-        found, words = channels_of(column_map, record, units)
-        notes += words
+        found, new_notes = channels_of(column_map, record, units)
+        notes += new_notes
         notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
         channels = found | channels
     return assemble.assemble(name, where, channels, column_map.euler, notes)

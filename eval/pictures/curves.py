@@ -187,8 +187,8 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         if changing := max(_curriculum_end(run.learning) for run in loaded):
             for axes in grid.ravel():
                 axes.axvspan(0, changing / _STEPS.unit, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
-            words = "curriculum level still moving: the task gets harder, and the reward may fall"
-            patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=words)
+            label = "curriculum level still moving: the task gets harder, and the reward may fall"
+            patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=label)
             figure.legend(handles=[patch], loc="outside lower center")
         if len(loaded) > 1:
             handles = [

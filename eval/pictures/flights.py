@@ -50,10 +50,10 @@ def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
 
 def say_outcome(flight: Flight, name: str) -> None:
     """Print one line about a flight."""
-    words = flight.task.flight_words(flight)
+    outcome = flight.task.flight_words(flight)
     if isinstance(flight, LandedFlight):
-        words += f", motors cut: {flight.ending}"
-    say(f"{name}: from {flight.task.start_words(flight.state[0])}: {words}")
+        outcome += f", motors cut: {flight.ending}"
+    say(f"{name}: from {flight.task.start_words(flight.state[0])}: {outcome}")
 
 
 def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:

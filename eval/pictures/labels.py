@@ -19,9 +19,9 @@ MOTORS_CUT: Label = ("motors cut", ORANGE)
 LEG_COLOURS = (PURPLE, BLUE, ORANGE, GREEN)  # of LEGS, in all pictures of missions
 
 
-def outcome_label(words: str, well: bool) -> Label:
+def outcome_label(outcome: str, well: bool) -> Label:
     """Return the label of a flight's outcome, green for success."""
-    return words, GREEN if well else ORANGE
+    return outcome, GREEN if well else ORANGE
 
 
 def speed_label(slow: float) -> list[Label]:

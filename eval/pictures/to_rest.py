@@ -67,9 +67,9 @@ def to_rest(flight: Flight) -> Flight:
         "commands": commands,
         "reward": np.pad(flight.reward, (0, steps)),
     }
-    given = {field.name: getattr(flight, field.name) for field in dataclasses.fields(Flight)}
+    flown = {field.name: getattr(flight, field.name) for field in dataclasses.fields(Flight)}
     return LandedFlight(
-        **given | extended,
+        **flown | extended,
         cut=cut,
         settled=cut + min(settled + 1, steps),
         at_rest=bool(recorder.at_rest()[0]),

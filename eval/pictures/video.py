@@ -80,16 +80,9 @@ def command(
             MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
         beside: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
-    if out.suffix.lower() not in (".mp4", ".gif"):
-        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
-    if look.width % 2 or look.height % 2:
-        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
     check_random_starts(drawn, start)
     storage.check_file(out)
-    if look.camera == FITTED and forces:
-        look = dataclasses.replace(look, camera="hero")
-    if look.camera != "touch":
-        look = checked_look(look)
+    look = _checked(out, look, forces, until, flown)
     if beside and (forces or flown.vehicle is not None):
         raise UserError(
             "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
@@ -97,14 +90,6 @@ def command(
     loaded = flown.load(policy)
     if forces and not loaded.task.has_platform:
         raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
-    if forces and flown.plant == "analytic":
-        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
-    if look.camera == "touch" and not forces:
-        raise UserError("--camera touch looks at a touchdown: it needs --forces")
-    if look.camera == "touch" and look.backend == "gl":
-        raise UserError("--camera touch is drawn with rays: leave --backend gl out")
-    if forces and until == "goal":
-        raise UserError("--forces films what follows the goal box: leave --until goal out")
     others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
     flights = [] if beside else record_flights(loaded, flown.plant, where)
@@ -131,6 +116,24 @@ def command(
     write(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
+
+
+def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) -> Look:
+    """Return the look as it can be filmed; raise UserError where options do not go together."""
+    if out.suffix.lower() not in (".mp4", ".gif"):
+        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
+    if look.width % 2 or look.height % 2:
+        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+    if forces and flown.plant == "analytic":
+        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
+    if forces and until == "goal":
+        raise UserError("--forces films what follows the goal box: leave --until goal out")
+    if look.camera != "touch":
+        near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
+        return checked_look(near)
+    if not forces or look.backend == "gl":
+        raise UserError("--camera touch is drawn with rays and looks at a touchdown: it needs --forces")
+    return look
 
 
 def film(

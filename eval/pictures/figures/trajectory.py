@@ -134,8 +134,8 @@ def _align_label(axes) -> None:
 
 def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None:
     t, end = flight.t, float(flight.t[-1])
-    held = {"drawstyle": "steps-post"}
-    pwm.plot(t, 1e-3 * flight.commands[:, PWM], color=BLUE, label="PWM command", **held)
+    stepped = {"drawstyle": "steps-post"}
+    pwm.plot(t, 1e-3 * flight.commands[:, PWM], color=BLUE, label="PWM command", **stepped)
     pwm.axhline(1e-3 * vehicle.hover_pwm, color=MUTED, lw=1.0, ls=":", label="hover")
     pwm.set(ylabel="PWM [10³]", ylim=(5, 65), yticks=[10, 30, 50])
     pwm.tick_params(labelbottom=False)
@@ -145,7 +145,7 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     for name, angle, command, colour in drawn:
         degrees, commanded = np.degrees(flight.state[:, angle]), np.degrees(flight.commands[:, command])
         pitch.plot(t, degrees, color=colour, label=name)
-        pitch.plot(t, commanded, color=colour, lw=1.2, ls=(0, (4, 1.5)), label=f"{name} command", **held)
+        pitch.plot(t, commanded, color=colour, lw=1.2, ls=(0, (4, 1.5)), label=f"{name} command", **stepped)
     if flight.inclination is not None:
         pitch.axhline(np.degrees(flight.inclination), color=MUTED, lw=1.2, ls=":", label="inclination")
     pitch.set_ylabel("pitch [deg]" if len(drawn) == 1 else "attitude [deg]")
@@ -166,5 +166,5 @@ def _draw_commands(pwm, pitch, flight: Flight, chosen, vehicle: Vehicle) -> None
     marks = pitch.vlines(t[chosen], 0.0, 0.12, color=colours, lw=3.2, transform=foot, zorder=3)
     marks.set_gid("copies")
     above = pwm.transAxes + ScaledTranslation(0, 0.045, pwm.figure.dpi_scale_trans)
-    words, colour = flight.task.flight_words(flight), GREEN if flight.strict else ORANGE
-    pwm.text(1.0, 1.0, words, ha="right", va="bottom", transform=above, size=8.5, color=colour)
+    outcome, colour = flight.task.flight_words(flight), GREEN if flight.strict else ORANGE
+    pwm.text(1.0, 1.0, outcome, ha="right", va="bottom", transform=above, size=8.5, color=colour)

@@ -190,16 +190,16 @@ def inconsistencies_figure(v: Vehicle, drag: Drag) -> Figure:
         weight = v.body_mass * v.environment_gravity
         left.axhline(weight, color=INK, lw=1, ls=":")
         left.annotate("weight", (1, weight), va="bottom", fontsize=8)
-        beside: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
+        small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8}
         for x, colour, side, shift in (
             (v.hover_pwm, BLUE, "right", (-5, 5)),
             (v.static_hover_pwm, ORANGE, "left", (2, -12)),
         ):
             left.plot([x / 1e3], [weight], "o", color=colour, ms=5)
-            left.annotate(f"{x:.0f}", (x / 1e3, weight), shift, ha=side, color=colour, **beside)
+            left.annotate(f"{x:.0f}", (x / 1e3, weight), shift, ha=side, color=colour, **small)
         flight = quoted("hover", "flight_pwm")
         left.plot([flight / 1e3], [weight], "D", color=INK, ms=4)
-        left.annotate("real flights", (flight / 1e3, weight), (4, -12), **beside)
+        left.annotate("real flights", (flight / 1e3, weight), (4, -12), **small)
         _name(left, "Where it hovers", "PWM [10³]", "total thrust [N]", xlim=(0, 60), ylim=(0, None))
         legend_below(left)
         apart = drag.apart

@@ -26,7 +26,6 @@ from inclined_landing.envs.policy import Policy, load_policy, locate, write_meta
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.markdown import LONGEST, escaped
 from inclined_landing.eval.export import (
     c_source,
     contract,
@@ -36,6 +35,7 @@ from inclined_landing.eval.export import (
 )
 from inclined_landing.eval.export.command import FORMATS, write
 from inclined_landing.eval.export.network import ExportNetwork
+from inclined_landing.eval.export.templates import LONGEST, escaped
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
