@@ -1,8 +1,10 @@
-"""Operations on images: edges, dilation, blur, interpolation."""
+"""Operations on images: edges, dilation, blur, interpolation, boxes of pixels."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from inclined_landing.envs.rendering.camera import View
 
 
 def edges(label: np.ndarray, reach: int = 1) -> np.ndarray:
@@ -52,3 +54,19 @@ def bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     top = image[j, i] * (1 - a) + image[j, i + 1] * a
     bottom = image[j + 1, i] * (1 - a) + image[j + 1, i + 1] * a
     return top * (1 - b) + bottom * b
+
+
+def bounding_box(view: View, points: np.ndarray, margin: int) -> tuple[int, int, int, int]:
+    """Return the pixel box (c0, r0, c1, r1) around points (n, 3) [m], `margin` pixels wider."""
+    pixel, depth = view.project(points)
+    if depth.min() < 0.05:
+        return (0, 0, view.width, view.height)
+    low, high = pixel.min(axis=0) - margin, pixel.max(axis=0) + margin
+    return (*np.floor(low).astype(int), *np.ceil(high).astype(int))
+
+
+def clip_box(box, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """Return the part of a pixel box within the picture, None for none."""
+    c0, r0, c1, r1 = box
+    c0, r0, c1, r1 = max(int(c0), 0), max(int(r0), 0), min(int(c1), width), min(int(r1), height)
+    return (c0, r0, c1, r1) if c1 > c0 and r1 > r0 else None

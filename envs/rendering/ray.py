@@ -14,7 +14,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering import overlay
 from inclined_landing.envs.rendering.camera import View, dot
-from inclined_landing.envs.rendering.images import bilinear, box_blur, dilated, edges
+from inclined_landing.envs.rendering.images import bilinear, bounding_box, box_blur, clip_box, dilated, edges
 from inclined_landing.envs.rendering.lit_scene import (
     FRAME,
     SCENE,
@@ -173,7 +173,7 @@ class RayRenderer(SceneRenderer):
         lines = [] if trail is None else [(trail, 3)]
         lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in drawing.forces]
         for points, margin in lines:
-            box = _clip_box(_bounding_box(view, points, margin), self.width, self.height)
+            box = clip_box(bounding_box(view, points, margin), self.width, self.height)
             if box is not None:
                 boxes.append(box)
         if not boxes:
@@ -213,7 +213,7 @@ class RayRenderer(SceneRenderer):
             *np.floor((pixel - radius[:, None]).min(axis=0)).astype(int),
             *np.ceil((pixel + radius[:, None]).max(axis=0)).astype(int),
         )
-        return _clip_box(box, self.width, self.height)
+        return clip_box(box, self.width, self.height)
 
     def _shadow(self, view: View, back: _Background):
         """Return pixel box and coverage (h, w) of the placed vehicle's shadow on the background, or None.
@@ -232,7 +232,7 @@ class RayRenderer(SceneRenderer):
             point = corner @ scene.sun
             fall = max((point[2] + 0.3) / -scene.sun[2, 2], 0.0)
             reach += [point, point + fall * scene.sun[2]]
-        box = _clip_box(_bounding_box(view, np.array(reach), 2), self.width, self.height)
+        box = clip_box(bounding_box(view, np.array(reach), 2), self.width, self.height)
         if box is None:
             return None
         c0, r0, c1, r1 = box
@@ -393,17 +393,3 @@ class RayRenderer(SceneRenderer):
 def _as_uint8(colour: np.ndarray) -> np.ndarray:
     """Return colours in 0..1 as uint8."""
     return (np.clip(colour, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
-
-
-def _bounding_box(view: View, points: np.ndarray, margin: int):
-    pixel, depth = view.project(points)
-    if depth.min() < 0.05:
-        return (0, 0, view.width, view.height)
-    low, high = pixel.min(axis=0) - margin, pixel.max(axis=0) + margin
-    return (*np.floor(low).astype(int), *np.ceil(high).astype(int))
-
-
-def _clip_box(box, width: int, height: int):
-    c0, r0, c1, r1 = box
-    c0, r0, c1, r1 = max(int(c0), 0), max(int(r0), 0), min(int(c1), width), min(int(r1), height)
-    return (c0, r0, c1, r1) if c1 > c0 and r1 > r0 else None
