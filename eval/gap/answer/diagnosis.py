@@ -10,6 +10,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from inclined_landing.eval.gap.answer.before_after import (
+    landing_gap,
+    open_loop_errors,
+    regime_errors,
+    touchdown_errors,
+)
 from inclined_landing.eval.gap.answer.named import (
     contact_effects,
     disturbances,
@@ -18,20 +24,19 @@ from inclined_landing.eval.gap.answer.named import (
     relevant_values,
     useful_values,
 )
-from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
+from inclined_landing.eval.gap.flights.landings import Landing, landings_of
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
-from inclined_landing.eval.gap.flights.windows import REGIMES, prepare_all
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
 from inclined_landing.eval.gap.result import (
     Diagnosis,
-    HorizonCurve,
+    InconsistentFlights,
     NamedEffect,
-    PlantGap,
     RegimeError,
+    ResidualAnalysis,
     ScoredSet,
     Touchdowns,
-    WindowCurves,
 )
 from inclined_landing.eval.gap.search import (
     contact,
@@ -39,13 +44,11 @@ from inclined_landing.eval.gap.search import (
     residual,
     rollout,
     sets,
-    touchdown_simulation,
 )
 from inclined_landing.eval.gap.search.columns import Candidates, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
 from inclined_landing.eval.gap.search.fit import fit_least_squares
 from inclined_landing.eval.gap.search.posterior import EffectSet
-from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.gap.search.vehicle_fit import (
     field_half_widths,
@@ -94,6 +97,81 @@ def diagnose(
         platform = any(log.contact is not None and log.contact.any() for log in flights)
     flights, failed = without_failed_sensors(flights)
     heldout, failed_heldout = without_failed_sensors(heldout)
+    searched = _search(flights, heldout, vehicle, library, reference, platform, notes, clock)
+    problem, found, library = searched.problem, searched.found, searched.library
+    inconsistent = _inconsistent_flights(problem, found, [*failed, *failed_heldout], notes)
+
+    effects, correction = _named(problem, found)
+    corrected = problem.corrected(correction.values)
+    remaining = _residual(problem, found, corrected)
+    clock("remainder")
+    test, after = _evaluation(searched, correction, corrected)
+    where = regime_errors(test, test.white_errors([vehicle] * len(after)), test.white_errors(after))
+    clock("where")
+    tied = any(len(e.members) > 1 for e in effects)
+    manoeuvre = discriminating_manoeuvre(problem, found, platform) if tied else ""
+    clock("manoeuvre")
+    contact_result = _contact_result(flights, heldout, vehicle, corrected, library, notes)
+    if contact_result.landings:
+        clock("touchdown")
+    predicted = open_loop_errors(
+        problem, test, after, effects, corrected, correction.again, plants, curves, notes, clock
+    )
+    gap, effects = predicted.gap, predicted.effects
+    if math.isfinite(predicted.error):
+        remaining = dataclasses.replace(remaining, error=predicted.error)
+    if not gap and contact_result.landings and "mujoco" in plants:
+        gap["mujoco"] = landing_gap(contact_result.landings, vehicle, contact_result.vehicle)
+        clock("gap mujoco")
+    effects += contact_result.effects
+    touchdowns = contact_result.remaining
+    unknown = remaining.unexplained or (touchdowns is not None and touchdowns.unexplained)
+    return Diagnosis(
+        verdict="unknown" if unknown else "effects" if effects else "nothing",
+        inconsistent_flights=inconsistent,
+        effects=effects,
+        estimated=correction.values if correction.again else {},
+        half_widths=correction.half_widths,
+        corrected=contact_result.vehicle,
+        separating_manoeuvre=manoeuvre or None,
+        where=where + contact_result.where,
+        sets=contact_result.sets(tuple(set_hypotheses(problem, found)[0])),
+        unidentifiable_sets=tuple(unidentifiable_sets(problem, found)),
+        touchdowns=touchdowns,
+        disturbance=disturbances(problem, found.noise_model),
+        horizon=predicted.horizon,
+        windows=predicted.windows,
+        residual=remaining,
+        gap=gap,
+        platform=platform,
+        flights=tuple(f.name for f in problem.flights),
+        heldout=tuple(f.name for f in test.flights),
+        seconds=clock.spent,
+        notes=tuple(notes),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Searched:
+    """The flights as windows, and the posterior of the sets of effects."""
+
+    problem: Problem
+    found: sets.SetPosterior
+    judged: list[MeasuredFlight]  # flights for evaluation only
+    library: dict[str, Effect]  # identifiable on the flights
+
+
+def _search(
+    flights: list[FlightLog],
+    heldout: list[FlightLog],
+    vehicle: Vehicle,
+    library: Mapping[str, Effect],
+    reference: VehiclePosterior | None,
+    platform: bool,
+    notes: list[str],
+    clock: _Clock,
+) -> _Searched:
+    """Return the posterior of the sets of effects; in a strong wind the attitude loops are not judged."""
     fitted = prepare_all(flights, vehicle, platform, notes)
     judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
     usable, unidentifiable = identifiable_effects(library, fitted)
@@ -113,13 +191,42 @@ def diagnose(
             judged = prepare_all([_without_angle_commands(log) for log in heldout], vehicle, platform, [])
         problem = Problem(fitted, vehicle, usable, reference)
         found = sets.search(problem)
-    library = usable
     clock("name")
+    return _Searched(problem, found, judged, usable)
+
+
+def _inconsistent_flights(
+    problem: Problem, found: sets.SetPosterior, failed: list[InconsistentFlights], notes: list[str]
+) -> tuple[InconsistentFlights, ...]:
+    """Return the flights left out for a failed sensor, then those that contradict the others."""
     inconsistent = heterogeneity.inconsistent_flights(problem, found.linear, found.joint)
     notes[:0] = map(heterogeneity.summary_line, inconsistent)
-    failed += failed_heldout
     notes[:0] = [f"{one.flights[0]} is left out: {one.sensor}" for one in failed]
-    inconsistent = (*failed, *inconsistent)
+    return (*failed, *inconsistent)
+
+
+def _evaluation(
+    searched: _Searched, correction: _Correction, corrected: Vehicle
+) -> tuple[Problem, list[Vehicle]]:
+    """Return the flights that errors are measured on, and the corrected vehicle of each."""
+    problem, judged = searched.problem, searched.judged
+    if not judged:  # leave-one-out
+        return problem, [problem.corrected(values) for values in correction.left_out]
+    test = Problem(judged, problem.vehicle, searched.library)
+    test.rewhiten(searched.found.noise_model, corrected)
+    return test, [corrected] * len(judged)
+
+
+def _residual(problem: Problem, found: sets.SetPosterior, corrected: Vehicle) -> ResidualAnalysis:
+    """Return what the corrected vehicle leaves unexplained."""
+    residuals = residual.Residual.by(
+        problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
+    )
+    return residual.analyse_residual(problem, residuals, corrected)
+
+
+def _named(problem: Problem, found: sets.SetPosterior) -> tuple[tuple[NamedEffect, ...], _Correction]:
+    """Return the effects that the flights and their prediction need, and the correction of the vehicle."""
 
     def fitted_values(names: EffectSet) -> Values:
         values = sets.posterior_mode(problem, found.local.with_wide_slabs(names), names)
@@ -130,75 +237,7 @@ def diagnose(
 
     values = relevant_values(problem, found, fitted_values)
     values = useful_values(problem, found, values, fitted_values)
-    effects, correction = named_effects(problem, found, values), _Correction.of(problem, found, values)
-    corrected = problem.corrected(correction.values)
-    residuals = residual.Residual.by(
-        problem, found.local, found.names, found.at, found.noise_model.size, found.inflation
-    )
-    remaining = residual.analyse_residual(problem, residuals, corrected)
-    clock("remainder")
-    if judged:
-        test, after = Problem(judged, vehicle, library), [corrected] * len(judged)
-        test.rewhiten(found.noise_model, corrected)
-    else:
-        test, after = (
-            problem,
-            [problem.corrected(v) for v in correction.left_out],
-        )
-    where = _regime_errors(test, test.white_errors([vehicle] * len(after)), test.white_errors(after))
-    clock("where")
-    tied = any(len(e.members) > 1 for e in effects)
-    manoeuvre = discriminating_manoeuvre(problem, found, platform) if tied else ""
-    clock("manoeuvre")
-    contact_result = _contact_result(flights, heldout, vehicle, corrected, library, notes)
-    if contact_result.landings:
-        clock("touchdown")
-    starts = _starts(test, notes)
-    gap: dict[str, PlantGap] = {}
-    horizon: tuple[HorizonCurve, ...] = ()
-    windows: tuple[WindowCurves, ...] = ()
-    if starts is not None:
-        floor = rollout.noise_floor(starts, corrected)
-        error = float(rollout.errors_by_flight(starts, after)[0][-1])
-        remaining = dataclasses.replace(remaining, error=error)
-        effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
-        if curves:
-            horizon = _horizon(problem, starts, effects, after, floor, correction.again)
-            windows = _window_curves(starts, vehicle, corrected)
-        clock("show")
-        for plant in plants:
-            gap[plant] = rollout.plant_gap(starts, vehicle, corrected if judged else after, plant, floor)
-            clock(f"gap {plant}")
-    elif contact_result.landings and "mujoco" in plants:
-        gap["mujoco"] = _landing_gap(contact_result.landings, vehicle, contact_result.vehicle)
-        clock("gap mujoco")
-    effects += contact_result.effects
-    unknown = remaining.unexplained or (
-        contact_result.remaining is not None and contact_result.remaining.unexplained
-    )
-    return Diagnosis(
-        verdict="unknown" if unknown else "effects" if effects else "nothing",
-        inconsistent_flights=inconsistent,
-        effects=effects,
-        estimated=correction.values if correction.again else {},
-        half_widths=correction.half_widths,
-        corrected=contact_result.vehicle,
-        separating_manoeuvre=manoeuvre or None,
-        where=where + contact_result.where,
-        sets=contact_result.sets(tuple(set_hypotheses(problem, found)[0])),
-        unidentifiable_sets=tuple(unidentifiable_sets(problem, found)),
-        touchdowns=contact_result.remaining,
-        disturbance=disturbances(problem, found.noise_model),
-        horizon=horizon,
-        windows=windows,
-        residual=remaining,
-        gap=gap,
-        platform=platform,
-        flights=tuple(f.name for f in fitted),
-        heldout=tuple(f.name for f in test.flights),
-        seconds=clock.spent,
-        notes=tuple(notes),
-    )
+    return named_effects(problem, found, values), _Correction.of(problem, found, values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,7 +333,7 @@ def _contact_result(
             f"something in the motion after the touch repeats that no effect explains (p {named.p_value:.2g})"
         )
     test = landings_of(heldout, corrected) or landings
-    where = _touchdown_errors(test, vehicle, after)
+    where = touchdown_errors(test, vehicle, after)
     remaining = Touchdowns(len(landings), named.unexplained, named.p_value)
     return _ContactResult(after, test, effects, where, named, remaining)
 
@@ -337,96 +376,3 @@ def _data_notes(problem: Problem) -> list[str]:
             "the thrust is that of the measured rotor speeds: how the motors answer cannot be judged"
         )
     return notes
-
-
-def _regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
-    """Return the root mean square errors by regime and channel, from white errors before and after."""
-    first, variance = residual.equivalent_sizes(problem, before)
-    second, _ = residual.equivalent_sizes(problem, after)
-    regimes = np.concatenate([f.regimes for f in problem.flights])
-    rows = []
-    for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
-        for k, channel in enumerate(channels_of(problem)):
-            w = member & (problem.logged[:, k] > 0.0)
-            if w.any():
-                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
-                floor = float(np.sqrt(variance[w, k].mean()))
-                unit = residual.UNITS[channel]
-                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
-    return tuple(rows)
-
-
-def _touchdown_errors(landings, before: Vehicle, after: Vehicle) -> tuple[RegimeError, ...]:
-    """Return the position error after the touch, as a table row."""
-    worse, better = (
-        float(np.sqrt((touchdown_simulation.position_errors(landings, v) ** 2).mean()))
-        for v in (before, after)
-    )
-    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landings])))
-    return (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(landings)),)
-
-
-def _landing_gap(landings, before: Vehicle, after: Vehicle) -> PlantGap:
-    """Return the gap of logs with landings only: error at the end of the motion after the touch."""
-    worse, better = (
-        float(np.sqrt((touchdown_simulation.position_errors(landings, v)[:, -1] ** 2).mean()))
-        for v in (before, after)
-    )
-    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landings])))
-    nan = float("nan")
-    return PlantGap(worse, better, floor, nan, nan, len(landings), BEFORE + AFTER)
-
-
-def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None:
-    """Return the windows for open-loop prediction; None, with a note, where there are none."""
-    try:
-        return rollout.RolloutWindows.of(problem.flights)
-    except UserError as error:
-        notes.append(f"the gap after one second was not measured: {error}")
-        return None
-
-
-def _horizon(problem, starts, effects, after, floor, again: bool) -> tuple[HorizonCurve, ...]:
-    """Return error against horizon with the effects added one by one; `again`: then all others too."""
-    t = np.arange(1, starts.rows + 1) * starts.dt
-    names = [e.name for e in effects]
-    labels = ["nominal", *(f"+ {name}" for name in names), *["+ all others"][: int(again)]]
-    curves = []
-    for k, label in enumerate(labels):
-        if k and k == len(labels) - 1:
-            error, _ = rollout.errors_by_flight(starts, after)
-        else:
-            vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
-            error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
-        curves.append(HorizonCurve(label, tuple(names[:k]), t, error, floor))
-    return tuple(curves)
-
-
-def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
-    """Return the effect with its cost: the error after one second that it accounts for."""
-    # cost^2 = e_without^2 - e_with^2
-    measured, vehicles = starts.measured(), []
-    for kept in ([e for e in effects if e is not one], effects):
-        vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
-    without, whole = (rollout.position_error(rollout.simulate(starts, v), measured)[-1] for v in vehicles)
-    return dataclasses.replace(one, cost=float(np.sqrt(max(0.0, without**2 - whole**2))))
-
-
-def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:
-    """Return, for every regime, the window of the largest error before correction."""
-    measured = starts.measured()
-    before, after = rollout.simulate(starts, vehicle), rollout.simulate(starts, corrected)
-    error = ((before - measured)[:, -1, :3] ** 2).sum(axis=1)
-    t = np.arange(starts.rows + 1) * starts.dt
-    shown = np.zeros((len(starts), len(REGIMES)), bool)  # the regimes of the window that a start lies in
-    for i, (f, first) in enumerate(zip(starts.flight_of, starts.first)):
-        k = int(np.searchsorted(starts.flights[f].starts, first, side="right")) - 1
-        shown[i] = k >= 0 and starts.flights[f].regimes[k]
-    result = []
-    for regime, member in zip(REGIMES, shown.T):
-        if member.any():
-            i = int(np.argmax(np.where(member, error, -1.0)))
-            flight = starts.flights[starts.flight_of[i]]
-            begins = float(flight.t[starts.first[i]])
-            result.append(WindowCurves(flight.name, regime, begins, t, measured[i], before[i], after[i]))
-    return tuple(result)

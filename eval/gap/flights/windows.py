@@ -241,10 +241,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     ambient[:, 0] = 0.5 * (t[1:] + t[:-1])
     ambient[:, 1] = np.nan if log.voltage is None else 0.5 * (log.voltage[1:] + log.voltage[:-1])
     ambient[:, 2:4] = vehicle.platform_inclination, float(platform)
-    usable = in_free_flight(log, vehicle)
-    usable[t < SKIP_AT_START] = False
-    for start, stop in gaps:
-        usable[(log.t > start - 1e-9) & (log.t < stop + SKIP_AT_START + 1e-9)] = False
+    usable = _usable_rows(log, gaps, vehicle)
     starts = _window_starts(usable, rows)
     if not len(starts):
         raise UserError(
@@ -281,6 +278,15 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     )
     flight.regimes = _regimes(flight, vehicle, platform)
     return flight
+
+
+def _usable_rows(log: FlightLog, gaps: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Return (m,) bool: rows in free flight, later than the start and than every gap (g, 2) [s]."""
+    usable = in_free_flight(log, vehicle)
+    usable[log.t - log.t[0] < SKIP_AT_START] = False
+    for start, stop in gaps:
+        usable[(log.t > start - 1e-9) & (log.t < stop + SKIP_AT_START + 1e-9)] = False
+    return usable
 
 
 def _resampled(log: FlightLog) -> FlightLog:

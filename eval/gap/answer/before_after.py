@@ -1,0 +1,156 @@
+"""Errors with and without the effects: by regime, open loop, in the plants, after contact."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE
+from inclined_landing.eval.gap.flights.windows import REGIMES
+from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError, WindowCurves
+from inclined_landing.eval.gap.search import residual, rollout, touchdown_simulation
+from inclined_landing.eval.gap.search.evidence import Problem
+from inclined_landing.eval.gap.search.prediction import channels_of
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class OpenLoopErrors:
+    """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
+
+    effects: tuple[NamedEffect, ...]  # with what each costs
+    error: float = math.nan  # m, of the position after the longest horizon, corrected
+    horizon: tuple[HorizonCurve, ...] = ()
+    windows: tuple[WindowCurves, ...] = ()
+    gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant
+
+
+def open_loop_errors(
+    problem: Problem,
+    test: Problem,
+    after: list[Vehicle],
+    effects: tuple[NamedEffect, ...],
+    corrected: Vehicle,
+    has_new_constants: bool,
+    plants: Sequence[str],
+    curves: bool,
+    notes: list[str],
+    clock: Callable[[str], None],
+) -> OpenLoopErrors:
+    """Return the predictions of the flights of `test`, each with its vehicle of `after`."""
+    starts = _starts(test, notes)
+    if starts is None:
+        return OpenLoopErrors(effects)
+    vehicle = problem.vehicle
+    floor = rollout.noise_floor(starts, corrected)
+    error = float(rollout.errors_by_flight(starts, after)[0][-1])
+    effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
+    horizon: tuple[HorizonCurve, ...] = ()
+    windows: tuple[WindowCurves, ...] = ()
+    if curves:
+        horizon = _horizon(problem, starts, effects, after, floor, has_new_constants)
+        windows = _window_curves(starts, vehicle, corrected)
+    clock("show")
+    gap = {}
+    for plant in plants:
+        vehicles = after if test is problem else corrected
+        gap[plant] = rollout.plant_gap(starts, vehicle, vehicles, plant, floor)
+        clock(f"gap {plant}")
+    return OpenLoopErrors(effects, error, horizon, windows, gap)
+
+
+def regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, from white errors before and after."""
+    first, variance = residual.equivalent_sizes(problem, before)
+    second, _ = residual.equivalent_sizes(problem, after)
+    regimes = np.concatenate([f.regimes for f in problem.flights])
+    rows = []
+    for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
+        for k, channel in enumerate(channels_of(problem)):
+            w = member & (problem.logged[:, k] > 0.0)
+            if w.any():
+                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
+                floor = float(np.sqrt(variance[w, k].mean()))
+                unit = residual.UNITS[channel]
+                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
+    return tuple(rows)
+
+
+def touchdown_errors(landings, before: Vehicle, after: Vehicle) -> tuple[RegimeError, ...]:
+    """Return the position error after the touch, as a table row."""
+    worse, better = (
+        float(np.sqrt((touchdown_simulation.position_errors(landings, v) ** 2).mean()))
+        for v in (before, after)
+    )
+    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landings])))
+    return (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(landings)),)
+
+
+def landing_gap(landings, before: Vehicle, after: Vehicle) -> PlantGap:
+    """Return the gap of logs with landings only: error at the end of the motion after the touch."""
+    worse, better = (
+        float(np.sqrt((touchdown_simulation.position_errors(landings, v)[:, -1] ** 2).mean()))
+        for v in (before, after)
+    )
+    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landings])))
+    nan = float("nan")
+    return PlantGap(worse, better, floor, nan, nan, len(landings), BEFORE + AFTER)
+
+
+def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None:
+    """Return the windows for open-loop prediction; None, with a note, where there are none."""
+    try:
+        return rollout.RolloutWindows.of(problem.flights)
+    except UserError as error:
+        notes.append(f"the gap after one second was not measured: {error}")
+        return None
+
+
+def _horizon(problem, starts, effects, after, floor, has_new_constants: bool) -> tuple[HorizonCurve, ...]:
+    """Return error against horizon with the effects added one by one, then with all constants."""
+    t = np.arange(1, starts.rows + 1) * starts.dt
+    names = [e.name for e in effects]
+    labels = ["nominal", *(f"+ {name}" for name in names), *["+ all others"][: int(has_new_constants)]]
+    curves = []
+    for k, label in enumerate(labels):
+        if k and k == len(labels) - 1:
+            error, _ = rollout.errors_by_flight(starts, after)
+        else:
+            vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
+            error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
+        curves.append(HorizonCurve(label, tuple(names[:k]), t, error, floor))
+    return tuple(curves)
+
+
+def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
+    """Return the effect with its cost: the error after one second that it accounts for."""
+    # cost^2 = e_without^2 - e_with^2
+    measured, vehicles = starts.measured(), []
+    for kept in ([e for e in effects if e is not one], effects):
+        vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
+    without, whole = (rollout.position_error(rollout.simulate(starts, v), measured)[-1] for v in vehicles)
+    return dataclasses.replace(one, cost=float(np.sqrt(max(0.0, without**2 - whole**2))))
+
+
+def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:
+    """Return, for every regime, the window of the largest error before correction."""
+    measured = starts.measured()
+    before, after = rollout.simulate(starts, vehicle), rollout.simulate(starts, corrected)
+    error = ((before - measured)[:, -1, :3] ** 2).sum(axis=1)
+    t = np.arange(starts.rows + 1) * starts.dt
+    shown = np.zeros((len(starts), len(REGIMES)), bool)  # the regimes of the window that a start lies in
+    for i, (f, first) in enumerate(zip(starts.flight_of, starts.first)):
+        k = int(np.searchsorted(starts.flights[f].starts, first, side="right")) - 1
+        shown[i] = k >= 0 and starts.flights[f].regimes[k]
+    result = []
+    for regime, member in zip(REGIMES, shown.T):
+        if member.any():
+            i = int(np.argmax(np.where(member, error, -1.0)))
+            flight = starts.flights[starts.flight_of[i]]
+            begins = float(flight.t[starts.first[i]])
+            result.append(WindowCurves(flight.name, regime, begins, t, measured[i], before[i], after[i]))
+    return tuple(result)
