@@ -6,7 +6,6 @@ Imports nothing heavy: the packages and tyro are imported when a command is run.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import errno
 import functools
 import gc
@@ -24,7 +23,6 @@ import sys
 import textwrap
 import threading
 import time
-import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import Any, TextIO
@@ -118,15 +116,6 @@ def _text(row: str, column: int) -> str:
     return row[column:] if row[column - 2 : column].isspace() else ""
 
 
-def _joined(target: Any) -> None:
-    """Make the text of each argument in a docstring one line, which tyro wraps; of groups of options too."""
-    if target.__doc__:
-        target.__doc__ = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(target.__doc__))
-    for hint in typing.get_type_hints(target).values():
-        if dataclasses.is_dataclass(hint):
-            _joined(hint)
-
-
 def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
     """Return tyro's script that completes a command line.
 
@@ -166,8 +155,6 @@ def bound(command: Callable) -> Callable:
 
     Values beyond the limits of their option's type are refused here, before any work.
     """
-
-    _joined(command)
 
     @functools.wraps(command)
     def later(*arguments: Any, **options: Any) -> Callable:
