@@ -37,7 +37,8 @@ ROOT = HERE.parents[1]
 PAGE = ROOT / "envs" / "shipped" / "README.md"
 DESCRIBED, FLOWN = HERE / "cards.toml", HERE / "cards.json"
 ENOUGH = 0.95  # share of flights below which a condition is listed as one that it fails in
-OF_THE_RUN = ("--seed", "--out", "--threads", "--evaluate-every", "--no-report")
+GONE = "--video-every"  # an option that `landing-train` had, in a recorded command
+OF_THE_RUN = ("--seed", "--out", "--threads", GONE, "--evaluate-every", "--no-report")
 
 
 class Stale(Exception):
@@ -243,7 +244,7 @@ def card(name: str, described: dict, judged: list[dict]) -> str:
         "Observes": _observes(policy),
         "Commands": f"{', '.join(policy.task.action_names)}; PWM {_pwm(policy)}",
         "Network": f"{'-'.join(str(n) for n in _layers(policy))}, {policy.activation}",
-        "Trained by": f"`{policy.metadata['command']}`",
+        "Trained by": f"`{made_by(policy.metadata)}`",
         "Training": _training(policy.metadata),
         "Randomised": _randomised(policy.metadata),
         "With": ", ".join(f"{k} {v}" for k, v in policy.metadata["versions"].items() if k in _VERSIONS),
@@ -383,6 +384,11 @@ def _fails(rows: list[dict]) -> Iterator[str]:
 
 
 # Three seeds of its recipe.
+
+
+def made_by(metadata: dict) -> str:
+    """The command that trained a policy, without an option that is no more."""
+    return metadata["command"].replace(f"{GONE} 0 ", "")
 
 
 def recipe_of(metadata: dict) -> tuple[str, str] | None:

@@ -27,7 +27,7 @@ def test_a_card_names_the_file_and_how_it_was_made():
         policy = load_policy(name)
         done = subprocess.run(["sha256sum", policy.path], capture_output=True, text=True, check=True)
         assert done.stdout.split()[0] in section
-        assert policy.metadata["command"] in section and f"seed {policy.metadata['seed']}" in section
+        assert cards.made_by(policy.metadata) in section and f"seed {policy.metadata['seed']}" in section
 
 
 def test_a_policy_that_did_not_fly_is_refused(tmp_path, monkeypatch):

@@ -372,12 +372,12 @@ OPEN = {"steps": None, "evaluate_every": 2, "environments": 4, "curriculum": "no
 def scores(monkeypatch):
     """Scores of the evaluations to come, instead of flights; the last one is repeated."""
     said = [0.0]
+
+    def score(*_):
+        return {"score": said.pop(0) if len(said) > 1 else said[0]}
+
     monkeypatch.setattr(evaluation, "ENDING_STARTS", 2)
-    monkeypatch.setattr(
-        evaluation.PeriodicEvaluation,
-        "score",
-        lambda *_: {"score": said.pop(0) if len(said) > 1 else said[0]},
-    )
+    monkeypatch.setattr(evaluation.PeriodicEvaluation, "score", score)
     return said
 
 
