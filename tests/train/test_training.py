@@ -78,6 +78,22 @@ class Killed(BaseException):
     """Stands for a kill right after a checkpoint."""
 
 
+def train_until(iteration: int, options: TrainConfig, monkeypatch) -> None:
+    """Train until the checkpoint of an iteration is written, and no further."""
+    checkpoint = Run.checkpoint
+
+    def checkpoint_and_die(self, now):
+        checkpoint(self, now)
+        if now == iteration:
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "checkpoint", checkpoint_and_die)
+        with pytest.raises(Killed):
+            train(options)
+    assert not (options.out / "final.zip").exists()
+
+
 KINDS = {
     "landing": {"task": "landing"},
     "touchdown": {"task": "touchdown"},
@@ -94,18 +110,7 @@ def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
     monkeypatch.setattr(warm_start, "_STEPS", 20)
     options = KINDS[kind] | {"steps": 128 * 24}  # 384 of each vehicle: every episode ends once at least
     whole, _ = train(config(tmp_path / "whole", **options))
-    checkpoint = Run.checkpoint
-
-    def checkpoint_and_die(self, iteration):
-        checkpoint(self, iteration)
-        if iteration == 12:
-            raise Killed
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Run, "checkpoint", checkpoint_and_die)
-        with pytest.raises(Killed):
-            train(config(tmp_path / "cut", **options))
-    assert not (tmp_path / "cut" / "final.zip").exists()
+    train_until(12, config(tmp_path / "cut", **options), monkeypatch)
     # The configuration is the stored one, whatever is given now.
     resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
     assert metrics["steps"] == 128 * 24 and metrics["finished"]
@@ -164,16 +169,6 @@ def test_policy_files_need_no_training_code(landing_run):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == []
-
-
-def test_stock_sb3_loads_the_policy_too(landing_run):
-    from stable_baselines3 import PPO
-
-    path = landing_run[0] / "final.zip"
-    observation = np.random.default_rng(0).normal(size=(20, 5)).astype(np.float32)
-    action, _ = PPO.load(path, device="cpu").predict(observation, deterministic=True)
-    # float32 inside torch, float64 here: 64 + 64 + 5 terms of size 1, each rounded to 6e-8
-    np.testing.assert_allclose(action, load_policy(path).predict(observation), atol=1e-5)
 
 
 def test_a_run_trains_evaluates_and_resumes_with_its_vehicle_and_slope(tmp_path):
@@ -471,23 +466,12 @@ def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, s
 @pytest.mark.parametrize("dies_at", [4, 8])
 def test_killed_and_resumed_a_run_ends_by_success_in_the_same_bits(dies_at, tmp_path, scores, monkeypatch):
     """At the checkpoint in between, and at the one of the end itself."""
-    scores[:] = given = [0.99, 0.98, 0.99, 1.0, 0.0]
-    given = list(given)
+    to_come = [0.99, 0.98, 0.99, 1.0, 0.0]
+    scores[:] = to_come
     whole, _ = train(config(tmp_path / "whole", **OPEN, min_steps=0))
-    checkpoint = Run.checkpoint
-
-    def checkpoint_and_die(self, iteration):
-        checkpoint(self, iteration)
-        if iteration == dies_at:
-            raise Killed
-
-    scores[:] = given
-    with monkeypatch.context() as patch:
-        patch.setattr(Run, "checkpoint", checkpoint_and_die)
-        with pytest.raises(Killed):
-            train(config(tmp_path / "cut", **OPEN, min_steps=0))
-    assert not (tmp_path / "cut" / "final.zip").exists()
-    scores[:] = given[dies_at // 2 :]
+    scores[:] = to_come
+    train_until(dies_at, config(tmp_path / "cut", **OPEN, min_steps=0), monkeypatch)
+    scores[:] = to_come[dies_at // 2 :]
     resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
     assert metrics["steps"] == 512 and metrics["reached"]
     assert_same_policy(whole / "final.zip", resumed / "final.zip")
