@@ -19,7 +19,7 @@ from inclined_landing.eval import cli
 from inclined_landing.models.attitude import COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import Constant, constants, load_vehicle
-from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.config import TrainConfig, flag_of
 from inclined_landing.train.sweep.command import command as sweep
 
 
@@ -83,11 +83,21 @@ def tasks() -> str:
             f'`make_task({name!r})`, `gymnasium.make("{kind.__name__}-v0")`\n',
             _observations(task),
             _actions(task),
+            _training(task),
             f"Control period {task.vehicle.command_control_period:g} s, at most {task.max_steps} steps.\n",
             '??? note "The manual of the task: goal, reward, end"\n',
             "\n".join(f"    {line}" if line else "" for line in task_manual(kind).splitlines()) + "\n",
         ]
     return "\n".join(parts)
+
+
+def _training(task: Task) -> str:
+    """The training defaults, as options."""
+    defaults = {name: value for name, value in vars(task.training).items() if value is not None}
+    if task.training.success is None:  # then the steps are fixed beforehand
+        del defaults["min_steps"], defaults["max_steps"]
+    options = ", ".join(f"`{flag_of(name)} {value}`" for name, value in defaults.items())
+    return f"Trained, unless told otherwise, with {options}.\n"
 
 
 def _observations(task: Task) -> str:
