@@ -75,12 +75,14 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
             then = found.versions.get(package)
             if then != now:
                 raise UserError(f"it was begun with {package} {then}, and {now} would go on otherwise")
-        fields = {field.name for field in dataclasses.fields(TrainConfig)}
-        if wrong := fields ^ set(found.config):
-            raise UserError(f"its configuration lacks {min(wrong)}, or has it without need")
-        begun = TrainConfig(**found.config)
+        # Of a run of other versions of this package: options that are gone play no part, new ones are at
+        # their defaults.
+        names = {field.name for field in dataclasses.fields(TrainConfig)}
+        written = {name: value for name, value in found.config.items() if name in names}
+        begun = TrainConfig(**written)
         _check_named(config, begun)
-        if begun.resolved().as_json() != found.config:
+        resolved = begun.resolved().as_json()
+        if any(resolved[name] != value for name, value in written.items()):
             raise UserError("its configuration is not as it was written")
     except NotNamed:
         raise
@@ -100,7 +102,7 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
     for name, file in COPIED.items():
         if getattr(begun, name) is not None and (folder / file).is_file():
             setattr(begun, name, folder / file)  # unless the run was stopped before it was made
-    return begun, record | {"config": record["config"] | {name: getattr(begun, name) for name in ENDING}}
+    return begun, record | {"config": resolved | {name: getattr(begun, name) for name in ENDING}}
 
 
 def _check_named(config: TrainConfig, begun: TrainConfig) -> None:

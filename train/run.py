@@ -129,7 +129,7 @@ class Run:
         try:
             state = checkpoint.restore(self.model, self.env, saved)
             for name, value in self.record["config"].items():
-                if name not in (*FREE, *ENDING) and state.config[name] != value:
+                if name not in (*FREE, *ENDING) and state.config.get(name, value) != value:
                     raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
             if state.vehicle != changed_entries(self.task.vehicle):
                 raise UserError(f"belongs to another vehicle than {VEHICLE}")
