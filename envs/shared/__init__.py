@@ -1,1 +1,1 @@
-"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, recipes."""
+"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, calls side by side."""
