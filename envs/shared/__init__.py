@@ -1,1 +1,1 @@
-"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, calls side by side."""
+"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, the pool."""
