@@ -142,8 +142,8 @@ def test_foot_height_lifts_the_vehicle():
 
 
 @pytest.mark.parametrize("options, sentence", [
-    ({"friction": -0.1}, "friction must not be negative, it is -0.1"),
-    ({"friction": [0.5, math.nan]}, "friction must not be negative, it is nan"),
+    ({"friction": -0.1}, "friction must be from 0 to 10, not -0.1"),
+    ({"friction": [0.5, math.nan]}, "friction must be from 0 to 10, not nan"),
     ({"restitution": 1.5, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not 1.5"),
     ({"restitution": -0.1, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not -0.1"),
     ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.02 s, not 0.1 s"),

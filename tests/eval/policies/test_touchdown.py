@@ -73,7 +73,7 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
         (["landing"], "trained for the task landing, not for touchdown"),
         (["touchdown", "--baseline", "setpoint"], "trained for the task setpoint, not for landing"),
         (["touchdown", "--effect", "winds"], "unknown effect winds"),
-        (["touchdown", "--friction", "-1"], "friction must not be negative"),
+        (["touchdown", "--friction", "-1"], "friction must be from 0 to 10"),
         (["touchdown", "--restitution", "0.9"], "restitution must be from 0 to 0.6"),
     ],
 )
