@@ -92,6 +92,6 @@ class LandingPolicy:
         """Return the largest deviation of an action from the file's test vectors; clears the history."""
         self.reset()
         vectors = zip(self._numbers["vector_observations"], self._numbers["vector_actions"])
-        error = max(float(np.abs(self.act(given) - wanted).max()) for given, wanted in vectors)
+        error = max(float(np.abs(self.act(observation) - wanted).max()) for observation, wanted in vectors)
         self.reset()
         return error

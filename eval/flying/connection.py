@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import sys
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -24,28 +24,6 @@ CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse
 ARM_WORD = "arm"  # typed before the motors may turn
 VIRTUAL_PATIENCE = 20.0  # s of real time that a control step may take while the flight's time is simulated
 Connected = tuple[Radio, FlightClock, MotionCapture]
-
-
-class Connection(Protocol):
-    """A way to the vehicles of one command's flights."""
-
-    @property
-    def hang_limit(self) -> float:
-        """Seconds of real time that a control step may take."""
-        ...
-
-    @property
-    def confirms(self) -> bool:
-        """Whether somebody must type a word before the motors turn."""
-        ...
-
-    def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and positions of the vehicle of flight k. Raises UserError without one."""
-        ...
-
-    def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
-        """Return the context in which the motors stop should this process die."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,8 +62,8 @@ class SimulatedConnection:
     faults: tuple[Fault, ...]
     seed: int
     onboard: OnboardPositioning | None = None
-    hang_limit: float = VIRTUAL_PATIENCE
-    confirms: bool = False
+    hang_limit: float = VIRTUAL_PATIENCE  # s of real time that a control step may take
+    confirms: bool = False  # must somebody type a word before the motors turn
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
         """Return radio, clock and positions of a new vehicle."""
@@ -135,6 +113,9 @@ class RealConnection:
     def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
         """Return the context in which another process stops the motors should this one die."""
         return DeadManSwitch(self.uri)
+
+
+Connection = SimulatedConnection | RealConnection
 
 
 def _positions(

@@ -62,9 +62,7 @@ class KalmanFilter:
         self.mean = np.zeros((3, 3))  # position, velocity, acceleration of x, y, z
         self.variance = np.zeros((3, 3))  # of position, velocity, acceleration, the same for all axes
         self.contact_updates = 0  # measurements that only a touch explains
-        self.normalised_innovation_squared = (
-            0.0  # normalised, squared, of the last measurement; chi-square with 3 degrees
-        )
+        self.normalised_innovation_squared = 0.0  # of the last measurement; chi-square with 3 degrees
 
     def update(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
         """Update the state with a position (3,) [m] measured at `time` [s]; return False if it is rejected.
@@ -109,9 +107,7 @@ class KalmanFilter:
         return True
 
     def predict(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return position (3,) [m] and velocity (3,) [m/s] predicted for `time` [s]; NaN before any
-        measurement.
-        """
+        """Return position (3,) [m] and velocity (3,) [m/s] at `time` [s]; NaN before any measurement."""
         if self.time is None:
             return np.full(3, np.nan), np.full(3, np.nan)
         mean = transition(max(0.0, time - self.time), self.noise.correlation) @ self.mean
@@ -163,9 +159,7 @@ class Attitude:
 
     time: float  # s of the pilot's clock at which the vehicle took it
     rotation: np.ndarray  # (3, 3) body to the vehicle's own world, whose heading is the gyroscopes'
-    specific_force: float = (
-        math.nan
-    )  # g, along the body's z as the accelerometer shows it; NaN where not logged
+    specific_force: float = math.nan  # g, along the body's z as the accelerometer shows it; NaN: not logged
 
 
 class ClockOffset:
@@ -180,9 +174,7 @@ class ClockOffset:
         self._offset = math.inf
 
     def date(self, stamp: int, arrival: float) -> float:
-        """Return the pilot's time [s] of a packet stamped `stamp` [ms] by the vehicle that came at `arrival`
-        [s].
-        """
+        """Return the pilot's time [s] of a packet of vehicle time `stamp` [ms], by its `arrival` [s]."""
         # offset = min over packets of (arrival - stamp): the one with the shortest delay
         offset = arrival - 1e-3 * stamp
         if abs(offset - self._offset) > RESTART:

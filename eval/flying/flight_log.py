@@ -27,9 +27,7 @@ COLUMNS = (
     *("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate", "vbat", "contact"),
 )
 _COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
-REORDER_WINDOW = (
-    0.5  # s that something may be told after what is later: rows are written in order of their times
-)
+REORDER_WINDOW = 0.5  # s that a measurement may come after a later one: rows are in order of their times
 LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
 
 
@@ -128,9 +126,9 @@ class FlightLogWriter:
         if angles is not None:
             cells |= dict(zip(("roll", "pitch", "yaw"), angles))
         for kind, names, longest in (("command", _COMMANDS, math.inf), ("voltage", ("vbat",), 2.0)):
-            held = [(time, values) for time, values in self._tracks[kind] if time <= t]
-            if held and t - held[-1][0] <= longest:
-                cells |= dict(zip(names, held[-1][1]))
+            before = [(time, values) for time, values in self._tracks[kind] if time <= t]
+            if before and t - before[-1][0] <= longest:
+                cells |= dict(zip(names, before[-1][1]))
         return {name: f"{value:.10g}" for name, value in cells.items()}
 
     def _between(self, kind: str, t: float) -> tuple[float, ...] | None:

@@ -35,8 +35,8 @@ from inclined_landing.eval.flying.connection import (
     checked_pilot,
 )
 from inclined_landing.eval.flying.crazyflie import DeckName, FaultNames, parse_start
-from inclined_landing.eval.flying.pilot import FlightReport
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
+from inclined_landing.eval.flying.report import describe, summary
 from inclined_landing.eval.flying.simulated.body import named_vehicle
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -279,34 +279,3 @@ def command(
     done = "landed" if flight.plan is None else "flown as planned"
     say(f"{succeeded} of {flights} {done}; the logs are in {folder}.")
     return 0 if succeeded == flights else 3
-
-
-def summary(report: FlightReport, plan: FlightPlan, log: Path | None) -> dict[str, Any]:
-    """Return a report as it is written to fly.json."""
-    fields = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
-    for name in ("cause", "retreat"):
-        fields[name] = fields[name] and fields[name].name
-    return {**fields, "landed": report.landed, "start_wanted": list(plan.start), "log": log and log.name}
-
-
-def describe(report: FlightReport) -> str:
-    """Return the outcome of a flight in one line."""
-    if report.outcome == "plan flown":
-        return f"flown as planned, at most {100 * (report.astray or 0.0):.0f} cm off, and set down"
-    if report.landed:
-        assert report.goal is not None and report.landing_time is not None
-        vx, vz = report.goal[3], report.goal[5]
-        rest = {
-            True: "rests on the slope",
-            False: "does not rest on the slope",
-            None: "was not seen afterwards",
-        }
-        touched = report.touched and report.outcome == "goal box"
-        return (
-            f"{report.outcome}{' after a touch of the platform,' if touched else ''} "
-            f"{report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
-            f"{rest[report.rests]}"
-        )
-    if report.cause is None:
-        return report.outcome
-    return f"ended early: {report.cause.name} ({report.cause.when})"

@@ -48,9 +48,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Return the rotation (3, 3), body to the vehicle's world, of `stateEstimate.roll`, `.pitch`, `.yaw`
-    [deg].
-    """
+    """Return the rotation (3, 3), body to vehicle's world, of the logged `stateEstimate` angles [deg]."""
     # R = Rz(yaw) Ry(-pitch) Rx(roll)
     cr, sr = math.cos(math.radians(roll)), math.sin(math.radians(roll))
     cp, sp = math.cos(math.radians(-pitch)), math.sin(math.radians(-pitch))
@@ -84,7 +82,7 @@ def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def house_angles(rotation: np.ndarray) -> tuple[float, float, float]:
+def project_angles(rotation: np.ndarray) -> tuple[float, float, float]:
     """Return roll, pitch, yaw [rad] of R = Rz(yaw) Rx(roll) Ry(pitch) for a rotation (3, 3)."""
     # R[2] = (-cos r sin p, sin r, cos r cos p), R[:2, 1] = cos r (-sin y, cos y)
     roll = math.asin(min(1.0, max(-1.0, rotation[2, 1])))

@@ -13,7 +13,6 @@ set-point policy's roll.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import traceback
 from collections.abc import Callable
@@ -38,6 +37,7 @@ from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTra
 from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
 from inclined_landing.eval.flying.positions import LIGHTHOUSE, NOISE, OnboardPosition
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
+from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
 from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget
 from inclined_landing.eval.flying.vehicle import Radio
@@ -51,34 +51,6 @@ LIFT_OFF = 0.05  # m above where it stood
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
 AFTER_FLIGHT_TIME = 2.5  # s of stop commands after the flight, until the supervisor calls the vehicle landed
 DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it prints
-
-
-@dataclasses.dataclass
-class FlightReport:
-    """The outcome of a flight."""
-
-    outcome: str  # "goal box", "at rest", "plan flown", "dry run", or the name of the cause
-    cause: Cause | None = None  # that ended it early
-    error: str | None = None  # of the cause `error`
-    retreat: Cause | None = None  # that it went to land for, where it did
-    start: np.ndarray | None = None  # (13,) believed state at hand-over
-    goal: np.ndarray | None = None  # (13,) believed state when the motors were cut in the goal box or at rest
-    landing_time: float | None = None  # s from hand-over to there
-    touched: bool = False  # before that in the landing, hard enough to be seen in the positions
-    final: np.ndarray | None = None  # (3,) last position, m
-    rests: bool | None = None  # does it lie still on the platform, as far as its position tells
-    seconds: float = 0.0  # from the first command to motors off
-    astray: float | None = None  # m, the farthest that it was off its plan
-
-    @property
-    def landed(self) -> bool:
-        """Whether the landing reached the goal of its task."""
-        return self.outcome in ("goal box", "at rest")
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether the flight did what it was for."""
-        return self.landed or self.outcome == "plan flown"
 
 
 class Pilot:
@@ -401,7 +373,7 @@ class Pilot:
     def _log_attitude(self, attitude: Attitude) -> None:
         seen = self._estimator.to_arena(attitude)
         if self._log is not None and seen is not None:
-            self._log.attitude(attitude.time, *frames.house_angles(seen))
+            self._log.attitude(attitude.time, *frames.project_angles(seen))
 
     def _log_motors_off(self) -> None:
         if self._log is not None:

@@ -65,9 +65,9 @@ class Surroundings:
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
         """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
         downhill = -1.0 if self.inclination < 0.0 else 1.0
-        beside = self.vehicle.slab_half_length + 2 * CLEAR
-        free = not self.present or abs(here[0]) > beside - CLEAR
-        places = [here[0]] if free else [downhill * beside, -downhill * beside]
+        free_x = self.vehicle.slab_half_length + 2 * CLEAR
+        free = not self.present or abs(here[0]) > free_x - CLEAR
+        places = [here[0]] if free else [downhill * free_x, -downhill * free_x]
         for x, height in itertools.product(
             places, np.arange(here[2], max(here[2], self._highest) + 0.01, 0.1)
         ):

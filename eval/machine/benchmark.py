@@ -102,10 +102,10 @@ def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
 def training_rate(steps: int, seed: int) -> float:
     """Return the steps per second of `landing-train landing`, from its first step to its last update."""
     with tempfile.TemporaryDirectory() as folder:
-        words = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]
+        options = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]
         quiet = ["--no-report", "--evaluate-every", "0"]
         done = subprocess.run(
-            [sys.executable, "-m", "inclined_landing.train", *words, *quiet], capture_output=True, text=True
+            [sys.executable, "-m", "inclined_landing.train", *options, *quiet], capture_output=True, text=True
         )
         if done.returncode:
             raise UserError(f"landing-train failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}")

@@ -170,7 +170,7 @@ def test_set_points_tilt_the_thrust_as_commanded(roll, pitch, heading):
 @given(angle, angle, st.floats(-3.0, 3.0))
 def test_attitudes_are_the_same_in_all_conventions(roll, pitch, yaw):
     r = rotation(roll, pitch, yaw)
-    assert frames.house_angles(r) == pytest.approx((roll, pitch, yaw), abs=1e-9)
+    assert frames.project_angles(r) == pytest.approx((roll, pitch, yaw), abs=1e-9)
     np.testing.assert_allclose(
         frames.quaternion_rotation(np.array(quaternion(roll, pitch, yaw))), r, atol=1e-12
     )

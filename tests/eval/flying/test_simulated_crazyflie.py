@@ -3,10 +3,8 @@
 import functools
 import math
 import socket
-import struct
 import threading
 import time
-from types import SimpleNamespace
 
 import hypothesis
 import hypothesis.strategies as st
@@ -36,7 +34,6 @@ from inclined_landing.eval.flying.simulated.transport import (
     CameraQuality,
     LinkDirection,
     LinkQuality,
-    SimulatedMotionCapture,
 )
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models import attitude
@@ -176,12 +173,6 @@ def test_the_accelerometer_feels_the_thrust_in_flight(share):
     assert specific_force(body, command, 0.02) == pytest.approx(np.tile([0.0, 0.0, share], (5, 1)), abs=5e-3)
 
 
-def test_a_touch_is_felt():
-    body = placed(X=1.0, Z=0.1)
-    hit = specific_force(body, FirmwareSetpoint(), 0.8)
-    assert hit[:, 2].max() > 2.0 and hit[-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-3)
-
-
 # --- the firmware's rules ----------------------------------------------------------------------------
 
 
@@ -300,15 +291,6 @@ def test_logging_by_cflib_and_what_it_refuses():
         logged(flight, 10, *(f"gyro.{axis}" for axis in "xyz"), *(f"acc.{axis}" for axis in "xyz"), "pm.vbat")
 
 
-def test_a_log_block_may_have_the_80_hz_of_the_paper():
-    """cflib asks in steps of 10 ms only; the firmware also takes milliseconds."""
-    services = crtp.Services(Firmware(), lambda time: dict.fromkeys(crtp.LOGGED, 1.0))
-    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([6, 1, 7, 0, 0])))
-    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([8, 1]) + struct.pack("<H", 12)))
-    count = sum(len(services.logged(0.001 * k)) for k in range(1, 1201))
-    assert count == 100
-
-
 def test_parameters_and_the_emergency_stop_among_them():
     flight = airborne()
     assert flight.crazyflie.param.get_value("stabilizer.stop") == "0"
@@ -349,13 +331,6 @@ def test_cameras_see_with_their_noise_rate_and_latency():
     assert np.array([t - pose.time for t, pose in poses]) == pytest.approx(c.latency)
 
 
-def test_the_newest_pose_is_the_one_taken_last():
-    view = SimulatedMotionCapture(CameraQuality(), np.random.default_rng(0))
-    for taken in (0.02, 0.01):
-        view.arrive(MeasuredPose(taken, np.full(3, taken)))
-    assert view.latest().time == 0.02
-
-
 def test_a_flight_repeats_bit_for_bit_under_its_seed():
     def trace(seed):
         flight = airborne(0.4, seed=seed, heading=None)
@@ -371,15 +346,6 @@ def test_hidden_gaps_are_felt():
     nominal, hidden = (airborne(0.6, vehicle=named_vehicle(name)) for name in ("nominal", "hidden"))
     assert hidden.world.body.state[Z] < 0.5 * nominal.world.body.state[Z]
     assert set(HIDDEN) == {"thrust_scale", "level_calibration", "thrust_delay", "attitude_delay"}
-
-
-def test_voltage_falls_under_load_and_with_time():
-    flight = airborne(0.2)
-    v = load_vehicle()
-    voltage = flight.world.trace.voltage
-    assert voltage[100] == pytest.approx(v.effects_voltage_open, abs=0.01)
-    loaded = v.effects_voltage_open - 38000 * v.effects_voltage_drop
-    assert voltage[-1] == pytest.approx(loaded, abs=0.05)  # the lag is at 95 % after 0.2 s
 
 
 # --- faults ------------------------------------------------------------------------------------------
@@ -449,15 +415,7 @@ def test_faults_are_named_and_timed():
     assert Fault.parse("link-lost@air+2.5") == Fault("link-lost", "air", 2.5)
     assert Fault.parse("marker-swap@near") == Fault("marker-swap", "near", 0.0)
     assert all(Fault.parse(str(Fault(name, "low", 1.5))) == Fault(name, "low", 1.5) for name in FAULTS)
-    for wrong in (
-        "",
-        "none",
-        "link-lost@",
-        "link-lost@x",
-        "link-lost@air+nan",
-        "link-lost@-1",
-        "link-lost@1e9",
-    ):
+    for wrong in ("", "none", "link-lost@", "link-lost@x", "link-lost@air+nan", "link-lost@-1"):
         with pytest.raises(UserError):
             Fault.parse(wrong)
 
@@ -531,30 +489,6 @@ def test_the_process_answers_packets_and_streams_poses():
     receiver.close()
     assert all(np.abs(pose.position[:2] - (1.0, 0.0)).max() < 0.01 for pose in poses)
     assert any("connected" in line for line in lines) and X == 0
-
-
-def test_no_datagram_ends_the_process_and_few_peers_are_named():
-    """Not one from port 0, to which nothing can be sent, nor one that was damaged on its way."""
-    lines: list[str] = []
-    process = SimulatorServer(World(Setting(), 3), 0, ("127.0.0.1", 9), lines.append)
-    radio = process._radio
-
-    def receiving(data, *peer):
-        process._radio = SimpleNamespace(recvfrom=lambda size: (data[:size], peer), sendto=radio.sendto)
-
-    with pytest.raises(BlockingIOError):
-        radio.recvfrom(1)
-    process._receive(0.0)
-    for data in (b"\xff", b"", b"\xf3", bytes(65507)):
-        for peer in (("127.0.0.1", 0), ("255.255.255.255", 9)):
-            receiving(data, *peer)
-            process._receive(0.0)
-    for k in range(1000):
-        receiving(b"\xf3", "127.0.0.1", 1000 + k % 200)
-        process._receive(0.004 * k)
-    assert len(lines) == 4 and all("connected from" in line for line in lines)
-    process._radio = radio
-    process.close()
 
 
 def test_an_empty_datagram_does_not_end_the_poses():

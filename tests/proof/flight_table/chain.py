@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.eval.flying import safety
-from inclined_landing.eval.flying.pilot import FlightReport, Pilot
+from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
+from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting, Trace

@@ -1,0 +1,71 @@
+"""What came of a flight: for the caller, for fly.json, and in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inclined_landing.eval.flying.plan import FlightPlan
+from inclined_landing.eval.flying.safety import Cause
+
+
+@dataclasses.dataclass
+class FlightReport:
+    """The outcome of a flight."""
+
+    outcome: str  # "goal box", "at rest", "plan flown", "dry run", or the name of the cause
+    cause: Cause | None = None  # that ended it early
+    error: str | None = None  # of the cause `error`
+    retreat: Cause | None = None  # that it went to land for, where it did
+    start: np.ndarray | None = None  # (13,) believed state at hand-over
+    goal: np.ndarray | None = None  # (13,) believed state when the motors were cut in the goal box or at rest
+    landing_time: float | None = None  # s from hand-over to there
+    touched: bool = False  # before that in the landing, hard enough to be seen in the positions
+    final: np.ndarray | None = None  # (3,) last position, m
+    rests: bool | None = None  # does it lie still on the platform, as far as its position tells
+    seconds: float = 0.0  # from the first command to motors off
+    astray: float | None = None  # m, the farthest that it was off its plan
+
+    @property
+    def landed(self) -> bool:
+        """Whether the landing reached the goal of its task."""
+        return self.outcome in ("goal box", "at rest")
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the flight did what it was for."""
+        return self.landed or self.outcome == "plan flown"
+
+
+def summary(report: FlightReport, plan: FlightPlan, log: Path | None) -> dict[str, Any]:
+    """Return a report as it is written to fly.json."""
+    fields = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
+    for name in ("cause", "retreat"):
+        fields[name] = fields[name] and fields[name].name
+    return {**fields, "landed": report.landed, "start_wanted": list(plan.start), "log": log and log.name}
+
+
+def describe(report: FlightReport) -> str:
+    """Return the outcome of a flight in one line."""
+    if report.outcome == "plan flown":
+        return f"flown as planned, at most {100 * (report.astray or 0.0):.0f} cm off, and set down"
+    if report.landed:
+        assert report.goal is not None and report.landing_time is not None
+        vx, vz = report.goal[3], report.goal[5]
+        rest = {
+            True: "rests on the slope",
+            False: "does not rest on the slope",
+            None: "was not seen afterwards",
+        }
+        touched = report.touched and report.outcome == "goal box"
+        return (
+            f"{report.outcome}{' after a touch of the platform,' if touched else ''} "
+            f"{report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
+            f"{rest[report.rests]}"
+        )
+    if report.cause is None:
+        return report.outcome
+    return f"ended early: {report.cause.name} ({report.cause.when})"
