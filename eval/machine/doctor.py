@@ -23,7 +23,7 @@ _FOR_DEVELOPERS = {"all", "docs", "test", "test-all", "wheel"}  # extras that no
 
 
 @dataclasses.dataclass
-class Finding:
+class CheckResult:
     """The outcome of one check."""
 
     name: str
@@ -33,13 +33,13 @@ class Finding:
     needed: bool = True  # False: the package works without it
 
 
-def examine() -> list[Finding]:
+def examine() -> list[CheckResult]:
     """Run every check and return what each found."""
     engine, more = "run `make` in the repository", "run `make test` for more"
     rebuild = "run `make` in the repository, or reinstall the package in this environment"
     packages = _packages()
     findings = [
-        Finding(
+        CheckResult(
             "Python",
             sys.version_info >= _OLDEST_PYTHON,
             f"{sys.version.split()[0]}, {sys.executable}",
@@ -64,21 +64,21 @@ def examine() -> list[Finding]:
     return [*findings, video, _policies(), _display()]
 
 
-def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Finding:
+def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> CheckResult:
     """Return what a check says, whether all is well and details; any error says that it is not."""
     try:
-        return Finding(name, *check(), remedy)
+        return CheckResult(name, *check(), remedy)
     except Exception as error:  # missing GL, say, shows as various errors
-        return Finding(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
+        return CheckResult(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
 
 
-def _compiler() -> Finding:
+def _compiler() -> CheckResult:
     """Return which C++ compiler there is; nothing but building the plugins needs one."""
     names = filter(None, [os.environ.get("CXX", ""), *_COMPILERS])
     found = next(filter(None, map(shutil.which, names)), None)
     detail = found or "none found; only building the plugins needs one"
     remedy = "apt install g++, or name a compiler in CXX"
-    return Finding("C++ compiler", found is not None, detail, remedy, needed=False)
+    return CheckResult("C++ compiler", found is not None, detail, remedy, needed=False)
 
 
 _MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed
@@ -107,39 +107,39 @@ def command(*, json: Flag = False) -> int:
     return 0 if healthy else 2
 
 
-def _packages() -> Finding:
+def _packages() -> CheckResult:
     """Return whether the distribution's own requirements are installed."""
     remedy = "run `make` in the repository, or pip install inclined-landing"
     try:
         missing = _missing("")
     except importlib.metadata.PackageNotFoundError:
-        return Finding("packages", False, "inclined-landing is not installed", remedy)
+        return CheckResult("packages", False, "inclined-landing is not installed", remedy)
     if missing:
-        return Finding("packages", False, f"missing: {', '.join(missing)}", remedy)
+        return CheckResult("packages", False, f"missing: {', '.join(missing)}", remedy)
     there = [f"{name} {version}" for name, version in runs.packages().items() if version is not None]
-    return Finding("packages", True, ", ".join(there))
+    return CheckResult("packages", True, ", ".join(there))
 
 
-def _installed() -> Finding:
+def _installed() -> CheckResult:
     """Return how the package is installed: from a wheel, or editable in a folder of sources."""
     try:
         package = importlib.metadata.distribution("inclined-landing")
     except importlib.metadata.PackageNotFoundError:
-        return Finding("installation", False, "none", "pip install inclined-landing", needed=False)
+        return CheckResult("installation", False, "none", "pip install inclined-landing", needed=False)
     origin = json.loads(package.read_text("direct_url.json") or "{}")
     where = origin.get("url", "").removeprefix("file://")
     if origin.get("dir_info", {}).get("editable"):
-        return Finding("installation", True, f"{package.version}, editable in {where}")
+        return CheckResult("installation", True, f"{package.version}, editable in {where}")
     tag = re.search(r"^Tag: (\S+)", package.read_text("WHEEL") or "", re.MULTILINE)
     detail = f"{package.version}, wheel {tag[1] if tag else 'of an unknown kind'}"
-    return Finding("installation", True, f"{detail}{' from ' + where if where else ''}")
+    return CheckResult("installation", True, f"{detail}{' from ' + where if where else ''}")
 
 
-def _extra(name: str) -> Finding:
+def _extra(name: str) -> CheckResult:
     """Return whether the packages of an extra are installed."""
     missing = _missing(name)
     detail = f"missing: {', '.join(missing)}" if missing else "complete"
-    return Finding(
+    return CheckResult(
         f"extra {name}", not missing, detail, f"pip install 'inclined-landing[{name}]'", needed=False
     )
 
@@ -202,7 +202,7 @@ def _rendering() -> tuple[bool, str]:
     return True, "backend auto: ray casting on the processor"
 
 
-def _opengl() -> Finding:
+def _opengl() -> CheckResult:
     """Return which OpenGL there is; that of MUJOCO_GL, where it is set, must load."""
     import mujoco
 
@@ -218,7 +218,7 @@ def _opengl() -> Finding:
         ok, detail = False, f"{named} does not load; {'without it ' * bool(found.kind)}{detail}"
     if asked:
         remedy = f"unset {' and '.join(asked)}, or {remedy}"
-    return Finding("OpenGL", ok, detail, remedy, needed=False)
+    return CheckResult("OpenGL", ok, detail, remedy, needed=False)
 
 
 def _video() -> tuple[bool, str]:
@@ -227,7 +227,7 @@ def _video() -> tuple[bool, str]:
     return True, imageio_ffmpeg.get_ffmpeg_exe()
 
 
-def _policies() -> Finding:
+def _policies() -> CheckResult:
     missing = []
     for name in policy.SHIPPED:
         try:
@@ -237,13 +237,13 @@ def _policies() -> Finding:
     detail = ", ".join(name for name in policy.SHIPPED if name not in missing) or "none"
     if missing:
         detail += f" (missing: {', '.join(missing)})"
-    return Finding("shipped policies", not missing, detail, "train one with landing-train", needed=False)
+    return CheckResult("shipped policies", not missing, detail, "train one with landing-train", needed=False)
 
 
-def _display() -> Finding:
+def _display() -> CheckResult:
     """Return whether there is a screen for a window."""
     names = [f"{name}={os.environ[name]}" for name in ("WAYLAND_DISPLAY", "DISPLAY") if os.environ.get(name)]
-    return Finding(
+    return CheckResult(
         "display",
         bool(names) or sys.platform == "darwin",
         ", ".join(names) or "none; everything but landing-eval view goes without one",
@@ -252,7 +252,7 @@ def _display() -> Finding:
     )
 
 
-def _show(findings: list[Finding]) -> None:
+def _show(findings: list[CheckResult]) -> None:
     from rich.text import Text
 
     from inclined_landing.envs.shared.tables import new_table, say, show_table
