@@ -1,6 +1,5 @@
 """Figures show the numbers they are given; picture commands write whole files or one sentence."""
 
-import dataclasses
 import json
 import re
 import zlib
@@ -25,12 +24,11 @@ from inclined_landing.eval.pictures.curves import (
     comparison_curves,
     final_scores,
     learning_curves,
-    median_and_range,
 )
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
-from inclined_landing.eval.pictures.frames import flight_view, render_flight
+from inclined_landing.eval.pictures.frames import flight_view
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -139,17 +137,6 @@ def test_setpoint_flight_is_seen_from_two_sides():
     np.testing.assert_allclose(roll.get_ydata(), np.degrees(flight.state[:, 6]))
 
 
-def test_setpoint_video_has_no_platform():
-    """Far from the vehicle, a picture without a platform differs from one with it; two without agree."""
-    look = {"camera": "side", "width": 96, "height": 64, "backend": "ray"}
-    flight = setpoint_flight()
-    flight.state[:, :3] = -2.0, 0.0, 2.0
-    frame = next(render_flight(flight, **look))
-    with_platform = next(render_flight(dataclasses.replace(flight, inclination=SLOPE), **look))
-    dark = [picture[40, 48].max() < 120 for picture in (frame, with_platform)]  # the base's colour
-    assert dark == [False, True]
-
-
 def test_stamp_tilts_as_the_vehicle_does():
     """Positive pitch lowers the nose (+x, right); positive roll lowers the right wing (-y, left)."""
     for across, attitude in ((0, (0.0, 0.4, 0.0)), (1, (-0.4, 0.0, 0.0))):
@@ -253,16 +240,6 @@ def test_seeds_have_median_and_range(tmp_path):
     (median,) = by_gid(level.lines, "median")
     np.testing.assert_allclose(median.get_ydata(), pd.read_csv(runs[1] / "learning.csv")["level"])
     assert len(by_gid(level.collections, "band")) == 1
-
-
-def test_band_covers_common_steps_only():
-    x, middle_, low, high = median_and_range(
-        [(np.array([0.0, 2, 4]), np.array([0.0, 2, 4])), (np.array([1.0, 3]), np.ones(2))]
-    )
-    np.testing.assert_array_equal(x, [1, 2, 3])
-    np.testing.assert_allclose(low, [1, 1, 1])
-    np.testing.assert_allclose(high, [1, 2, 3])
-    np.testing.assert_allclose(middle_, [1, 1.5, 2])
 
 
 def test_level_is_shown_where_it_moves(tmp_path):

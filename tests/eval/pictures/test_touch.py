@@ -62,11 +62,6 @@ def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
     assert touchdown.largest_force < net[:, 0].max()
 
 
-def test_motors_of_a_landing_are_cut_in_the_goal_box():
-    landing = record_touchdown(flown("landing"))
-    assert not landing.commands[len(landing.t) // 2 :].any() and landing.net_forces[:, 0].max() > 2 * WEIGHT
-
-
 def test_a_flight_that_touches_nothing_is_a_sentence(flight):
     hover = dataclasses.replace(flight, t=flight.t[:6], state=flight.state[:6], commands=flight.commands[:6])
     with pytest.raises(UserError, match=r"nothing touches in the flight from x 1\.5, z 1\.8 m"):
