@@ -39,6 +39,8 @@ from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.run import CHECKPOINT, Run
+from inclined_landing.train.sweep.recipe import read_recipe
+from inclined_landing.train.sweep.recipe import shipped as shipped_recipes
 from tests import ROOT
 from tests.campaign import damage, inputs
 from tests.log_files import firmware_values, sd_card, write_bag
@@ -200,6 +202,7 @@ RUN = {
     "run/evaluations.csv": b"steps,score,strict_success\n8192,0.5,0.4\n16384,0.75,0.7\n",
 }
 VEHICLE = (resources.files("inclined_landing.models") / "crazyflie.toml").read_text("utf-8")
+RECIPE = shipped_recipes()["landing"].read_text("utf-8")
 FLIGHT = inputs.flight()
 READERS = {
     "vehicle": Reader(text("v.toml", VEHICLE), lambda f: load_vehicle(f / "v.toml"), flies),
@@ -207,6 +210,7 @@ READERS = {
         text("r.toml", inputs.RANGES), lambda f: read_ranges(f / "r.toml").draw(load_vehicle(), 0, 3)
     ),
     "study": Reader(text("s.toml", inputs.STUDY), lambda f: read_study(f / "s.toml"), is_drawn),
+    "recipe": Reader(text("r.toml", RECIPE), lambda f: read_recipe(f / "r.toml").runs()),
     "scenario": Reader(
         text("m.toml", shipped()["ship_5_bow"].read_text("utf-8")),
         lambda f: read_scenario(f / "m.toml"),
