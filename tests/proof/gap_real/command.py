@@ -154,7 +154,15 @@ def _attitude(folder: Path, nominal: Vehicle) -> Part:
     found = [loop for log in logs for loop in attitude.loops(log, nominal)]
     tilts = [attitude.tilt(log, nominal) for log in logs]
     plain = {"loops": list(map(dataclasses.asdict, found)), "tilts": list(map(dataclasses.asdict, tilts))}
-    return Part(plain, None, tables.section("attitude", found, tilts))
+    rows = [
+        {"flight": t.flight}
+        | dict(zip(("roll on the floor", "pitch on the floor"), t.rest or (None, None)))
+        | dict(
+            zip(("roll by the flight", "pitch by the flight", "drag x 1/s", "drag y 1/s"), t.flown + t.drag)
+        )
+        for t in tilts
+    ]
+    return Part(plain, None, tables.section("attitude", found, rows))
 
 
 def _streams(name: str, pattern: str, folder: Path, nominal: Vehicle) -> Part:
