@@ -29,7 +29,17 @@ FOREIGN = {  # names of other programs, and names that are put together from par
         "vVERSION",
         "stock.toml",
     ),
-    *("inclined-landing-UID", "data_20250421_211350", "rep1", "a_b", "x_mm", "m4", "-pitch"),
+    *(
+        "inclined-landing-UID",
+        "data_20250421_211350",
+        "rep1",
+        "a_b",
+        "x_mm",
+        "m4",
+        "-pitch",
+        "_utils",
+        "_rebuild_tensor_v2",
+    ),
     "mocap_attitude",
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
 }
