@@ -106,7 +106,7 @@ def _same_network(one: Policy, other: Policy) -> bool:
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
     """Write touchdown.json of `final.zip` against the policy that training went on from."""
     final, began = load(folder / "final.zip"), metrics["config"]["start_from"]
-    landed = began in SHIPPED or Path(began).is_file()  # and not a law
+    landed = began in SHIPPED or Path(began).exists()  # and not a law
     origin = load(began) if landed else None
     if origin is None or origin.task.name == final.task.name:  # the comparison is with a motor cut
         origin = load(touchdown.BASELINE)

@@ -11,5 +11,5 @@ from inclined_landing.envs.policy import SHIPPED
 AnyPolicy = Annotated[
     str,
     tyro.conf.Positional,
-    tyro.conf.arg(metavar="POLICY", help=f"policy file, or a shipped one: {', '.join(SHIPPED)}."),
+    tyro.conf.arg(metavar="POLICY", help=f"policy file, run folder, or a shipped one: {', '.join(SHIPPED)}."),
 ]

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator
 
 from inclined_landing.envs.shared.tables import share_cell, spread_cell
 from inclined_landing.eval.base.claims import Table
@@ -144,6 +145,9 @@ def _draw_lines(axes: Axes, panel: Panel, names: Sequence[str]) -> None:
             share_curve(axes, list(found), list(found.values()), k, name)
     if panel.logarithmic:
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.minorticks_off()
 
 
 def _draw_rows(axes: Axes, panel: Panel, names: Sequence[str]) -> None:

@@ -94,7 +94,7 @@ def run(
         title=f"Over vehicles, {plant} plant",
         report=report,
         flights=joined(flown),
-        heads=("vehicle", "mass [g]", "thrust/weight", "policy"),
+        heads=("vehicle", "policy", "mass [g]", "thrust/weight"),
         rows=rows,
         panels=_panels(report),
         remarks=remarks,
@@ -203,7 +203,7 @@ def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
         powers = f"{min(power):.2f} to {max(power):.2f}"
         flown[f"{draws['count']} drawn vehicles"] = masses, powers, draws["outcomes"]
     rows: list[Row] = [
-        ((name, *size, label), of[label]) for name, (*size, of) in flown.items() for label in of
+        ((name, label, *size), of[label]) for name, (*size, of) in flown.items() for label in of
     ]
     remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
     for label in report["labels"]:

@@ -113,7 +113,9 @@ def command(
 def _is_policy(source: str) -> bool:
     if source in SHIPPED or Path(source).suffix == ".zip":
         return True
-    return Path(source).is_file() and zipfile.is_zipfile(source)  # pipes and devices have no end
+    path = Path(source)
+    is_run = (path / "final.zip").is_file()
+    return is_run or (path.is_file() and zipfile.is_zipfile(path))  # pipes and devices have no end
 
 
 def _title(sources: tuple[str, ...]) -> str:

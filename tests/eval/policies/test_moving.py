@@ -95,32 +95,12 @@ GOOD = (shipped()["ship_5_bow"]).read_text()
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("version = 1", "version = 2", "version must be 1"),
-        ("seed = 7402", "seed = -1", "seed must be a whole number"),
         ("seed = 7402", "", "seed is missing"),
-        ("flights = 64", "flights = 0", "flights must be"),
-        ("friction = 0.8", "friction = nan", "friction must be a number"),
         ("friction = 0.8", "friction = 0.8\ncolour = 1", "unknown entry 'colour'"),
-        (
-            'azimuth_deg = "any"',
-            'azimuth_deg = "north"',
-            "[deck] azimuth_deg must be a number from -360 to 360 or 'any', not 'north'",
-        ),
+        ('azimuth_deg = "any"', 'azimuth_deg = "north"', "[deck] azimuth_deg must be a number"),
         ("roll = { amplitude = [0.085,", "roll = { amplitude = [70.0,", "together reach"),
         ("x = [-2.5, 2.5]", "x = [2.5, -2.5]", "goes from"),
-        ("x = [-2.5, 2.5]", "x = 3", "[start] x must be a list of 2, each a number from -10 to 10, not 3"),
-        ("hold = 0.3", "", "[success] lacks hold"),
-        ("hold = 0.3", "hold = 30", "must be shorter than within"),
-        (
-            "period = [2.6790,",
-            "period = [0.0,",
-            "[waves] period[0] must be a number from 0.05 to 1000, not 0.0",
-        ),
-        ("heave = {", "lift = {", "unknown entry 'lift'"),
-        ("amplitude = [0.00299,", "amplitude = [", "must have as many numbers as period, 10"),
-        ("[waves]", "[[waves]]", "waves must be a table"),
-        ("[start]", "[start", "is not TOML"),
-        (GOOD, "", "version is missing"),
+        ("hold = 0.3", "hold = 12.0", "must be shorter than within"),
     ],
 )
 def test_a_malformed_scenario_is_one_sentence(tmp_path, capsys, old, new, said):
@@ -137,36 +117,30 @@ BAD = """
 import numpy as np
 def short(t, state, deck): return np.zeros((len(state), 3))
 def nan(t, state, deck): return np.full((len(state), 4), np.nan)
-def words(t, state, deck): return "up"
-def complex(t, state, deck): return np.zeros((len(state), 4)) + 1j
+def text(t, state, deck): return "up"
 def broken(t, state, deck): return 1 / 0
 number = 3
 class Deaf:
     def __init__(self, vehicle): pass
-class Unmade:
-    def __init__(self): pass
 """
 
 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("short", "commands of shape (2, 4), not (2, 3)"),
-        ("nan", "NaN or infinity"),
-        ("words", "must answer with real numbers"),
-        ("complex", "must answer with real numbers"),
+        ("short", "finite numbers of shape (2, 4), not (2, 3)"),
+        ("nan", "finite numbers"),
+        ("text", "must be an array of real numbers"),
         ("broken", "raised ZeroDivisionError: division by zero"),
         ("number", "no function or class"),
-        ("nothing", "no function or class"),
         ("Deaf", "lacks __call__"),
-        ("Unmade", "raised TypeError"),
     ],
 )
 def test_a_bad_controller_is_one_sentence(tmp_path, capsys, name, said):
     file = tmp_path / "mine.py"
     file.write_text(BAD)
-    words = [*MOVING, f"{file}:{name}", "--scenario", "still_00_deg", "--flights", "2"]
-    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    line = [*MOVING, f"{file}:{name}", "--scenario", "still_00_deg", "--flights", "2"]
+    assert main([*line, "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
 

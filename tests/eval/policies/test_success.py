@@ -1,14 +1,18 @@
 """The numbers of the success table, from cases whose answers are known."""
 
 import dataclasses
+import json
 import math
+import shutil
 from importlib import resources
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flight, record_flights
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
@@ -51,23 +55,16 @@ def pose(z, pitch=ALPHA):
 # ---- statistics
 
 
-def test_wilson_interval_by_hand():
+def test_intervals_by_hand():
     # p = 28/30, z = 1.959964: centre (p + z^2/60)/(1 + z^2/30) = 0.884144,
     # half width z/(1 + z^2/30) sqrt(p (1 - p)/30 + z^2/3600) = 0.097379
     result = statistics.proportion(28, 30)
     assert result["share"] == 28 / 30
     assert result["interval"] == pytest.approx([0.786765, 0.981523], abs=1e-6)
-
-
-def test_no_trials_no_interval():
     assert statistics.proportion(0, 0) == {"count": 0, "of": 0, "share": None, "interval": None}
-    assert set(statistics.spread([np.nan]).values()) == {None}
-
-
-def test_mean_interval_by_hand():
     # mean 2, standard deviation 1, n = 3: 4.302653/sqrt(3) = 2.484138
     result = statistics.mean([1.0, 2.0, 3.0])
-    assert result["mean"] == 2.0
+    assert result["mean"] == 2.0 and set(statistics.spread([np.nan]).values()) == {None}
     assert result["interval"] == pytest.approx([2 - 2.484138, 2 + 2.484138], abs=1e-6)
 
 
@@ -81,16 +78,8 @@ def test_the_frozen_grid_is_what_its_rule_makes():
     lines = [line for line in file.read_text("utf-8").splitlines() if not line.startswith("#")]
     assert lines == [f"{x:.2f},{z:.2f}" for x, z in made]
     np.testing.assert_array_equal(landing_starts.grid(), made)
-
-
-def test_the_grid_covers_the_upper_half_clear_of_the_platform():
-    task, grid = make_task("landing"), landing_starts.grid()
-    assert len(grid) >= 200 and len(np.unique(grid, axis=0)) == len(grid)
-    low, high = task.vehicle.arena_z
-    assert (grid[:, 1] > (low + high) / 2).all() and (grid[:, 1] < high).all()
-    assert np.abs(grid[:, 0]).max() < task.vehicle.arena_x[1]
-    clearance = task.start_clearance(task.start(landing_starts.at_rest(task, grid)))
-    assert clearance.min() >= 0.05
+    assert len(np.unique(made, axis=0)) == len(made) == 251
+    assert task.start_clearance(task.start(landing_starts.at_rest(task, made))).min() >= 0.05
 
 
 def test_scattered_starts_are_the_papers_within_ten_centimetres():
@@ -189,13 +178,6 @@ def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
         np.testing.assert_array_equal(early.at_rest, whole.at_rest)
         np.testing.assert_array_equal(early.touched, whole.touched)
         np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
-
-
-def test_cut_motors_beside_the_platform_never_land():
-    state = hover_states(np.array([[2.0, 0.0, 1.5]]), load_vehicle())
-    after = motors_cut.cut_motors(state, ALPHA, load_vehicle())
-    assert not after.touched[0] and not after.at_rest[0]
-    assert np.isnan(after.normal_speed[0])
 
 
 # ---- reports
@@ -322,3 +304,26 @@ def test_the_policy_sees_what_motion_capture_shows(landing):
     flight = record_flight(Watching(landing, 0.0, 0.3), plant, pose(2.0)[0], steps=12)
     expected = landing.observe(StepContext(flight.state[:-1]))
     np.testing.assert_array_equal(np.concatenate(seen)[2:], expected[:-2])
+
+
+# ---- side by side
+
+
+def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
+    """A run folder is its final policy; one report for each, as of the policy alone."""
+    run = tmp_path / "my-run"
+    run.mkdir()
+    shutil.copy(load_policy("landing-nominal").path, run / "final.zip")
+    words = ["--plant", "analytic", "--thrust-scale", "1", "0.9"]
+    names = ["landing-slopes", str(run), "big@hummingbird=landing-vehicles", "setpoint"]
+    assert cli.main(["success", *names, *words, "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads((tmp_path / "out/success.json").read_text())
+    assert list(report["policies"]) == ["landing-slopes", "my-run", "big", "setpoint"]
+    assert "my-run landed in" in printed and printed.splitlines()[-1].startswith("setpoint was")
+    assert report["policies"]["big"]["vehicle"] == "hummingbird"
+    flights = pd.read_csv(tmp_path / "out/flights.csv")
+    assert set(flights["condition"]) == {"thrust x 1", "thrust x 0.9"}
+    assert cli.main(["success", str(run), *words, "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert alone["conditions"] == report["policies"]["my-run"]["conditions"]
