@@ -131,7 +131,7 @@ def command(
 
 
 def make_plan(
-    policies: tuple[str, str, str], given: HandOver, inclination: float | None, vehicle: Path | None
+    policies: tuple[str, str, str], hand_overs: HandOver, inclination: float | None, vehicle: Path | None
 ) -> Plan:
     """Return the plan of the options. Raises UserError for invalid ones."""
     loaded = load_vehicle(vehicle) if vehicle is not None else None
@@ -139,13 +139,13 @@ def make_plan(
     if slope is not None:
         (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
-    x, z = _point(given.hand_over, "hand-over", "X,Z")
+    x, z = _point(hand_overs.hand_over, "hand-over", "X,Z")
     return Plan(
         load_policy(setpoint, "setpoint", vehicle=loaded),
         load_policy(landing, vehicle=loaded, inclination=slope),
         load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
         (x, z),
-        *(given.near, given.slow, given.dwell, not given.drift),
+        *(hand_overs.near, hand_overs.slow, hand_overs.dwell, not hand_overs.drift),
     )
 
 
@@ -245,12 +245,12 @@ def show(report: dict[str, Any]) -> None:
     rows.append(("all", "", str(count), str(count - rest["count"]), spread_cell(report["time"]), ""))
     table = Table("", ("leg", "policy", "flown", "lost", "time [s]", "touched"), rows)
     over = report["handed_over"]
-    position, aside, beside = (
+    position, aside, at_rest = (
         spread_cell(found, 1, 100.0) for found in (over["position"], over["y"], report["rest"]["y"])
     )
     remarks = [
         "Share with its 95 % Wilson interval; times of what went well: medians (5 to 95 %).",
-        f"Handed over {position} cm from the point, |y| {aside} cm; at rest |y| {beside} cm.",
+        f"Handed over {position} cm from the point, |y| {aside} cm; at rest |y| {at_rest} cm.",
         f"At rest on the feet after {count_words(rest, 'missions')}.",
     ]
     title = f"{count} mission{'s' * (count != 1)}"

@@ -46,12 +46,12 @@ def cut_motors(
     plant.set_platform(np.arange(n), inclination)
     plant.perturb(thrust_scale=thrust_scale)
     recorder = Recorder(plant, states)
-    held, flying = np.zeros(n), np.arange(n)
+    at_rest_for, flying = np.zeros(n), np.arange(n)
     for tick in range(1, round(DURATION / STEP) + 1):
         recorder.step(np.zeros((n, 4)), flying)
         if tick % _LOOK == 0:
-            held = np.where(recorder.at_rest() & _slow(plant.state), held + _LOOK * STEP, 0.0)
-            flying = np.flatnonzero((held < _STILL) & ~plant.contacts.touch[:, 2].any(axis=1))
+            at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK * STEP, 0.0)
+            flying = np.flatnonzero((at_rest_for < _STILL) & ~plant.contacts.touch[:, 2].any(axis=1))
             if not len(flying):
                 break
     return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())

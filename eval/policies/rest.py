@@ -74,7 +74,7 @@ def fly_to_rest(
     """
     n, period = len(states), plant.control_period
     recorder = Recorder(plant, states)
-    held, ended, was_cut = np.zeros(n, int), np.zeros(n, bool), np.zeros(n, bool)
+    rested_for, ended, was_cut = np.zeros(n, int), np.zeros(n, bool), np.zeros(n, bool)
     last = np.full(n, steps)
     time, off_centre = np.full(n, np.nan), np.full(n, np.nan)
     for tick in range(1, steps + (after_cut or 0) + 1):
@@ -86,8 +86,8 @@ def fly_to_rest(
             was_cut = cut.copy()
         recorder.step(commands, np.flatnonzero(~ended))
         holding = resting(plant.state, plant.platform, commands[:, PWM] == 0.0, plant.contacts, speed, rate)
-        held = np.where(holding, held + 1, 0)
-        rests = (held >= hold) & ~ended
+        rested_for = np.where(holding, rested_for + 1, 0)
+        rests = (rested_for >= hold) & ~ended
         time[rests] = tick * period
         off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.platform)[0], axis=1)[rests]
         ended |= rests | (tick >= last) | plant.contacts.touch[:, 2].any(axis=1)

@@ -41,22 +41,22 @@ def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
     with styled():
         figure = Figure(figsize=(_WIDTH, foot + top + gap + side + 0.36))
         above = panel(figure, _LEFT, foot, width, top)
-        beside = panel(figure, _LEFT, foot + top + gap, width, side)
-        for axes, plane in ((beside, [X, Z]), (above, [X, Y])):
+        side_view = panel(figure, _LEFT, foot + top + gap, width, side)
+        for axes, plane in ((side_view, [X, Z]), (above, [X, Y])):
             across, up = ((low[axis], high[axis]) for axis in plane)
             draw_background(axes, across, up)
             for other in others:
                 _draw_path(axes, other, plane, lw=0.6, alpha=0.3, zorder=2.6, gid="other way")
             _draw_path(axes, mission, plane, lw=2.2, zorder=3, path_effects=halo(4.0), gid="way")
         above.set_ylabel("y [m]")
-        draw_platform(beside, mission.plan.task.inclination, vehicle)
+        draw_platform(side_view, mission.plan.task.inclination, vehicle)
         half = vehicle.slab_half_length * np.cos(mission.plan.task.inclination), 0.5 * vehicle.platform_depth
         slab = Rectangle(
             (-half[0], -half[1]), 2 * half[0], 2 * half[1], facecolor=SLAB, edgecolor=BASE, lw=0.5
         )
         above.add_patch(slab)
-        _draw_vehicle_and_box(beside, above, mission)
-        _draw_annotations(beside, above, mission, others)
+        _draw_vehicle_and_box(side_view, above, mission)
+        _draw_annotations(side_view, above, mission, others)
     return figure
 
 
@@ -68,15 +68,20 @@ def _draw_path(axes, mission: Mission, plane, **look) -> None:
     )
 
 
-def _draw_vehicle_and_box(beside, above, mission: Mission) -> None:
+def _draw_vehicle_and_box(side_view, above, mission: Mission) -> None:
     """Draw copies of the vehicle, its start and end, and the hand-over box."""
     sprites, colours = SpriteRenderer(mission.plan.vehicle), leg_colours(mission)
     for order, k in enumerate(select_copies(mission.state, _COPIES, _SPACING, _TURN)):
         draw_vehicle(
-            beside, sprites, mission.state[k], colour=tuple(colours[k]), alpha=0.95, zorder=4 + 0.01 * order
+            side_view,
+            sprites,
+            mission.state[k],
+            colour=tuple(colours[k]),
+            alpha=0.95,
+            zorder=4 + 0.01 * order,
         )
     x, _, z = mission.plan.point
-    for axes, other in ((beside, z), (above, 0.0)):
+    for axes, other in ((side_view, z), (above, 0.0)):
         box = Circle((x, other), mission.plan.near, fill=False, ec=INK, lw=0.9, zorder=5, gid="hand-over box")
         axes.add_patch(box)
     start, end = mission.state[0], mission.state[-1]
@@ -84,7 +89,7 @@ def _draw_vehicle_and_box(beside, above, mission: Mission) -> None:
     above.plot(*end[[X, Y]], "o", ms=6, color=colours[-1], mec="white", zorder=5, gid="end")
 
 
-def _draw_annotations(beside, above, mission: Mission, others: Sequence[Mission]) -> None:
+def _draw_annotations(side_view, above, mission: Mission, others: Sequence[Mission]) -> None:
     lines, names = [], []
     for colour, name in zip(LEG_COLOURS, LEGS):
         flown_leg = mission.find_leg(name)
@@ -96,9 +101,9 @@ def _draw_annotations(beside, above, mission: Mission, others: Sequence[Mission]
     legend_below(above, handles=lines, labels=names, ncols=len(names), columnspacing=1.1, handlelength=1.3)
     start = mission.state[0]
     title = f"From x {start[X]:.2f}, y {start[Y]:.2f}, z {start[Z]:.2f} m: {mission.summary}"
-    beside.set_title(title, loc="left", pad=6)
+    side_view.set_title(title, loc="left", pad=6)
     scale = SpriteRenderer(mission.plan.vehicle).scale
     behind = f"; thin: {len(others)} other mission{'s' * (len(others) != 1)}" if others else ""
-    notes = {beside: f"from the side; quadrotor drawn {scale:g}×", above: f"from above{behind}"}
+    notes = {side_view: f"from the side; quadrotor drawn {scale:g}×", above: f"from above{behind}"}
     for axes, note in notes.items():
         axes.text(0.012, 0.97, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)

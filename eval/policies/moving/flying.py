@@ -78,7 +78,7 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
     pilot = controller.pilot(1)
     states, platforms = [plant.state[0].copy()], [plant.platform[0].copy()]
     commanded: list[np.ndarray] = []
-    held, touched, rested = 0, False, math.inf
+    rested_for, touched, rested = 0, False, math.inf
     while len(commanded) < min(round(rest.within / period), rested + round(RIDE / period)):
         context = StepContext(plant.state, plant.contacts, platform=plant.platform)
         commands = pilot(len(commanded) * period, context)
@@ -89,8 +89,8 @@ def ride(scenario: Scenario, controller: Controller) -> Ride:
         touched |= bool(plant.contacts.platform[0])
         idle = commands[:, PWM] == 0.0
         still = resting(plant.state, plant.platform, idle, plant.contacts, rest.speed, rest.rate)[0]
-        held = held + 1 if still else 0
-        if held * period >= rest.hold and math.isinf(rested):
+        rested_for = rested_for + 1 if still else 0
+        if rested_for * period >= rest.hold and math.isinf(rested):
             rested = len(commanded)
     task = make_task("touchdown", controller.vehicle, dimensions=3)
     return Ride(

@@ -47,17 +47,17 @@ class Planner:
         self._hover, self._gain = settled_hover(vehicle), vehicle.attitude_gain
         self._lead, self._limit = vehicle.attitude_time_constant, vehicle.command_angle_limit
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
-        self._left = np.empty(0)
+        self._remaining = np.empty(0)
 
     def begin(self, ids: np.ndarray, platform: np.ndarray) -> None:
         """Begin anew with the vehicles `ids` (k,), over platforms (n, 12); at first with all of them."""
-        if not len(self._left):
+        if not len(self._remaining):
             n = len(platform)
-            self._left = np.empty(n)  # s until touching; inf: not on the last way yet
+            self._remaining = np.empty(n)  # s until touching; inf: not on the last way yet
             self._stopped = np.empty(n, bool)
             self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the platform's centre
             self._calm, self._platform_speed, self._platform_push, self._thrust = np.zeros((4, n, 3))
-        self._left[ids], self._stopped[ids], self._way[:, ids] = np.inf, False, 0.0
+        self._remaining[ids], self._stopped[ids], self._way[:, ids] = np.inf, False, 0.0
         self._calm[ids], self._platform_speed[ids] = (
             surface.normals(platform[ids]),
             platform[ids, VX : VZ + 1],
@@ -66,7 +66,7 @@ class Planner:
 
     def __call__(self, t: float, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Commands (n, 4)."""
-        if len(self._left) != len(state):
+        if len(self._remaining) != len(state):
             self.begin(np.arange(len(state)), platform)
         speed = platform[:, VX : VZ + 1]
         self._platform_push += _FILTER * ((speed - self._platform_speed) / self._period - self._platform_push)
@@ -75,13 +75,13 @@ class Planner:
         velocity = state[:, VX : VZ + 1] - speed
         normal = surface.normals(platform)
 
-        waiting = np.isinf(self._left)
+        waiting = np.isinf(self._remaining)
         self._calm += _CALMING * (normal - self._calm)
         first = self._entry(self._calm)
         error, drift = place - first, velocity
         ready = (np.linalg.norm(error, axis=1) < NEAR) & (np.linalg.norm(drift, axis=1) < SLOW)
         begins = waiting & ready
-        self._left[begins] = WAY
+        self._remaining[begins] = WAY
         self._way[0, begins], self._way[1, begins] = place[begins], velocity[begins]
         self._way[2, begins] = 0.0
         waiting &= ~ready
@@ -96,7 +96,7 @@ class Planner:
         wanted = STIFFNESS * behind + DAMPING * (np.where(waiting[:, None], 0.0, self._way[1]) - velocity)
         wanted += np.where(waiting[:, None], 0.0, self._way[2]) + self._platform_push
         commands = self._commands(wanted, state[:, YAW])
-        self._stopped |= ~waiting & ((height < CUT) | (self._left < 0.0))
+        self._stopped |= ~waiting & ((height < CUT) | (self._remaining < 0.0))
         commands[self._stopped, 0] = 0.0
         return commands
 
@@ -116,12 +116,12 @@ class Planner:
 
     def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
         """Go on by a period on the ways of least jerk from where they are to where the platforms are now."""
-        left = np.maximum(self._left, LEAST)
-        left[~on] = 1.0
+        remaining = np.maximum(self._remaining, LEAST)
+        remaining[~on] = 1.0
         end = np.array(self._end(normal))
         place, velocity, push = self._way
-        s = left[:, None]
-        # The jerk, its rate and its second rate at the beginning of the way that is left.
+        s = remaining[:, None]
+        # The jerk, its rate and its second rate at the beginning of the way that is remaining.
         gap = end[0] - place - velocity * s - 0.5 * push * s**2
         rush = end[1] - velocity - push * s
         turn = end[2] - push
@@ -141,7 +141,7 @@ class Planner:
         )
         for row, value in zip(self._way, moved):
             row[on] = value[on]
-        self._left[on] -= h
+        self._remaining[on] -= h
 
     def _commands(self, wanted: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         """Commands (n, 4) for accelerations (n, 3) [m/s2]; attitudes lead by the loop's time constant."""

@@ -129,12 +129,12 @@ class Scenario(File, frozen=True, kw_only=True):
     @property
     def waves(self) -> Waves:
         """Return the deck's motion in SI units; raises UserError for lists of other lengths than `period`."""
-        given: dict[str, Shift | Turn | None] = {mode: getattr(self.components, mode) for mode in MODES}
-        if not self.components.period and not any(given.values()):
+        axes: dict[str, Shift | Turn | None] = {mode: getattr(self.components, mode) for mode in MODES}
+        if not self.components.period and not any(axes.values()):
             return Waves(np.ones(1), np.zeros((6, 1)), np.zeros((6, 1)))
         w = len(self.components.period)
         amplitude, phase = np.zeros((6, w)), np.zeros((6, w))
-        for k, (mode, wave) in enumerate(given.items()):
+        for k, (mode, wave) in enumerate(axes.items()):
             if wave is None:
                 continue
             if not len(wave.amplitude) == len(wave.phase_deg) == w:

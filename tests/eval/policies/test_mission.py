@@ -16,8 +16,8 @@ from inclined_landing.eval.policies.mission import HandOver, make_plan
 
 def test_missions_are_counted_and_drawn(tmp_path, capsys):
     out = tmp_path / "out"
-    words = ["mission", "--start=-1,0.05,1.75", "--start=-1.3,0,1.5", "--no-film", "--out", str(out)]
-    assert cli.main(words) == 0
+    arguments = ["mission", "--start=-1,0.05,1.75", "--start=-1.3,0,1.5", "--no-film", "--out", str(out)]
+    assert cli.main(arguments) == 0
     table = capsys.readouterr().out
     assert "At rest on the feet after 2 of 2 missions (100.0" in table and "slab 2" in table
     assert {path.name for path in out.iterdir()} == {"mission.json", "mission.png", "mission.pdf"}

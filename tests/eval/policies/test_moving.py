@@ -156,8 +156,8 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
-    words = [*MOVING, "planner", "--scenario", "ship_5_bow", "--flights", "3"]
-    assert main([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
+    arguments = [*MOVING, "planner", "--scenario", "ship_5_bow", "--flights", "3"]
+    assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "out/moving.json").read_text())
     assert printed["scenarios"][0]["outcomes"][0]["at_rest"]["count"] == 3

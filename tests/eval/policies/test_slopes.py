@@ -21,9 +21,9 @@ def test_curve_and_table_of_a_policy(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "landing-slopes" in text and "alone" in text
     report = json.loads((out / "slopes.json").read_text())
-    own, plain = report["policies"]
-    assert sum(p["strict"]["of"] for p in own["curve"]) == own["all"]["strict"]["of"] == 40
-    assert sum(p["strict"]["count"] for p in own["curve"]) == own["all"]["strict"]["count"]
+    sloped, plain = report["policies"]
+    assert sum(p["strict"]["of"] for p in sloped["curve"]) == sloped["all"]["strict"]["of"] == 40
+    assert sum(p["strict"]["count"] for p in sloped["curve"]) == sloped["all"]["strict"]["count"]
     assert "curve" not in plain and len(plain["single"]) == 1
     assert (out / "slopes.png").stat().st_size > 10_000
 

@@ -314,9 +314,9 @@ def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
     run = tmp_path / "my-run"
     run.mkdir()
     shutil.copy(load_policy("landing-nominal").path, run / "final.zip")
-    words = ["--plant", "analytic", "--thrust-scale", "1", "0.9"]
+    arguments = ["--plant", "analytic", "--thrust-scale", "1", "0.9"]
     names = ["landing-slopes", str(run), "big@hummingbird=landing-vehicles", "setpoint"]
-    assert cli.main(["success", *names, *words, "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["success", *names, *arguments, "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     report = json.loads((tmp_path / "out/success.json").read_text())
     assert list(report["policies"]) == ["landing-slopes", "my-run", "big", "setpoint"]
@@ -324,6 +324,6 @@ def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
     assert report["policies"]["big"]["vehicle"] == "hummingbird"
     flights = pd.read_csv(tmp_path / "out/flights.csv")
     assert set(flights["condition"]) == {"thrust x 1", "thrust x 0.9"}
-    assert cli.main(["success", str(run), *words, "--json"]) == 0
+    assert cli.main(["success", str(run), *arguments, "--json"]) == 0
     alone = json.loads(capsys.readouterr().out)
     assert alone["conditions"] == report["policies"]["my-run"]["conditions"]

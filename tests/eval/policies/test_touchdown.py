@@ -20,10 +20,10 @@ def test_shipped_policy_comes_to_rest_more_gently_than_a_motor_cut(few_starts):
         load_policy("touchdown"), load_policy("landing-nominal"), frictions=(0.3, 0.8), restitutions=(0.0,)
     )
     assert report["cannot_hold"] == [0.3] and [row["friction"] for row in report["friction"]] == [0.8]
-    own, cut = report["all"]["touchdown"], report["all"]["motor_cut"]
-    assert own["at_rest"]["count"] == own["at_rest"]["of"] == cut["at_rest"]["of"] == 3
-    assert own["normal_speed"]["median"] < 0.6 * cut["normal_speed"]["median"]
-    assert report["weight"] < own["peak_normal_force"]["min"] < cut["peak_normal_force"]["max"]
+    landed, cut = report["all"]["touchdown"], report["all"]["motor_cut"]
+    assert landed["at_rest"]["count"] == landed["at_rest"]["of"] == cut["at_rest"]["of"] == 3
+    assert landed["normal_speed"]["median"] < 0.6 * cut["normal_speed"]["median"]
+    assert report["weight"] < landed["peak_normal_force"]["min"] < cut["peak_normal_force"]["max"]
     assert len(report["conditions"]) == 1
     touchdown.show(report)
 

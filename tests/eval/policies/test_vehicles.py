@@ -78,8 +78,8 @@ def test_drawn_vehicles_are_those_of_the_ranges(report):
 
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
-    words = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
-    assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
+    arguments = ["landing", "--vehicle", "crazyflie-2.0", "--draws", "0", "--plant", "analytic"]
+    assert cli.main(["robustness", *arguments, "--over=vehicles", "--out", str(tmp_path / "out")]) == 0
     assert "crazyflie-2.0" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "index.html",
@@ -91,7 +91,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     assert json.loads((tmp_path / "out/vehicles.json").read_text())["draws"] is None
 
 
-@pytest.mark.parametrize("words, sentence", [
+@pytest.mark.parametrize("arguments, sentence", [
     (["landing", "--vehicle", "sparrow"], "vehicle file sparrow does not exist"),
     (["landing", "--ranges", "sparrow"], "randomise file sparrow does not exist"),
     (["landing", "--ranges", "sparrow", "--draws", "0"], "randomise file sparrow does not exist"),
@@ -101,7 +101,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     (["landing", "--plant", "paper"], "unknown plant 'paper'"),
     ([], "name at least one policy"),
 ])  # fmt: skip
-def test_wrong_input_is_one_sentence_and_writes_nothing(words, sentence, tmp_path, capsys):
-    assert cli.main(["robustness", *words, "--over=vehicles", "--out", str(tmp_path / "out")]) == 2
+def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp_path, capsys):
+    assert cli.main(["robustness", *arguments, "--over=vehicles", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr()
     assert sentence in said.err and not said.out and not (tmp_path / "out").exists()
