@@ -39,6 +39,7 @@ FOREIGN = {  # names of other programs, and names that are put together from par
         "-pitch",
         "_utils",
         "_rebuild_tensor_v2",
+        "InclinedTouchdown-v0",
     ),
     "mocap_attitude",
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
