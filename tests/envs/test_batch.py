@@ -74,6 +74,17 @@ def trajectory(env, steps=60, seed=1):
     return rows
 
 
+def test_same_seed_same_trajectory(kind):
+    """Given at first or later, through the automatic resets; another seed begins elsewhere."""
+    env = build(**kind, seed=0)
+    first = trajectory(build(**kind, seed=5))
+    assert not np.array_equal(first[0], trajectory(env)[0])
+    env.seed(5)
+    for again in (trajectory(build(**kind, seed=5)), trajectory(env)):
+        for x, y in zip(first, again, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
 def test_n_vehicles_equal_n_single_ones(kind):
     """From the same starts under the same actions, bit for bit, contacts and records included."""
     n, steps = 5, 80

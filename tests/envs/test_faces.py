@@ -397,7 +397,19 @@ def test_vecenv_seeds(task):
 
 
 def test_vecenv_attributes():
+    """Seed, attributes and methods are of all vehicles together: none is set for one."""
     env = vec_env(3)
+    for act in (
+        lambda: env.env_method("seed", 1, indices=0),
+        lambda: env.set_attr("reward_scale", 7.0, [0]),
+        lambda: env.env_method("set_conditions", None, indices=[1, 2]),
+    ):
+        with pytest.raises(UserError, match="leave indices out"):
+            act()
+    for act in (lambda: env.get_attr("reward_scale", 3), lambda: env.env_method("reset")):
+        with pytest.raises(UserError, match=r"numbers of vehicles below 3|call reset itself"):
+            act()
+    env.env_method("seed", 1, indices=range(3))
     assert env.get_attr("num_envs") == [3, 3, 3] and len(env.get_attr("env", [0, 2])) == 2
     assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
     env.set_attr("reward_scale", 0.5)

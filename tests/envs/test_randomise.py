@@ -129,6 +129,19 @@ def test_every_episode_draws_its_vehicle(plant, tmp_path):
     np.testing.assert_array_equal(env.plant.choice, kept)
 
 
+def test_vehicles_are_drawn_independently_of_the_size_of_the_batch():
+    """Each by its own generator: the same vehicle from the same start, whoever is drawn beside it."""
+    drawn = []
+    for seeds in (range(6), range(3)):
+        env = environment("analytic", len(seeds), robust(), 0.25)
+        env.draw_each_from({i: np.random.default_rng(seed) for i, seed in enumerate(seeds)})
+        env.reset()
+        drawn.append((env.plant.choice.copy(), env.plant.state.copy()))
+    for many, few in zip(*drawn):
+        np.testing.assert_array_equal(many[:3], few)
+    assert len(set(drawn[0][0])) > 3
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_flight_goes_on_as_it_was_while_others_begin_anew(plant):
     flights = []
@@ -156,6 +169,20 @@ def test_without_ranges_nothing_is_drawn(plant):
         states.append(env.plant.state.copy())
     np.testing.assert_array_equal(states[0], states[1])
     np.testing.assert_array_equal(states[0], states[2])
+
+
+def test_policies_fly_the_assigned_vehicles():
+    """As in a plant of their own; the platform's tilt is the vehicle's, the goal the task's."""
+    policy = load_policy("landing-nominal")
+    pool = [LIBRARY[name].apply(V, LIBRARY[name].plausible) for name in ("platform_tilt", "thrust_scale")]
+    starts = policy.task.states_at([(1.0, 2.0)] * 3)
+    plant = make_plant("mujoco", 3, policy.task.vehicle, pool=pool)
+    plant.assign(np.arange(3), [1, 2, 0])
+    flights = record_flights(policy, plant, starts)
+    for flight, vehicle in zip(flights, (*pool, V)):
+        assert flight.inclination == pytest.approx(vehicle.platform_inclination, abs=1e-15)
+    alone = record_flights(policy, make_plant("mujoco", 1, pool[1]), starts[:1])[0]
+    np.testing.assert_array_equal(flights[1].state, alone.state)
 
 
 def test_a_drawn_vehicle_that_diverges_has_failed():
