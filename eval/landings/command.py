@@ -25,9 +25,8 @@ from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
-from inclined_landing.eval.landings.study import MOST_LANDINGS, Study, read_study
-from inclined_landing.models import schema, storage
-from inclined_landing.models.attitude import STATE_SIZE
+from inclined_landing.eval.landings.study import Study, read_study
+from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -43,7 +42,6 @@ def command(
     engine: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     resume: Flag = False,
-    chunk: tyro.conf.Suppress[int] = CHUNK,
 ) -> None:
     """Landing study: thousands of touchdowns over friction, speeds ..., each classified.
 
@@ -54,25 +52,29 @@ def command(
         engine: run in this process, or on a Ray cluster.
         address: of a running Ray cluster; without it, Ray is started on this machine.
         resume: go on with the study that was interrupted in this folder.
-        chunk: landings that are simulated and written together.
     """
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
-    if resume and out.is_dir() and not all(map(storage.is_part, out.iterdir())):
-        wanted, chunk = _resumed(wanted, out)
+    if resume and (out / RECORD).is_file():
+        wanted = _resumed(wanted, out)
     else:
         runs.check_new_run(out)
         wanted = with_starts(wanted)
-        begin(wanted, out, chunk)
+        record = {
+            "study": dataclasses.asdict(wanted),
+            "fingerprint": wanted.fingerprint(),
+            "landings": wanted.total,
+            "chunk": CHUNK,
+            "versions": runs.versions(),
+        }
+        with storage.made(out / PARTS):
+            storage.write_json(out / RECORD, record)
     table = _read(out / RESULTS, range(wanted.total))
     if table is None:
-        table = _simulated(wanted, out, engine, address, chunk)
+        table = _simulated(wanted, out, engine, address)
     from inclined_landing.eval.landings import report
 
-    try:
-        summary = report.write(wanted, table, out)
-    except OSError as error:
-        raise UserError(f"cannot write {out}: {storage.reason(error)}") from error
+    summary = report.write(wanted, table, out)
     shutil.rmtree(out / PARTS, ignore_errors=True)
     report.show(summary, out)
 
@@ -103,54 +105,27 @@ def with_starts(study: Study) -> Study:
     return dataclasses.replace(study, starts=tuple(tuple(map(float, row)) for row in entries))
 
 
-def begin(study: Study, out: Path, chunk: int) -> None:
-    """Make the folder with its record, or nothing."""
-    record = {
-        "study": dataclasses.asdict(study),
-        "fingerprint": study.fingerprint(),
-        "landings": study.total,
-        "chunk": chunk,
-        "versions": runs.versions(),
-    }
-    with storage.made(out / PARTS):
-        storage.write_json(out / RECORD, record)
-
-
-def _resumed(wanted: Study, out: Path) -> tuple[Study, int]:
-    """Return the study to continue, start states included, and its chunk size."""
-    if not (out / RECORD).is_file():
-        raise UserError(f"{out} holds no study that could be resumed ({RECORD} is missing)")
-    storage.check_file(out / RESULTS)
-    storage.check_folder(out / PARTS)
+def _resumed(wanted: Study, out: Path) -> Study:
+    """Return the study to continue, start states included."""
     record = storage.read_json(out / RECORD, "record")
     try:
-        begun, chunk, fingerprint = record["study"], record["chunk"], record["fingerprint"]
-        starts = schema.parse(begun["starts"], tuple[tuple[float, ...], ...])
-        sound = type(chunk) is int and 0 < chunk <= MOST_LANDINGS
-        if not sound or any(len(row) != STATE_SIZE for row in starts):
-            raise UserError("its chunk or its starts are none")
-    except (UserError, KeyError, TypeError) as error:
+        starts, fingerprint = record["study"]["starts"], record["fingerprint"]
+        wanted = dataclasses.replace(wanted, starts=tuple(tuple(map(float, row)) for row in starts))
+    except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"record {out / RECORD} is damaged: {error}") from error
-    storage.remove_parts(out)
-    wanted = dataclasses.replace(wanted, starts=starts)
     if wanted.fingerprint() != fingerprint:
         raise UserError(
             f"{out} was begun with another study, vehicle or engine version; choose another folder"
         )
-    return wanted, chunk
-
-
-def _table(path: Path) -> pa.Table:
-    with path.open("rb") as file:  # pyarrow takes no file name that is not UTF-8
-        return pq.read_table(file, page_checksum_verification=True)
+    storage.remove_parts(out)
+    return wanted
 
 
 def _read(path: Path, landings: range) -> pa.Table | None:
     """Return the table in `path` if it is there, undamaged, and holds these landings."""
-    if path.exists() and not path.is_file():  # a pipe would never end
-        return None
     try:
-        table = _table(path)
+        with path.open("rb") as file:  # pyarrow takes no file name that is not UTF-8
+            table = pq.read_table(file, page_checksum_verification=True)
         numbers = table["landing"].to_numpy()
     except (OSError, KeyError, pa.ArrowException):
         return None
@@ -158,23 +133,22 @@ def _read(path: Path, landings: range) -> pa.Table | None:
     return table if set(table.column_names) == known and np.array_equal(numbers, landings) else None
 
 
-def _simulated(study: Study, out: Path, engine: str, address: str | None, size: int) -> pa.Table:
+def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
     """Simulate the chunks that are missing, and return all landings, which are written too."""
-    parts = [out / PARTS / f"{chunk:05d}.parquet" for chunk in range(math.ceil(study.total / size))]
-    rows = [design.rows_of(study, size, chunk) for chunk in range(len(parts))]
-    missing = [chunk for chunk, part in enumerate(parts) if _read(part, rows[chunk]) is None]
-    shared = (study, size, 0 if engine == "local" else 1)
+    chunks = [range(k, min(k + CHUNK, study.total)) for k in range(0, study.total, CHUNK)]
+    parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}
+    missing = [rows for rows, part in parts.items() if _read(part, rows) is None]
+    shared = (study, 0 if engine == "local" else 1)
     columns = TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with storage.made(out / PARTS), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        done = study.total - sum(len(rows[chunk]) for chunk in missing)
-        task = bar.add_task("", total=study.total, completed=done)
-        for chunk, table in pool.completed(design.run_chunk, shared, missing, engine, address):
+        task = bar.add_task("", total=study.total, completed=study.total - sum(map(len, missing)))
+        for rows, table in pool.completed(design.run_chunk, shared, missing, engine, address):
             try:
-                write(table, parts[chunk])
+                write(table, parts[rows])
             except UserError as error:
                 raise UserError(f"{error}; what is finished is kept, go on with --resume") from error
             bar.advance(task, table.num_rows)
-    table = pa.concat_tables([_table(part) for part in parts]).combine_chunks()
+    table = pa.concat_tables([_read(part, rows) for rows, part in parts.items()]).combine_chunks()
     write(table, out / RESULTS)
     return table
 

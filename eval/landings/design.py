@@ -51,18 +51,12 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     return p.low + (p.high - p.low) * u
 
 
-def rows_of(study: Study, size: int, chunk: int) -> range:
-    """Return the numbers of the landings of a chunk."""
-    return range(chunk * size, min((chunk + 1) * size, study.total))
+def run_chunk(study: Study, threads: int, rows: range) -> pa.Table:
+    """Return the landings of these numbers of the study, a function of the arguments alone.
 
-
-def run_chunk(study: Study, size: int, threads: int, chunk: int) -> pa.Table:
-    """Return the landings of a chunk of the study, a function of the arguments alone.
-
-    The number of threads (0: all) changes nothing; nor does `size`, for the landings that are in it.
+    The number of threads (0: all) changes nothing; nor do the other rows, for the landings of one.
     """
     values, start = design(study)
-    rows = rows_of(study, size, chunk)
     p = {name: column[rows].copy() for name, column in values.items()}
     if study.starts:
         states = np.array(study.starts)[start[rows]].reshape(-1, STATE_SIZE)

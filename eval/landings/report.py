@@ -79,42 +79,16 @@ def discussion(summary: dict) -> list[str]:
     said = [f"Of {summary['landings']} landings: {', '.join(parts)} (95 % Wilson intervals)."]
     # (index, label, does more of it help) of the parameters, the strongest first
     rows = [
-        (row["first_order"]["rests"]["index"], known[row["parameter"]].label, (row["log_odds"] or 0) > 0)
+        (row["first_order"]["rests"]["index"] or 0.0, known[row["parameter"]].label, row["log_odds"])
         for row in summary["sensitivities"]
-        if row["first_order"]["rests"]["index"] is not None
     ]
-    rows.sort(key=lambda row: -row[0])
-    strong = [row for row in rows if row[0] >= _MATTERS]
-    if strong:
-        names = (
-            f"{label} ({100 * index:.0f} %, {'helps' if up else 'harms'})" for index, label, up in strong
-        )
+    names = [
+        f"{label} ({100 * index:.0f} %, {'helps' if (odds or 0) > 0 else 'harms'})"
+        for index, label, odds in sorted(rows, key=lambda row: -row[0])
+        if index >= _MATTERS
+    ]
+    if names:
         said.append(f"Whether it rests varies alone with {', '.join(names)} of the variance.")
-        rest = 1.0 - sum(index for index, _, _ in strong)
-        if rest > 0.1:
-            said.append(
-                f"The remaining {100 * rest:.0f} % is in combinations of parameters and in what the study "
-                "does not vary by itself (the start states)."
-            )
-    weak = [label for index, label, _ in rows if index < _MATTERS]
-    if weak:
-        said.append(
-            f"Alone, {', '.join(weak)} change{'s' if len(weak) == 1 else ''} it by less than "
-            f"{100 * _MATTERS:.0f} % of the variance."
-        )
-    force, settle = summary["results"]["peak_force"], summary["results"]["settling_time"]
-    if force["median"] is not None:
-        said.append(
-            f"The slab pushes with up to {force['median']:.2f} N (median of the peaks; 95 % stay below "
-            f"{force['p95']:.2f} N)."
-        )
-    if settle["median"] is not None:
-        said.append(
-            f"Those that rest are still {settle['median']:.2f} s after the touch (median; 95 % within "
-            f"{settle['p95']:.2f} s)."
-        )
-    if summary["outcomes"]["diverges"]["count"]:
-        said.append("Some simulations diverged; they are counted apart and are no landing of any kind.")
     return said
 
 

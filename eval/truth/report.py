@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 
+import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -17,6 +20,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.eval.base.style import styled
 from inclined_landing.models import storage
 
 
@@ -24,18 +28,19 @@ class Words:
     """What the sections and claims of a package say: `claims.toml` beside its code.
 
     A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
-    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and one or both
-    of its bounds `low` and `high`. Names in braces are filled in.
+    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and its bounds
+    `low` and `high`, where they are not computed. Names in braces are filled in.
     """
 
     def __init__(self, package: str):
         self.tables = tomllib.loads(resources.files(package).joinpath("claims.toml").read_text("utf-8"))
 
-    def claim(self, section: str, key: str, measured: float, **filling) -> Claim:
-        """Return a claim with its measured value."""
+    def claim(self, section: str, key: str, measured: float, bounds=None, **filling) -> Claim:
+        """Return a claim with its measured value; bounds: low and high, instead of those of the file."""
         entry = self.tables[section][key]
         name, unit, why = (entry[word].format(**filling) for word in ("claim", "unit", "why"))
-        return Claim(name, measured, entry.get("high", math.inf), unit, why, entry.get("low", -math.inf))
+        low, high = bounds or (entry.get("low", -math.inf), entry.get("high", math.inf))
+        return Claim(name, measured, high, unit, why, low)
 
     def section(self, key: str, measured: dict[str, float] | list[Claim], filling=None, **rest) -> Section:
         """Return a section; measured: values by claim, or the claims themselves; rest: its other fields."""
@@ -48,6 +53,25 @@ class Words:
         figures = {f"{key}.png": entry["figure"]} if "figure" in entry else {}
         fields = {"remarks": remarks, "figures": figures} | rest
         return Section(key, entry["title"], entry["text"].format(**filling), claims, **fields)
+
+
+def panels(count: int, width: float = 3.5, height: float = 3.15):
+    """Return a decorator that makes a function of data and `count` axes one of the data alone.
+
+    width, height [in]: of each panel. The decorated function returns the figure.
+    """
+
+    def decorate(draw: Callable[..., None]) -> Callable[..., Figure]:
+        @functools.wraps(draw)
+        def drawn(*data) -> Figure:
+            with styled(), matplotlib.rc_context({"axes.grid": True, "lines.markersize": 4}):
+                figure = Figure(figsize=(width * count, height), layout=ConstrainedLayoutEngine(wspace=0.05))
+                draw(*data, *figure.subplots(1, count, squeeze=False)[0])
+            return figure
+
+        return drawn
+
+    return decorate
 
 
 @contextlib.contextmanager

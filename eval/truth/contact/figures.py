@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below, styled
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below
+from inclined_landing.eval.truth.report import panels
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK)
 _DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
-DRAW: dict[str, Callable[[dict], Figure]] = {}  # by the key of the section
-
-
-def _panels(count: int, width: float = 3.5):
-    """Register a function that draws data into `count` panels, `width` [in] each, in DRAW."""
-
-    def enter(draw: Callable[..., None]) -> Callable[[dict], Figure]:
-        @functools.wraps(draw)
-        def drawn(data: dict) -> Figure:
-            with styled(), matplotlib.rc_context({"axes.grid": True, "lines.markersize": 4}):
-                figure = Figure(figsize=(width * count, 3.15), layout="constrained")
-                draw(data, *figure.subplots(1, count, squeeze=False)[0])
-            return figure
-
-        DRAW[draw.__name__] = drawn
-        return drawn
-
-    return enter
 
 
 def _level(axes: Axes, value: float, text: str, x: float) -> None:
@@ -49,7 +28,7 @@ def _logarithmic(axes: Axes, ticks: list[float]) -> None:
     axes.minorticks_off()
 
 
-@_panels(3)
+@panels(3)
 def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
     """Draw forces at rest over inclination, and creep over inclination and restitution."""
     fine = np.linspace(0, 50, 101)
@@ -68,7 +47,7 @@ def rest(data: dict, force: Axes, creep: Axes, springy: Axes) -> None:
     springy.set(xlabel="restitution set", ylabel="creep on the default slope [mm/s]", yscale="log")
 
 
-@_panels(2, 3.8)
+@panels(2, 3.8)
 def slip(data: dict, gain: Axes, onset: Axes) -> None:
     """Draw acceleration around the friction angle, and the angle of sliding onset over friction."""
     for mu, values, colour in zip(data["friction"], data["acceleration"], _COLOURS):
@@ -82,7 +61,7 @@ def slip(data: dict, gain: Axes, onset: Axes) -> None:
     legend_below(onset)
 
 
-@_panels(3)
+@panels(3)
 def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
     """Draw measured over set restitution, by contact time (bars: scatter) and drop speed; contact times."""
     nominal = np.array(data["set"])
@@ -108,7 +87,7 @@ def restitution(data: dict, times: Axes, speeds: Axes, pushed: Axes) -> None:
     legend_below(pushed)
 
 
-@_panels(2, 3.8)
+@panels(2, 3.8)
 def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
     """Draw the error of the impulse from sampled forces over the time step, and the largest force."""
     for setting, label, colour in (("default", "default", BLUE), ("0.6", "restitution 0.6", ORANGE)):
@@ -127,7 +106,7 @@ def impulse(data: dict, errors: Axes, peaks: Axes) -> None:
         _logarithmic(axes, [0.5, 1, 2, 4])
 
 
-@_panels(1, 6.2)
+@panels(1, 6.2)
 def penetration(data: dict, axes: Axes) -> None:
     """Draw the deepest penetration of the feet over the normal velocity."""
     axes.plot(data["speeds"], 1e3 * data["default"], "o-", color=INK, label="default")
@@ -140,7 +119,7 @@ def penetration(data: dict, axes: Axes) -> None:
     legend_below(axes, ncols=3)
 
 
-@_panels(2, 3.8)
+@panels(2, 3.8)
 def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
     """Draw the scatter of rebounds and the error of penetration over the time step."""
     steps = 1e3 * np.array(data["steps"])
@@ -159,7 +138,7 @@ def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
         legend_below(axes, ncols=3)
 
 
-@_panels(2, 3.8)
+@panels(2, 3.8)
 def tumbling(data: dict, energy: Axes, share: Axes) -> None:
     """Draw the energy of drops over time, and the share of drops that gain energy over their speed."""
     history = 1e3 * data["history"]
@@ -174,7 +153,7 @@ def tumbling(data: dict, energy: Axes, share: Axes) -> None:
     legend_below(share, ncols=3)
 
 
-@_panels(1, 6.2)
+@panels(1, 6.2)
 def torque(data: dict, axes: Axes) -> None:
     """Draw pitch after half a second over thrust, for two torque limits; dashed: statics."""
     for row, colour in zip(data["rows"], _COLOURS):
@@ -184,3 +163,9 @@ def torque(data: dict, axes: Axes) -> None:
     axes.plot([], [], **_DASHED, label="statics")
     axes.set(xlabel="thrust over weight", ylabel="pitch after 0.5 s [deg]")
     legend_below(axes, ncols=3)
+
+
+DRAW = {
+    draw.__name__: draw
+    for draw in (rest, slip, restitution, impulse, penetration, convergence, tumbling, torque)
+}

@@ -41,7 +41,7 @@ def with_bandwidth(v: Vehicle, bandwidth: float) -> Vehicle:
     return dataclasses.replace(v, attitude_bandwidth=bandwidth, attitude_yaw_bandwidth=share * bandwidth)
 
 
-def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda: None) -> list[Gap]:
+def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS) -> list[Gap]:
     """Return the gaps over `sequences`, one per bandwidth; the engine's step follows the bandwidth."""
     commands, starts = flying.side_by_side(v, [sequences])
     n = len(starts)
@@ -56,7 +56,6 @@ def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS, tick=lambda
         apart, angle = position_gap(flown, paper), float(angle_gap(flown, paper).max())
         rms, beside_extended = float(np.sqrt(np.mean(apart**2))), float(position_gap(flown, extended).max())
         gaps.append(Gap(bandwidth, rms, apart.max(axis=0), angle, beside_extended))
-        tick()
     return gaps
 
 
@@ -89,26 +88,16 @@ def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
     result = []
     for slow, fast in itertools.pairwise(g for g in gaps if g.bandwidth >= 50):
         margin = 1 / (with_bandwidth(v, slow.bandwidth).attitude_yaw_bandwidth * v.attitude_time_constant)
-        result.append(
-            Claim(
-                f"gap (rms) at B = {slow.bandwidth:g} over gap at {fast.bandwidth:g} 1/s",
-                slow.rms / fast.rms,
-                2 + margin,
-                "ratio",
-                "the gap is c/B (1 + e/(B_yaw τ)) with the slowest of the fast poles, the yaw's: the ratio "
-                "is 2 within |e|/(B_yaw τ), |e| ≤ 1",
-                low=2 - margin,
-            )
-        )
-    return result + [
-        WORDS.claim("bandwidth", "extended", gap.extended, bandwidth=gap.bandwidth) for gap in gaps
-    ]
+        names = {"slow": slow.bandwidth, "fast": fast.bandwidth}
+        ratio, bounds = slow.rms / fast.rms, (2 - margin, 2 + margin)
+        result.append(WORDS.claim("bandwidth", "halving", ratio, bounds, **names))
+    return result + [WORDS.claim("bandwidth", "extended", g.extended, bandwidth=g.bandwidth) for g in gaps]
 
 
-def section(v: Vehicle, sequences: Sequences, everyday: Sequences, tick) -> tuple[Section, list[Gap]]:
+def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Section, list[Gap]]:
     """Return the section and the gaps for its figure; `everyday` are commands as a policy gives them."""
-    gaps = measure(v, sequences, tick=tick)
-    daily = measure(v, everyday, (v.attitude_bandwidth,), tick=tick)[0]
+    gaps = measure(v, sequences)
+    daily = measure(v, everyday, (v.attitude_bandwidth,))[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)
     filling = {
         "share": v.attitude_bandwidth / v.attitude_yaw_bandwidth,

@@ -59,20 +59,17 @@ class Comparison:
         return f"{self.second} against {self.first}: the samples differ at the {ALPHA:.0%} level in {parts}."
 
 
-def fly(policy: Policy, starts: np.ndarray, tick=lambda: None) -> dict[str, list[Flight]]:
+def fly(policy: Policy, starts: np.ndarray) -> dict[str, list[Flight]]:
     """Return the policy's flights from `starts` (k, 2), by plant."""
     states = landing_starts.at_rest(policy.task, starts)
     n, v = len(states), policy.task.vehicle
-    flown = {}
-    for name, plant in (
-        (PAPER, AnalyticPlant(n, v)),
-        (EXTENDED, AnalyticPlant(n, v, attitude="rate_loop", substeps=flying.FINE)),
-        (KINEMATIC, MujocoPlant(n, v, attitude="kinematic")),
-        (VEHICLE, MujocoPlant(n, v)),
-    ):
-        flown[name] = record_flights(policy, plant, states)
-        tick()
-    return flown
+    plants = {
+        PAPER: AnalyticPlant(n, v),
+        EXTENDED: AnalyticPlant(n, v, attitude="rate_loop", substeps=flying.FINE),
+        KINEMATIC: MujocoPlant(n, v, attitude="kinematic"),
+        VEHICLE: MujocoPlant(n, v),
+    }
+    return {name: record_flights(policy, plant, states) for name, plant in plants.items()}
 
 
 def quantities(flights: list[Flight]) -> np.ndarray:
@@ -123,9 +120,9 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
     return [*result, WORDS.claim("closed_loop", "success", abs(share[VEHICLE] - share[PAPER]))]
 
 
-def section(policy: Policy, starts: np.ndarray, tick) -> tuple[Section, dict]:
+def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
     """Return the section, and the flights by plant for its figure."""
-    flown = fly(policy, starts, tick)
+    flown = fly(policy, starts)
     twins = [compare(flown, PAPER, KINEMATIC), compare(flown, EXTENDED, VEHICLE)]
     cross = compare(flown, PAPER, VEHICLE)
     rows, summary = [], {}

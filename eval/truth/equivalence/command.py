@@ -29,7 +29,6 @@ from inclined_landing.models.parameters import load_vehicle
 SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
 QUICK_SEQUENCES, QUICK_STATES = 4, 200
 QUICK_STARTS = 4  # every fourth of the frozen grid
-TICKS = 33  # of the progress bar
 
 
 def command(
@@ -54,7 +53,7 @@ def command(
     runs.check_new_run(out)
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    with progress(TICKS) as tick:
+    with progress(8) as tick:
         sections, drawn = measure(loaded, seed, quick, tick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]
@@ -92,32 +91,30 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
 
-    def within(text):
-        tick(text)
-        return lambda: tick(text)
-
-    tick("command sequences")
+    tick("three levels")
     flights = flying.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
     full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
-    level, gaps = levels.section(v, flights, states, seed, within("three levels"))
+    level, gaps = levels.section(v, flights, states, seed)
     tick("single terms")
     alone = isolated.section(v, states // 2, seed)
     tick("native twin")
     native = twin.section(v, by_label["full steps, 2-D"].commands)
     tick("motor function")
-    motors, thrust = motor.section(v, seed)
-    order, errors = convergence.section(v, full.commands, within("convergence"))
-    loop, found = bandwidth.section(v, full, recorded, within("bandwidth"))
-    closed, flown = closed_loop.section(policy, starts, within("closed loop"))
+    motors = motor.section(v, seed)
+    tick("convergence")
+    order, errors = convergence.section(v, full.commands)
+    tick("bandwidth")
+    loop, found = bandwidth.section(v, full, recorded)
+    tick("closed loop")
+    closed, flown = closed_loop.section(policy, starts)
     tick("inconsistencies")
     odd, drag = inconsistencies.section(v, recorded)
     drawn = {
-        "levels.png": figures.levels_figure(v, gaps),
-        "motor.png": figures.motor_figure(thrust),
-        "convergence.png": figures.convergence_figure(errors),
-        "bandwidth.png": figures.bandwidth_figure(v, found),
-        "closed_loop.png": figures.closed_loop_figure(flown),
-        "inconsistencies.png": figures.inconsistencies_figure(v, drag),
+        "levels.png": figures.levels(v, gaps),
+        "convergence.png": figures.convergence(errors),
+        "bandwidth.png": figures.bandwidth(v, found),
+        "closed_loop.png": figures.closed_loop(flown),
+        "inconsistencies.png": figures.inconsistencies(v, drag),
     }
     return [level, alone, native, motors, order, loop, closed, odd], drawn

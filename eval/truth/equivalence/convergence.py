@@ -35,18 +35,12 @@ class Convergence:
 
     def claim(self) -> Claim:
         """Return the claim on the order."""
-        return Claim(
-            f"order of {self.integrator}, {self.attitude.replace('_', ' ')}",
-            self.order,
-            ORDERS[self.integrator] + MARGIN,
-            "order",
-            "asymptotic order; at 1.25 to 2.5 ms the next term has a relative size of about B h = 0.06 to "
-            "0.13, which shifts the logarithm by up to 0.2",
-            low=ORDERS[self.integrator] - MARGIN,
-        )
+        expected, mode = ORDERS[self.integrator], self.attitude.replace("_", " ")
+        bounds = expected - MARGIN, expected + MARGIN
+        return WORDS.claim("convergence", "order", self.order, bounds, name=f"{self.integrator}, {mode}")
 
 
-def measure(vehicle: Vehicle, commands: np.ndarray, tick=lambda: None) -> list[Convergence]:
+def measure(vehicle: Vehicle, commands: np.ndarray) -> list[Convergence]:
     """Return the convergence of every integrator in both modes over a second of commands (steps, n, 4)."""
     commands = commands[:CONTROL_STEPS]
     n, result = commands.shape[1], []
@@ -62,13 +56,12 @@ def measure(vehicle: Vehicle, commands: np.ndarray, tick=lambda: None) -> list[C
             ends = [flying.fly(plant, commands)[-1] for plant in plants]
             errors = np.array([flying.position_gap(end, fine).max() for end in ends])
             result.append(Convergence(name, attitude, errors))
-            tick()
     return result
 
 
-def section(vehicle: Vehicle, commands: np.ndarray, tick) -> tuple[Section, list[Convergence]]:
+def section(vehicle: Vehicle, commands: np.ndarray) -> tuple[Section, list[Convergence]]:
     """Return the section, and the errors for its figure."""
-    found = measure(vehicle, commands, tick)
+    found = measure(vehicle, commands)
     rows = [(c.attitude.replace("_", " "), c.integrator, *c.errors, c.order) for c in found]
     heads = ("mode", "integrator", *(f"{h:g} ms [m]" for h in STEPS_MS), "order")
     default = next(c for c in found if c.integrator == "implicitfast" and c.attitude == "rate_loop")

@@ -141,29 +141,24 @@ def claims(attitude: Attitude, found: dict[str, float], count: int, step: Gaps, 
 
 
 def measure(
-    vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], count: int, seed: int, tick=lambda: None
+    vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], count: int, seed: int
 ) -> tuple[list[Claim], np.ndarray, tuple[Gaps, Gaps]]:
     """Return the claims, the flights (steps, n, 13) of the equations, and the gaps of steps and flights."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
     found = accelerations(vehicle, attitude, count, seed)
-    tick()
     flown = flying.fly(equations(n, attitude, vehicle=vehicle), commands, starts)
     stepped = one_step(engine(n, attitude, vehicle), commands, starts, flown)
-    tick()
     landed = flying.fly(engine(n, attitude, vehicle), commands, starts)
-    tick()
     step, flight = Gaps.of(sequences, stepped, flown), Gaps.of(sequences, landed, flown)
     return claims(attitude, found, count, step, flight), flown, (step, flight)
 
 
-def section(
-    vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int, tick
-) -> tuple[Section, dict]:
+def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> tuple[Section, dict]:
     """Return the section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
-    kinematic, slow, drawn = measure(vehicle, "kinematic", sequences, count, seed, tick)
+    kinematic, slow, drawn = measure(vehicle, "kinematic", sequences, count, seed)
     coarse = flying.fly(equations(n, "kinematic", PAPER_SUBSTEPS, vehicle), commands, starts)
     landed = flying.fly(engine(n, "kinematic", vehicle), commands, starts)
     kinematic.append(WORDS.claim("levels", "paper_step", float(position_gap(landed, coarse).max())))
@@ -172,8 +167,7 @@ def section(
     scale = 1 + uncertain / vehicle.body_mass
     heavier = flying.fly(equations(n, "kinematic", vehicle=vehicle), commands, starts, mass_scale=scale)
     metres = float(np.median(position_gap(heavier, slow)[-1]))
-    tick()
-    rate_loop, flown, looped = measure(vehicle, "rate_loop", sequences, count, seed, tick)
+    rate_loop, flown, looped = measure(vehicle, "rate_loop", sequences, count, seed)
     gaps = {"kinematic": drawn, "rate_loop": looped}
     rows = [
         (attitude.replace("_", " "), label, p, s, a)

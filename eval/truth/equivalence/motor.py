@@ -74,8 +74,8 @@ def continuous(v: Vehicle, pwm: np.ndarray, integrator: str) -> np.ndarray:
     return thrust
 
 
-def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
-    """Return the section, and the thrust histories (k,) [N] for its figure."""
+def section(v: Vehicle, seed: int) -> Section:
+    """Return the section of the report."""
     pwm = commands(v, seed)
     expected = discrete(v, pwm)
     full = v.thrust_per_pwm * v.command_pwm_range[1]
@@ -83,7 +83,6 @@ def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
     errors = {
         name: np.abs(continuous(unrounded, pwm, name) - expected).max() / full for name in ("RK4", "Euler")
     }
-    rounded = continuous(v, pwm, "RK4")
     rows = []
     for name in ("thrust_lag_rate", "thrust_state_gain", "thrust_direct_gain"):
         exactly, rounded_to = getattr(unrounded, name), getattr(v, name)
@@ -91,8 +90,7 @@ def section(v: Vehicle, seed: int) -> tuple[Section, dict]:
     measured = {
         "exact": errors["Euler"],
         "rk4": errors["RK4"],
-        "rounded": np.abs(rounded - expected).max() / full,
+        "rounded": np.abs(continuous(v, pwm, "RK4") - expected).max() / full,
     }
     heads = ("coefficient", "exact", "vehicle file", "relative difference")
-    part = WORDS.section("motor", measured, tables=[Table("Coefficients", heads, rows)])
-    return part, {"pwm": pwm, "discrete": expected, "engine": rounded}
+    return WORDS.section("motor", measured, tables=[Table("Coefficients", heads, rows)])

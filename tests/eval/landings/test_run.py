@@ -50,11 +50,17 @@ def study(tmp_path):
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    """The undisturbed run in chunks of ten: its folder."""
+    """The undisturbed run: its folder."""
     folder = tmp_path_factory.mktemp("reference")
     (folder / "small.toml").write_text(STUDY, "utf-8")
-    command.command(folder / "small.toml", folder / "run", chunk=10)
+    command.command(folder / "small.toml", folder / "run")
     return folder / "run"
+
+
+@pytest.fixture(autouse=True)
+def chunks_of_ten(monkeypatch):
+    """Three chunks make a study here; the reference is one."""
+    monkeypatch.setattr(command, "CHUNK", 10)
 
 
 def bits(folder):
@@ -81,10 +87,10 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
 
 
 def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
-    command.command(study, tmp_path / "other", chunk=24)
+    command.command(study, tmp_path / "other")
     assert bits(tmp_path / "other") == bits(reference)
-    read = command.read_study(study)
-    assert design.run_chunk(read, 5, 1, 1).equals(design.run_chunk(read, 5, 2, 1))
+    read, rows = command.read_study(study), range(5, 10)
+    assert design.run_chunk(read, 1, rows).equals(design.run_chunk(read, 2, rows))
 
 
 def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
@@ -97,17 +103,17 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(pool, "completed", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            command.command(study, tmp_path / "run", chunk=10)
+            command.command(study, tmp_path / "run")
     part = tmp_path / "run" / "parts" / "00000.parquet"
     assert [p.name for p in part.parent.iterdir()] == [part.name]
     (part.parent / ".00001.77.part.parquet").write_bytes(b"half")
-    os.mkfifo(part.parent / "00001.parquet")  # in place of a part: it is made again
+    (part.parent / "00001.parquet").write_bytes(b"half")  # damaged: it is made again
     flown = []
     monkeypatch.setattr(
         pool, "completed", lambda f, shared, chunks, *on: flown.extend(chunks) or real(f, shared, chunks, *on)
     )
     command.command(study, tmp_path / "run", resume=True)
-    assert flown == [1, 2]  # the finished part is kept
+    assert flown == [range(10, 20), range(20, 24)]  # the finished part is kept
     assert bits(tmp_path / "run") == bits(reference)
     assert not (tmp_path / "run" / "parts").exists()
     assert cli.main(["landings", str(study), "--out", str(tmp_path / "run"), "--resume"]) == 0
@@ -117,11 +123,11 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
 def test_kill_9_and_resume(study, tmp_path, reference):
     code = (
         "import sys; from inclined_landing.eval.landings import command; import pathlib, time\n"
-        "real = command.pool.completed\n"
+        "command.CHUNK, real = 10, command.pool.completed\n"
         "def slow(*a):\n"
         "    for item in real(*a): yield item; time.sleep(1)\n"
         "command.pool.completed = slow\n"
-        "command.command(sys.argv[1], pathlib.Path(sys.argv[2]), chunk=10)"
+        "command.command(sys.argv[1], pathlib.Path(sys.argv[2]))"
     )
     out = tmp_path / "run"
     process = subprocess.Popen([sys.executable, "-c", code, str(study), str(out)], stderr=subprocess.DEVNULL)
@@ -182,7 +188,7 @@ WRONG = [
     (["none.toml", "--out", "{out}"], "study none.toml does not exist (shipped ones: paper_landing"),
     (["{policy}", "--out", "{out}"], "policy none.zip does not exist"),
     (["{study}", "--out", "{full}"], "exists and is not empty"),
-    (["{study}", "--out", "{full}", "--resume"], "holds no study that could be resumed"),
+    (["{study}", "--out", "{full}", "--resume"], "exists and is not empty"),
     (["{study}", "--out", "{out}", "--engine", "moon"], "--engine must be local or ray, not 'moon'"),
     (["{study}", "--out", "{out}", "--address", "a:1"], "--address belongs to --engine ray"),
     (RAY, "pip install 'inclined-landing[ray]'"),
@@ -239,7 +245,7 @@ def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, referenc
         with pytest.raises(
             UserError, match="no space left on device; what is finished is kept, go on with --r"
         ):
-            command.command(study, tmp_path / "out", chunk=10)
+            command.command(study, tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["00000.parquet", "parts", "study.json"]
     command.command(study, tmp_path / "out", resume=True)
     assert bits(tmp_path / "out") == bits(reference)
