@@ -21,7 +21,7 @@ from inclined_landing.envs.shared.statistics import mean, proportion, spread
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.envs.tasks.start import joined
-from inclined_landing.eval.policies.motors_cut import cut_motors
+from inclined_landing.eval.policies.rest import cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
 from inclined_landing.models.errors import UserError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import count_words, spread_cell
+from inclined_landing.envs.shared.tables import count_words, printer, spread_cell
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.options import (
@@ -38,12 +39,14 @@ from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
+from inclined_landing.eval.policies.study import LONG
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 DRAWN = 100  # missions without --missions
+TYPICAL = 5.0  # s of flight
 ROLES = ("setpoint", "landing", "touchdown")
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z")]
 
@@ -116,9 +119,7 @@ def command(
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("missions", total=len(starts))
-        flown = fly_missions(plan, starts, lambda count: progress.update(bar, completed=count))
+    flown = fly_with_progress(plan, starts)
     report = report_of(flown) | {
         "seed": None if start else seed,
         "vehicle": str(vehicle) if vehicle is not None else "crazyflie.toml",
@@ -128,6 +129,27 @@ def command(
             storage.write_json(folder / "mission.json", report)
             draw(flown, folder, None if no_film else look)
     print(storage.to_json(report)) if json else show(report)
+
+
+def fly_with_progress(plan: Plan, starts: np.ndarray) -> list[Mission]:
+    """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate where they take long.
+
+    The estimate is made after the first second of flight, for missions of `TYPICAL` length.
+    """
+    console = printer(Console(stderr=True, markup=False, highlight=False))
+    steps, began = 0, time.monotonic()
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("missions", total=len(starts))
+
+        def advance(ended: int) -> None:
+            nonlocal steps
+            steps += 1
+            progress.update(bar, completed=ended)
+            expected = TYPICAL * (time.monotonic() - began)
+            if steps == round(1.0 / plan.vehicle.command_control_period) and expected > LONG:
+                progress.console.print(f"{len(starts)} missions: about {expected / 60:.0f} min")
+
+        return fly_missions(plan, starts, advance)
 
 
 def make_plan(

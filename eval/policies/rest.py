@@ -2,10 +2,15 @@
 
 A vehicle rests that is slow relative to the platform, on its feet alone, with motors at idle, for as long as
 is asked. The floor ends a flight. A vehicle under PWM 0 has no attitude torque.
+
+Where a policy hands over, `cut_motors` flies on from given states with PWM 0 for two seconds, watched at
+every engine step. It is not flown on where the end is known: once on the floor, or as good as standing still
+for 0.3 s.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Protocol
 
 import numpy as np
@@ -13,13 +18,20 @@ import pandas as pd
 
 from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks import StepContext
+from inclined_landing.envs.tasks import StepContext, touchdown
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
-from inclined_landing.envs.tasks.touchdown import REST_RATE, REST_SPEED, resting
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PWM
+from inclined_landing.models.attitude import PWM, VX, VZ, WX, WZ
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import STEP, Recorder
+from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
+from inclined_landing.models.vehicle import Vehicle
+
+DURATION = 2.0  # s after a motor cut
+_STILL = 0.3  # s
+# Of the speeds of rest: what slides away at constant acceleration, and is slower for _STILL, has not reached
+# them after DURATION, as (1 + DURATION / _STILL) / 8 < 1.
+_SLOW = 1 / 8
+_LOOK = 5  # engine steps
 
 
 class Pilot(Protocol):
@@ -58,8 +70,8 @@ def fly_to_rest(
     *,
     steps: int,
     hold: int,
-    speed: float = REST_SPEED,
-    rate: float = REST_RATE,
+    speed: float = touchdown.REST_SPEED,
+    rate: float = touchdown.REST_RATE,
     after_cut: int | None = None,
 ) -> pd.DataFrame:
     """Return a row for each flight from `states` (n, 13), of at most `steps` control steps.
@@ -85,7 +97,8 @@ def fly_to_rest(
             last[cut & ~was_cut] = tick - 1 + after_cut
             was_cut = cut.copy()
         recorder.step(commands, np.flatnonzero(~ended))
-        holding = resting(plant.state, plant.platform, commands[:, PWM] == 0.0, plant.contacts, speed, rate)
+        idle = commands[:, PWM] == 0.0
+        holding = touchdown.resting(plant.state, plant.platform, idle, plant.contacts, speed, rate)
         rested_for = np.where(holding, rested_for + 1, 0)
         rests = (rested_for >= hold) & ~ended
         time[rests] = tick * period
@@ -118,3 +131,42 @@ def _tilt_at_touch(recorder: Recorder) -> np.ndarray:
         upright = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         tilt[touched] = np.arccos(np.clip((upright * normal).sum(axis=1), -1.0, 1.0))
     return tilt
+
+
+@dataclasses.dataclass
+class Aftermath:
+    """One entry per vehicle; speeds are those of the centre of mass, NaN without a touchdown."""
+
+    touched: np.ndarray  # (n,) bool: did any part reach the slab
+    normal_speed: np.ndarray  # (n,) m/s into the surface, up to 8 ms before the first touch
+    tangential_speed: np.ndarray  # (n,) m/s along the surface, unsigned
+    at_rest: np.ndarray  # (n,) bool: at the end still, feet and nothing else on the slab
+
+
+def cut_motors(
+    states: np.ndarray, inclination: float | np.ndarray, vehicle: Vehicle, thrust_scale: float = 1.0
+) -> Aftermath:
+    """Cut the motors at `states` (n, 13) over platforms inclined by `inclination` (n,) or one for all [rad].
+
+    thrust_scale: of the thrust that still decays.
+    """
+    n = len(states)
+    plant = MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
+    plant.set_platform(np.arange(n), inclination)
+    plant.perturb(thrust_scale=thrust_scale)
+    recorder = Recorder(plant, states)
+    at_rest_for, flying = np.zeros(n), np.arange(n)
+    for tick in range(1, round(DURATION / STEP) + 1):
+        recorder.step(np.zeros((n, 4)), flying)
+        if tick % _LOOK == 0:
+            at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK * STEP, 0.0)
+            flying = np.flatnonzero((at_rest_for < _STILL) & ~plant.contacts.touch[:, 2].any(axis=1))
+            if not len(flying):
+                break
+    return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())
+
+
+def _slow(state: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: so slow that the vehicle will not be faster than at rest."""
+    speed = np.linalg.norm(state[:, VX : VZ + 1], axis=1)
+    return (speed < _SLOW * REST_SPEED) & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < _SLOW * REST_RATE)

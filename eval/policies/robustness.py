@@ -17,7 +17,6 @@ from inclined_landing.eval.policies import changes, slopes, vehicles
 from inclined_landing.eval.policies.entrants import parse_entrants
 from inclined_landing.eval.policies.moving import study as moving
 from inclined_landing.eval.policies.moving.controllers import BASELINES, Controller, find_all
-from inclined_landing.eval.policies.moving.flying import ride
 from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.policies.study import Study, write_studies
 from inclined_landing.models import storage
@@ -27,8 +26,8 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.vehicle import Vehicle
 
-# Without --full: each 10th start, medium effects, few drawn vehicles, few flights of a scenario.
-QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 10, 32, 4, 256
+# Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
+QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 12, 32, 4, 256
 _FPS, _LOOK = 12.5, {"camera": "chase", "width": 400, "height": 226, "backend": "auto"}  # of the film
 
 Policies = Annotated[
@@ -125,7 +124,7 @@ def command(
         out: new folder for index.html, the numbers as JSON, flights.csv, and the figures.
         plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere. moving is
             always flown in mujoco.
-        every: fly from every n-th start of the frozen sets (default: 10; with --full 1).
+        every: fly from every n-th start of the frozen sets (default: 12; with --full 1).
         vehicle: vehicle files, or shipped vehicles by name: the one that is flown, or those of --over
             vehicles.
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
@@ -205,5 +204,5 @@ def _landings(
 
 def _write_film(folder: Path, scenario: str, controller: Controller) -> None:
     """Write the first flight of a scenario as flight.gif."""
-    frames, total, rate = video.film([ride(read_scenario(scenario), controller)], _FPS, 1.0, **_LOOK)
+    frames, total, rate = video.film([moving.ride(read_scenario(scenario), controller)], _FPS, 1.0, **_LOOK)
     video.write({folder / "flight.gif": 1}, frames, total, rate)

@@ -28,6 +28,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 LONG = 60.0  # s of work, from which it says how long it takes, and every result as it comes
+SHORT = 10.0  # s of a first case, much of which may be compiling: the estimate is made from the second
 
 Key = tuple[str, str]  # names of a policy and a condition
 Work = Mapping[Key, Callable[[], pd.DataFrame]]
@@ -40,7 +41,7 @@ def fly_all(work: Work) -> dict[Key, pd.DataFrame]:
     """
     console = printer(Console(stderr=True, markup=False, highlight=False))
     found: dict[Key, pd.DataFrame] = {}
-    began, lines, long = time.monotonic(), list[str](), False
+    began, lines, long, untimed = time.monotonic(), list[str](), False, 0
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("flying", total=len(work))
         for (policy, condition), fly in work.items():
@@ -50,7 +51,11 @@ def fly_all(work: Work) -> dict[Key, pd.DataFrame]:
                 raise UserError(f"{policy}, {condition}: {error}") from error
             progress.advance(bar)
             lines.append(f"{condition}, {policy}: {_short(flights)}")
-            expected = (time.monotonic() - began) / len(found) * len(work)
+            now = time.monotonic()
+            if len(found) == 1 and now - began < SHORT:
+                began, untimed = now, 1
+                continue
+            expected = (now - began) / (len(found) - untimed) * len(work)
             if not long and expected > LONG and len(found) < len(work):
                 long = True
                 progress.console.print(f"{len(work)} x {len(flights)} flights: about {expected / 60:.0f} min")

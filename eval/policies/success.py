@@ -5,7 +5,7 @@ around each, and from the frozen grid (`envs/starts.py`); one that observes the 
 its slopes. *Success* is reaching the goal box
 (0.10, 0.10, 1.5, 1.5, 0.025) within 300 control steps; *strict* success also means that no part
 touched the platform before. The goal box is not yet a landing, so the velocity at its entry is
-reported too, and what happens when the motors are cut there (`motors_cut.py`).
+reported too, and what happens when the motors are cut there (`rest.py`).
 
 Set-point: the position error after 3 s from 200 random starts. Other tasks: success as they judge it,
 reward and duration, from as many.

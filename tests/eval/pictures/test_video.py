@@ -16,7 +16,7 @@ from inclined_landing.eval.pictures.frames import labels_of, render_flight, stro
 from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.pictures.video import film_side_by_side
-from inclined_landing.eval.policies.motors_cut import cut_motors
+from inclined_landing.eval.policies.rest import cut_motors
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.recorder import still
 

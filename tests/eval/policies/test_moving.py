@@ -10,8 +10,8 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.policies.moving import controllers, study
 from inclined_landing.eval.policies.moving.controllers import vehicle_flown
-from inclined_landing.eval.policies.moving.flying import RIDE, fly, ride
 from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.policies.moving.study import RIDE, fly, ride
 from inclined_landing.models import surface
 from inclined_landing.models.errors import UserError
 from tests import ROOT

@@ -9,8 +9,8 @@ import pytest
 from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_task
 from inclined_landing.eval.policies.moving import controllers
 from inclined_landing.eval.policies.moving.controllers import vehicle_flown
-from inclined_landing.eval.policies.moving.flying import fly
 from inclined_landing.eval.policies.moving.scenario import read_scenario
+from inclined_landing.eval.policies.moving.study import fly
 from inclined_landing.eval.policies.success import evaluate
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 9100, "touchdown-nominal": 10}

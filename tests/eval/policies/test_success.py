@@ -17,7 +17,7 @@ from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.policies import flying, motors_cut, success
+from inclined_landing.eval.policies import flying, rest, success
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -146,7 +146,7 @@ def test_record_flights_refuses_a_plant_of_another_size(landing):
 def test_cut_motors_fall_and_stay(landing):
     state = pose(landing.goal_position[1])
     state[:, LAG] = 0.0
-    after = motors_cut.cut_motors(state, ALPHA, load_vehicle())
+    after = rest.cut_motors(state, ALPHA, load_vehicle())
     gap = landing.start_clearance(landing.start(state))[0]
     g = load_vehicle().environment_gravity
     # free fall over the gap, parallel to the slope; the speed is taken up to two 4 ms steps early
@@ -160,7 +160,7 @@ def test_cut_motors_fall_and_stay(landing):
 
 def test_cut_motors_slide_on_a_slippery_slope(landing):
     slippery = dataclasses.replace(load_vehicle(), contact_friction=0.3)
-    after = motors_cut.cut_motors(pose(landing.goal_position[1]), ALPHA, slippery)
+    after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, slippery)
     assert after.touched[0] and not after.at_rest[0]
 
 
@@ -171,10 +171,10 @@ def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
     states[:, [VX, VZ]] += rng.uniform(-1.0, 1.0, (12, 2))
     for friction in (0.3, 0.49, 0.8):
         vehicle = dataclasses.replace(load_vehicle(), contact_friction=friction)
-        early = motors_cut.cut_motors(states, ALPHA, vehicle)
+        early = rest.cut_motors(states, ALPHA, vehicle)
         with monkeypatch.context() as patch:
-            patch.setattr(motors_cut, "_LOOK", 1000)
-            whole = motors_cut.cut_motors(states, ALPHA, vehicle)
+            patch.setattr(rest, "_LOOK", 1000)
+            whole = rest.cut_motors(states, ALPHA, vehicle)
         np.testing.assert_array_equal(early.at_rest, whole.at_rest)
         np.testing.assert_array_equal(early.touched, whole.touched)
         np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
