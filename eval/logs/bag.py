@@ -145,7 +145,10 @@ def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
 def _open_bag(path: Path) -> Iterator[AnyReader]:
     """Open the bag. rosbags raises exceptions of any kind on damaged bytes, so all are caught."""
     folder = path.parent if path.suffix in (".mcap", ".db3") else path
-    files = [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
+    inside = list(folder.iterdir()) if folder.is_dir() else []
+    if odd := [file.name for file in inside if not (file.is_file() or file.is_dir())]:  # a pipe has no end
+        raise UserError(f"{path}: {shown(odd[0])} in it is not a regular file")
+    files = [file for file in inside if file.is_file()]
     if path.suffix != ".bag" and folder / "metadata.yaml" not in files:
         stored = [path] if folder != path else [file for file in files if file.suffix in (".mcap", ".db3")]
         if len(stored) != 1:

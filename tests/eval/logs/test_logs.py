@@ -4,6 +4,7 @@ import bz2
 import contextlib
 import gzip
 import lzma
+import os
 import re
 import sqlite3
 import zipfile
@@ -594,6 +595,9 @@ def test_bags_that_do_not_fit_are_refused_in_words(tmp_path):
         read(tmp_path / "no.bag")
     (tmp_path / "folder").mkdir()
     with pytest.raises(UserError, match=r"a ROS 2 bag is a folder with metadata\.yaml"):
+        read(tmp_path / "folder")
+    os.mkfifo(tmp_path / "folder" / "metadata.yaml")
+    with pytest.raises(UserError, match=r"metadata\.yaml in it is not a regular file"):
         read(tmp_path / "folder")
 
 
