@@ -9,8 +9,6 @@ from pathlib import Path
 
 from inclined_landing.models.errors import UserError, shown
 
-MOST_SEEDS, LONGEST_LABEL = 100, 40  # policies that count as one; characters of their name
-
 
 @dataclasses.dataclass(frozen=True)
 class Entrant:
@@ -43,11 +41,6 @@ def parse_entrant(text: str) -> Entrant:
         raise UserError(
             "policies are written LABEL=POLICY+POLICY or LABEL@VEHICLE=POLICY, each policy once, not "
             f"{shown(repr(text), 60)}"
-        )
-    if len(label) > LONGEST_LABEL or len(policies) > MOST_SEEDS:
-        raise UserError(
-            f"{shown(label, 40)}: at most {LONGEST_LABEL} characters are a label, and at most {MOST_SEEDS} "
-            "policies count as one"
         )
     return Entrant(label, policies, vehicle or None)
 

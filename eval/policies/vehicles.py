@@ -24,7 +24,7 @@ from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
 from inclined_landing.eval.policies.entrants import Entrant
-from inclined_landing.eval.policies.flying import fly, outcome, table_of
+from inclined_landing.eval.policies.flying import fly, summary, table_of
 from inclined_landing.eval.policies.study import Key, Study, fly_all, joined
 from inclined_landing.eval.policies.tables import Panel, Row
 from inclined_landing.models import geometry
@@ -36,6 +36,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 NAMED = ("crazyflie-2.0", "crazyflie-2.1", "crazyflie-2.1-brushless", "hummingbird")
 _DRAWN = "drawn vehicles"
+_COUNTED = ("strict", "success", "touched", "time_to_goal")
 _BINS = 8  # groups of drawn vehicles
 
 
@@ -111,7 +112,7 @@ def _outcomes(entrants: Sequence[Entrant], flown: Mapping[Key, pd.DataFrame], wh
     by_label: dict[str, list[dict]] = {}
     for entrant in entrants:
         for path in entrant.policies if entrant.vehicle in (None, where) else ():
-            counts = outcome(load_policy(path).task, flown[_called(entrant, path), where])
+            counts = summary(flown[_called(entrant, path), where], *_COUNTED)
             by_label.setdefault(entrant.label, []).append({"policy": path} | counts)
     pooled: dict[str, Any] = {}
     for label, found in by_label.items():

@@ -49,25 +49,20 @@ class Planner:
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
         self._remaining = np.empty(0)
 
-    def begin(self, ids: np.ndarray, platform: np.ndarray) -> None:
-        """Begin anew with the vehicles `ids` (k,), over platforms (n, 12); at first with all of them."""
-        if not len(self._remaining):
-            n = len(platform)
-            self._remaining = np.empty(n)  # s until touching; inf: not on the last way yet
-            self._stopped = np.empty(n, bool)
-            self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the platform's centre
-            self._calm, self._platform_speed, self._platform_push, self._thrust = np.zeros((4, n, 3))
-        self._remaining[ids], self._stopped[ids], self._way[:, ids] = np.inf, False, 0.0
-        self._calm[ids], self._platform_speed[ids] = (
-            surface.normals(platform[ids]),
-            platform[ids, VX : VZ + 1],
-        )
-        self._platform_push[ids], self._thrust[ids] = 0.0, [0.0, 0.0, self._gravity]
+    def _begin(self, platform: np.ndarray) -> None:
+        """Begin with all vehicles, over platforms (n, 12)."""
+        n = len(platform)
+        self._remaining = np.full(n, np.inf)  # s until touching; inf: not on the last way yet
+        self._stopped = np.zeros(n, bool)
+        self._way = np.zeros((3, n, 3))  # place, velocity, acceleration on it, from the platform's centre
+        self._calm, self._platform_speed = surface.normals(platform), platform[:, VX : VZ + 1].copy()
+        self._platform_push = np.zeros((n, 3))
+        self._thrust = np.tile([0.0, 0.0, self._gravity], (n, 1))
 
     def __call__(self, t: float, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Commands (n, 4)."""
         if len(self._remaining) != len(state):
-            self.begin(np.arange(len(state)), platform)
+            self._begin(platform)
         speed = platform[:, VX : VZ + 1]
         self._platform_push += _FILTER * ((speed - self._platform_speed) / self._period - self._platform_push)
         self._platform_speed = speed.copy()
@@ -103,9 +98,7 @@ class Planner:
     def _end(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Place, velocity and acceleration (n, 3) at the end of the way, from the platform's centre."""
         down = np.array([0.0, 0.0, -self._gravity])
-        along = (
-            down - (normal @ down)[:, None] * normal
-        )  # what is left of gravity under thrust that bears the rest
+        along = down - (normal @ down)[:, None] * normal  # of gravity, under thrust that bears the rest
         return self._rest * normal, -SINK * normal, along
 
     def _entry(self, normal: np.ndarray) -> np.ndarray:

@@ -31,12 +31,6 @@ def test_entries():
     for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip", "seeds=a.zip+a.zip"):
         with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
             parse_entrant(wrong)
-    for wrong, sentence in (
-        ("seeds=" + "+".join(f"{k}.zip" for k in range(3000)), "at most 100 policies"),
-        (f"{'x' * 41}=a.zip", "at most 40 characters"),
-    ):
-        with pytest.raises(UserError, match=sentence):
-            parse_entrant(wrong)
 
 
 def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
