@@ -113,13 +113,6 @@ class KalmanFilter:
         mean = transition(max(0.0, time - self.time), self.noise.correlation) @ self.mean
         return mean[0], mean[1]
 
-    def standard_deviations(self, time: float) -> tuple[float, float]:
-        """Return the standard deviations, per axis, of predicted position [m] and velocity [m/s]."""
-        if self.time is None:
-            return math.inf, math.inf
-        _, variance = self._ahead(max(0.0, time - self.time))
-        return math.sqrt(variance[0, 0]), math.sqrt(variance[1, 1])
-
     def _ahead(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and covariance (3, 3) propagated by dt [s]."""
         f = transition(dt, self.noise.correlation)

@@ -99,20 +99,17 @@ def wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def radio_setpoint(
-    command: np.ndarray, heading: float, angle_limit: float
-) -> tuple[float, float, float, int]:
+def radio_setpoint(command: np.ndarray, angle_limit: float) -> tuple[float, float, float, int]:
     """Return the arguments of cflib's `send_setpoint`: roll, pitch [deg], yaw rate [deg/s], thrust.
 
-    command (4,): PWM, roll, pitch [rad], yaw rate [rad/s] as a task commands them, in the frame of the arena.
-    heading [rad]: of the vehicle in that frame. Roll and pitch are cut to angle_limit [rad], the thrust to
-    what the firmware takes. Raises ValueError for a command that is NaN or infinite.
+    command (4,): PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading. Roll and pitch are cut to
+    angle_limit [rad], the thrust to what the firmware takes. Raises ValueError for a command that is NaN or
+    infinite.
     """
-    if not (np.isfinite(command).all() and math.isfinite(heading)):
+    if not np.isfinite(command).all():
         raise ValueError("a command is NaN or infinite")
-    # b = Rz(-heading) b_arena = (sin p cos r, -sin r, cos p cos r) for the Crazyflie's angles in its heading:
-    # r = asin(-y), p = atan2(x, z).
-    x, y, z = about_z(-heading) @ thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
+    # b = (sin p cos r, -sin r, cos p cos r) for the Crazyflie's angles: r = asin(-y), p = atan2(x, z).
+    x, y, z = thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
     roll, pitch = math.asin(min(1.0, max(-1.0, -y))), math.atan2(x, z)
     roll, pitch = (math.degrees(min(angle_limit, max(-angle_limit, angle))) for angle in (roll, pitch))
     thrust = round(min(float(LARGEST_THRUST), max(0.0, float(command[PWM]))))

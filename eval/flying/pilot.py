@@ -203,7 +203,7 @@ class Pilot:
             heading, limit = estimate.state[YAW], self.vehicle.command_yaw_rate_limit
             command[YAW_RATE] = min(limit, max(-limit, -YAW_GAIN * heading))
             command = frames.in_heading(command, heading)
-        self.radio.send(command, 0.0)
+        self.radio.send(command)
         if self._log is not None:
             self._log.command(time, command)
         if self.radio.dry:

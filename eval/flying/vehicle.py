@@ -129,10 +129,6 @@ class Radio:
         except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
-    def find_deck(self) -> str:
-        """Return the deck that the connected vehicle positions itself by. Raises UserError for none."""
-        return positions.find_deck(self.crazyflie.param.get_value)
-
     def log_position(self, to: positions.OnboardPosition) -> None:
         """Start the logs of the vehicle's own position, and hand it on as it comes."""
 
@@ -163,13 +159,13 @@ class Radio:
             for _ in range(REPEATS):
                 self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
 
-    def send(self, command: np.ndarray, heading: float) -> None:
-        """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the arena's frame; heading [rad].
+    def send(self, command: np.ndarray) -> None:
+        """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading.
 
         From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s
         (not 2 s after the last set-point), and the vehicle flies again only when switched off and on.
         """
-        setpoint = frames.radio_setpoint(command, heading, self.angle_limit)
+        setpoint = frames.radio_setpoint(command, self.angle_limit)
         if self.dry:
             return
         self.crazyflie.commander.send_setpoint(*setpoint)

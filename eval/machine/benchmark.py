@@ -32,7 +32,7 @@ _PLANTS = {
     "hybrid implicitfast": ("hybrid", {"integrator": "implicitfast"}),
     "analytic": ("analytic", {}),
 }
-_BLOCK, _REPEATS = 25, 10  # control steps that are timed together, and how often
+_BLOCK, _REPEATS = 15, 10  # control steps that are timed together, and how often
 _ACTIONS = 2000  # that are timed one by one
 _TRAINING_STEPS = 100_000
 
@@ -40,7 +40,7 @@ _TRAINING_STEPS = 100_000
 def command(
     *, policy: PolicyName = "landing", seed: Seed = 0, json: Flag = False, out: NewFolder = None
 ) -> None:
-    """What a step, an action and a training cost here (under a minute).
+    """What a step, an action and a training cost here (about a minute).
 
     Args:
         policy: whose actions are timed.

@@ -21,7 +21,6 @@ FOREIGN = {  # names of other programs, and names that are put together from par
     *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c", "UdpDriver"),
     *("supervisor_state_machine.c", "platform_defaults.h", "thrustLocked", "Commander", "send_setpoint"),
     *(
-        "send_setpoint_manual",
         "_nr_of_retries",
         "clampctrl",
         "viscosity",

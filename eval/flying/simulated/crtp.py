@@ -23,7 +23,7 @@ PLATFORM, LINK = 13, 15
 PROTOCOL_VERSION = 12
 LARGEST = 30  # bytes of data
 
-TYPES = {"uint8_t": (1, "<B"), "uint16_t": (2, "<H"), "uint32_t": (3, "<L"), "float": (7, "<f")}
+TYPES = {"uint16_t": 2, "float": 7}
 _FETCHED = {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}
 # Log variables of the table of contents: type, and what it is.
 LOGGED = {
@@ -40,7 +40,6 @@ LOGGED = {
     "stabilizer.pitch": ("float", "deg, inverted"),
     "stabilizer.yaw": ("float", "deg"),
     "stabilizer.thrust": ("float", "thrust of the set-point in force, 0 to 60000"),
-    "controller.cmd_thrust": ("float", "the same"),
     "gyro.x": ("float", "deg/s"),
     "gyro.y": ("float", "deg/s"),
     "gyro.z": ("float", "deg/s"),
@@ -48,25 +47,16 @@ LOGGED = {
     "acc.y": ("float", "g"),
     "acc.z": ("float", "g"),
     "pm.vbat": ("float", "V"),
-    "pm.vbatMV": ("uint16_t", "mV"),
-    "pm.state": ("uint8_t", "0 battery, 3 low"),
     "supervisor.info": ("uint16_t", "bits, see cflib's Supervisor"),
-    "sys.canfly": ("uint8_t", ""),
-    "sys.isFlying": ("uint8_t", ""),
-    "sys.isTumbled": ("uint8_t", ""),
 }
 # Parameters, one byte each; their values are those of firmware.Parameters.
 PARAMETERS = (
     "stabilizer.stop",
     "supervisor.tmblChckEn",
-    "flightmode.althold",
-    "flightmode.poshold",
-    "flightmode.posSet",
     "deck.bcLighthouse4",
     "deck.bcFlow2",
 )
 _BYTE_PARAMETER = 8
-_MODES = ("flightmode.althold", "flightmode.poshold", "flightmode.posSet")
 _MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
 
 
@@ -159,13 +149,7 @@ class Services:
 
     def _platform(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
         command = data[0]
-        if channel == 0 and command == 1:
-            granted = self.firmware.request_arming(bool(data[1]))
-            yield 0, bytes([command, granted, self.firmware.armed])
-        elif channel == 0 and command == 2:
-            granted = self.firmware.request_recovery()
-            yield 0, bytes([command, granted, not self.firmware.crashed])
-        elif channel == 1 and command == 0:
+        if channel == 1 and command == 0:
             yield 1, struct.pack("<BI", 0, PROTOCOL_VERSION)
         elif channel == 1 and command == 1:
             yield 1, b"\x01simulated"
@@ -176,8 +160,6 @@ class Services:
         command, fly = data[0], self.firmware
         if channel == 0 and command == 0x0C:
             yield 0, struct.pack("<BH", 0x8C, fly.info)
-        elif channel == 0 and 1 <= command <= 0x0B:
-            yield 0, bytes([0x80 | command, fly.info >> (command - 1) & 1])
         elif channel == 1 and command == 1:
             yield 1, bytes([0x81, fly.request_arming(bool(data[1])), fly.armed])
         elif channel == 1 and command == 2:
@@ -195,7 +177,7 @@ class Services:
         yield from ()
 
     def _commander(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0 and not any(self._parameter(name) for name in _MODES):
+        if channel == 0:
             roll, pitch, yaw_rate, thrust = struct.unpack("<fffH", data)
             self.firmware.receive_rpyt(time, roll, pitch, yaw_rate, thrust)
         yield from ()
@@ -203,10 +185,6 @@ class Services:
     def _generic(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
         if channel == 0 and data[0] == 0:
             self.firmware.receive_stop(time)
-        elif channel == 0 and data[0] == 11:
-            roll, pitch, yaw_rate, thrust, rates = struct.unpack("<fffHB", data[1:])
-            if not rates:
-                self.firmware.receive_manual(time, roll, pitch, yaw_rate, thrust)
         yield from ()
 
     def _mem(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -233,7 +211,7 @@ class Services:
 
     def _log(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
         if channel == 0:
-            contents = [(name, TYPES[kind][0]) for name, (kind, _) in LOGGED.items()]
+            contents = [(name, TYPES[kind]) for name, (kind, _) in LOGGED.items()]
             yield from _contents(data, contents, bytes([_MOST_BLOCKS, _MOST_VARIABLES]))
         elif channel == 1:
             command = data[0]
@@ -254,9 +232,6 @@ class Services:
             del self._blocks[name]
         elif command == 3:
             block.period = data[0] / 100.0
-            block.next = time + block.period
-        elif command == 8:
-            block.period = struct.unpack("<H", data[:2])[0] / 1000.0
             block.next = time + block.period
         elif command == 4:
             block.period = 0.0

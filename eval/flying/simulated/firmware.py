@@ -135,9 +135,6 @@ class Parameters:
 
     stabilizer_stop: int = 0  # not 0: emergency stop
     supervisor_tmblChckEn: int = 1
-    flightmode_althold: int = 0
-    flightmode_poshold: int = 0
-    flightmode_posSet: int = 0
     deck_bcLighthouse4: int = 0  # 1 where the deck is there
     deck_bcFlow2: int = 0
 
@@ -171,18 +168,11 @@ class Firmware:
         if thrust == 0:
             self._locked = False
         limited = 0.0 if self._locked or thrust < LEAST_THRUST else float(min(thrust, MOST_THRUST))
-        self._set(FirmwareSetpoint(limited, roll, pitch, -yaw_rate, time))
-
-    def receive_manual(self, time: float, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
-        """Receive a generic "manual" set-point with angles: no thrust lock, and yaw is not inverted."""
-        self._set(FirmwareSetpoint(float(thrust), roll, pitch, yaw_rate, time))
+        self.setpoint, self._commanded = FirmwareSetpoint(limited, roll, pitch, -yaw_rate, time), True
 
     def receive_stop(self, time: float) -> None:
         """Receive the generic "stop" set-point."""
-        self._set(FirmwareSetpoint(time=time))
-
-    def _set(self, setpoint: FirmwareSetpoint) -> None:
-        self.setpoint, self._commanded = setpoint, True
+        self.setpoint, self._commanded = FirmwareSetpoint(time=time), True
 
     def request_arming(self, arm: bool) -> bool:
         """Arm or disarm; return whether it was granted."""

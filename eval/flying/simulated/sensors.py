@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude
-from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware, State
+from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
 from inclined_landing.models.attitude import VX, VZ, WX, X, Z
 from inclined_landing.models.effects import LIBRARY
 
@@ -23,7 +23,6 @@ LIGHTHOUSE, FLOW = "lighthouse", "flow"
 DECKS = (LIGHTHOUSE, FLOW)
 _SEEN = 0.03  # m/s, standard deviation of the velocity that the filter shows while its deck sees
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
-_LOW_BATTERY, _LOW_AFTER = 3.2, 5.0  # V and s (platform_defaults_cf2.h), after which pm.state is "low"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,16 +112,11 @@ class OnboardSensors:
         self._deck = deck
         seen = deck is not None and deck.kind == LIGHTHOUSE
         self._heading = 0.0 if seen else body.estimate_at(0.0)[2]
-        self._low_since: float | None = None
         self.voltage = body.voltage
 
-    def look(self, time: float) -> None:
+    def look(self) -> None:
         """Measure the battery voltage; once per period of the supervisor."""
         self.voltage = self._body.voltage + self._random.normal(0.0, self.voltage_noise)
-        if self.voltage >= _LOW_BATTERY:
-            self._low_since = None
-        elif self._low_since is None:
-            self._low_since = time
         if self.failing and self._body.voltage > FLAT:
             self._body.voltage_drop += SAG_RATE * PERIOD
             sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
@@ -142,16 +136,9 @@ class OnboardSensors:
             "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
             "acc": zip("xyz", body.specific_force.tolist()),
         }
-        low = self._low_since is not None and time - self._low_since > _LOW_AFTER
         return {
             **{f"{group}.{name}": value for group, values in groups.items() for name, value in values},
             "stabilizer.thrust": firmware.thrust,
-            "controller.cmd_thrust": firmware.thrust,
             "pm.vbat": self.voltage,
-            "pm.vbatMV": 1000.0 * self.voltage,
-            "pm.state": 3.0 if low else 0.0,
             "supervisor.info": firmware.info,
-            "sys.canfly": firmware.can_fly,
-            "sys.isFlying": firmware.state in (State.FLYING, State.LEVEL_OUT),
-            "sys.isTumbled": firmware.tumbled,
         }

@@ -62,7 +62,6 @@ class Setting:
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     platform: bool = True  # does it stand there
     deck: str | None = None  # that it positions itself by, of sensors.DECKS
-    charge: float = 0.0  # V by which the battery is emptier than the vehicle file says
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
 
@@ -124,7 +123,6 @@ class World:
             platform=setting.platform,
             seed=int(start.integers(2**31)),
         )
-        self.body.voltage_drop = setting.charge
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
         self._switch_on()
@@ -289,7 +287,7 @@ class World:
         if body.time - self._last_battery_reading >= PERIOD - 1e-9:
             self._last_battery_reading = body.time
             self._voltage = body.voltage
-            self.sensors.look(body.time)
+            self.sensors.look()
         specific_force = body.specific_force
         setpoint = self.firmware.step(
             body.time, specific_force[2], math.sqrt(specific_force @ specific_force)

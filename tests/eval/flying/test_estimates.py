@@ -90,14 +90,14 @@ def test_landings_are_followed():
             state = np.array([np.interp(t, flight.t, column) for column in flight.state[:, :6].T])
             tracked.update(t, state[:3] + random.normal(0, NOISE.position, 3))
             errors.append(np.stack(tracked.predict(t)) - state.reshape(2, 3))
-            deviations.append(tracked.standard_deviations(t))
+            deviations.append(np.sqrt(np.diag(tracked._ahead(max(0.0, t - tracked.time))[1])[:2]))
         error, deviation = np.abs(errors)[20:], np.array(deviations)[20:, :, None]
         assert (error < 4 * deviation).all() and np.sqrt((error**2).mean((0, 2))) @ [0, 1] < 0.10
 
 
 def test_what_is_no_measurement_is_left_out():
     tracked = KalmanFilter(NOISE)
-    assert np.isnan(tracked.predict(0.0)).all() and tracked.standard_deviations(0.0) == (np.inf, np.inf)
+    assert np.isnan(tracked.predict(0.0)).all()
     assert not tracked.update(np.nan, np.zeros(3)) and not tracked.update(0.0, np.full(3, np.inf))
     for k in range(100):
         assert tracked.update(k * STEP, np.zeros(3))
@@ -157,7 +157,7 @@ angle = st.floats(-0.5, 0.5)
 def test_set_points_tilt_the_thrust_as_commanded(roll, pitch, heading):
     """A vehicle of any heading that holds the angles it is sent points its thrust where it should."""
     command = np.array([40_000.0, roll, pitch, 0.3])
-    sent_roll, sent_pitch, yaw_rate, thrust = frames.radio_setpoint(command, heading, 1.4)
+    sent_roll, sent_pitch, yaw_rate, thrust = frames.radio_setpoint(frames.in_heading(command, heading), 1.4)
     # What cflib packs is -pitch; the log shows that.
     held = frames.logged_rotation(sent_roll, -sent_pitch, np.degrees(heading))
     np.testing.assert_allclose(held[:, 2], rotation(roll, pitch, 0.0)[:, 2], atol=1e-12)
@@ -178,11 +178,11 @@ def test_attitudes_are_the_same_in_all_conventions(roll, pitch, yaw):
 
 def test_commands_are_saturated_and_never_nan():
     for pwm, thrust in ((-5.0, 0), (1e9, 60_000), (0.0, 0)):
-        assert frames.radio_setpoint(np.array([pwm, 0, 0, 0]), 0.0, 0.5)[3] == thrust
-    roll, pitch, *_ = frames.radio_setpoint(np.array([0, 1.3, -1.3, 0.0]), 0.2, np.radians(30))
+        assert frames.radio_setpoint(np.array([pwm, 0, 0, 0]), 0.5)[3] == thrust
+    roll, pitch, *_ = frames.radio_setpoint(np.array([0, 1.3, -1.3, 0.0]), np.radians(30))
     assert max(abs(roll), abs(pitch)) <= 30 + 1e-9
     for bad in itertools.product((np.nan, np.inf), range(4)):
         command = np.zeros(4)
         command[bad[1]] = bad[0]
         with pytest.raises(ValueError, match="NaN or infinite"):
-            frames.radio_setpoint(command, 0.0, 0.5)
+            frames.radio_setpoint(command, 0.5)

@@ -138,15 +138,10 @@ def test_a_landing_by_lighthouse(tmp_path, capsys):
     [
         (["--position=onboard"], "no deck to know its position by"),
         (["--position=onboard", "--deck=flow"], "takes the platform for the floor"),
-        (
-            ["--position=onboard", "--deck=lighthouse", "--at=1,0"],
-            "a Lighthouse knows where the vehicle stands",
-        ),
         (["--position=onboard", "--deck=lamp"], "unknown deck lamp; known are lighthouse, flow"),
         (["--position=onboard", "--mocap=poses:1"], "--mocap is of"),
         (["--position=gps"], "must be mocap or onboard"),
         (["--deck=flow"], "--deck is of --position onboard"),
-        (["--position=onboard", "--deck=flow", "--fault=mocap-lost"], "is of motion capture"),
         (["--fault=deck-blind"], "needs a deck"),
     ],
 )

@@ -297,8 +297,8 @@ def test_a_dry_run_moves_nothing(policies, monkeypatch):
 
 
 def test_checks_refuse_what_must_not_fly(policies):
-    def failed(setting=SETTING, change=lambda flight: None, **plan):
-        flight = fly_simulated(setting, seed=3)
+    def failed(change=lambda flight: None, **plan):
+        flight = fly_simulated(SETTING, seed=3)
         radio = Radio(flight.crazyflie, flight.clock, 0.5)
         radio.connect(flight.uri)
         change(flight)
@@ -309,7 +309,7 @@ def test_checks_refuse_what_must_not_fly(policies):
         radio.close()
         return found
 
-    assert failed(dataclasses.replace(SETTING, charge=0.7)) == {"battery"}
+    assert failed(change=lambda f: setattr(f.world.body, "voltage_drop", 0.7)) == {"battery"}
     assert failed(stand=0.5) == {"height"}
     assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "blind", True))
     assert "motion capture" in failed(change=lambda f: setattr(f.world.view, "frozen", True))

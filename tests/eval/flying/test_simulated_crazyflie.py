@@ -240,7 +240,7 @@ def test_tumbling_stops_the_motors(up, after):
     def pass_by(seconds, specific_force):
         nonlocal time
         for _ in range(round(seconds / 0.004)):
-            rules.receive_manual(time, 0.0, 0.0, 0.0, 40000)
+            rules.receive_rpyt(time, 0.0, 0.0, 0.0, 40000 if time > 0.1 else 0)
             rules.step(time, specific_force, abs(specific_force))
             time += 0.004
 
