@@ -70,21 +70,6 @@ def test_step_response_reaches_63_percent_after_one_time_constant(build, integra
     assert data.act[0] * rate / 20000 == pytest.approx(1 - math.exp(-1), abs=tolerance)
 
 
-def test_lag_rate(build):
-    data = build.data(build(rotors={"lag_rate": "4"}), [20000, 0, 0, 0], 1000)
-    assert data.act_dot[0] == pytest.approx(20000 - 4 * 1000, rel=ROUNDING)
-
-
-def test_state_gain(build):
-    data = build.data(build(rotors={"state_gain": "3e-4"}), 0.0, 1000)
-    assert data.actuator_force[0] == pytest.approx(0.3, rel=ROUNDING)
-
-
-def test_direct_gain(build):
-    data = build.data(build(rotors={"direct_gain": "5e-6"}), [20000, 0, 0, 0])
-    assert data.actuator_force[0] == pytest.approx(0.1, rel=ROUNDING)
-
-
 @pytest.mark.parametrize(
     "changed",
     [
@@ -137,18 +122,11 @@ def test_drag_is_relative_to_the_wind(build):
     np.testing.assert_allclose(data.qfrc_passive, 0, atol=1e-18)
 
 
-def test_hook_thrust_scale(build):
+def test_hooks_of_thrust(build):
     model = build()
     before = moving(build, model).actuator_force[0]
-    model.actuator_gainprm[0, 0] = 0.88
-    assert moving(build, model).actuator_force[0] == pytest.approx(0.88 * before, rel=ROUNDING)
-
-
-def test_hook_thrust_bias(build):
-    model = build()
-    before = moving(build, model).actuator_force[0]
-    model.actuator_biasprm[0, 0] = -0.01
-    assert moving(build, model).actuator_force[0] == pytest.approx(before - 0.01, rel=ROUNDING)
+    model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 0] = 0.88, -0.01
+    assert moving(build, model).actuator_force[0] == pytest.approx(0.88 * before - 0.01, rel=ROUNDING)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -177,16 +155,11 @@ def test_hook_drag_change(build):
     ("attribute", "text", "rule"),
     [
         ("lag_rate", "0", "greater than 0"),
-        ("lag_rate", "fast", "1 finite number, it is 'fast'"),
-        ("lag_rate", "1 2", "1 finite number"),
-        ("lag_rate", "inf", "1 finite number"),
+        ("lag_rate", "inf", "1 finite number, it is 'inf'"),
         ("state_gain", "-1", "at least 0"),
         ("direct_gain", "-1", "at least 0"),
-        ("drag", "-1 -1", "3 finite numbers"),
         ("drag", "-1 -1 1", "at most 0"),
-        ("pwm_to_force", "1 2", "3 finite numbers"),
         ("pwm_to_force", "1e-11 0 0", "at least 0, greater than 0, at least 0"),
-        ("pwm_to_speed", "1", "2 finite numbers"),
         ("pwm_to_speed", "-1 1", "at least 0"),
         ("motors", "2.5", "a whole number"),
         ("motors", "0", "a whole number"),
@@ -194,7 +167,6 @@ def test_hook_drag_change(build):
         ("sag_reference", "0", "other than 0"),
         ("spin_down", "-1", "greater than -1"),
         ("body_drag", "-0.1", "at least 0"),
-        ("fade", "slow", "1 finite number"),
     ],
 )
 def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text, rule):
