@@ -159,36 +159,16 @@ def test_options_reach_task_plant_and_vehicle(tmp_path):
 
 WRONG_OPTIONS = [
     (InclinedLandingEnv, {"plant_options": {"wings": 2}}, "the mujoco plant has no option 'wings'"),
-    (
-        InclinedLandingEnv,
-        {"plant_options": {"timestep": "4 ms"}},
-        "timestep must be a number",
-    ),
+    (InclinedLandingEnv, {"plant_options": {"timestep": "4 ms"}}, "timestep must be a number"),
     (InclinedLandingEnv, {"plant_options": {"threads": -1}}, "threads must be a whole number from 0"),
-    (
-        InclinedLandingEnv,
-        {"plant_options": {"timestep": float("nan")}},
-        "timestep must be",
-    ),
     (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
     (InclinedLandingEnv, {"plant": ["mujoco"]}, "unknown plant"),
-    (InclinedLandingEnv, {"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
-    (
-        InclinedLandingEnv,
-        {"inclination": "steep"},
-        "inclination must be a number, not 'steep'",
-    ),
-    (InclinedLandingEnv, {"pwm_centre": float("nan")}, "pwm_centre must be"),
+    (InclinedLandingEnv, {"inclination": "steep"}, "inclination must be a number, not 'steep'"),
     (InclinedLandingEnv, {"colour": "red"}, "the task landing has no option 'colour'"),
     (InclinedLandingEnv, PICTURE | {"width": 1e9}, "16 to 4096 pixels a side"),
     (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be a whole number from 1 to 100000, not 0"),
-    (InclinedLandingVectorEnv, {"num_envs": 10**9}, "num_envs must be a whole number"),
     (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be a whole number"),
-    (
-        InclinedLandingVectorEnv,
-        {"max_episode_steps": 0},
-        "max_episode_steps must be a whole number from 1 on",
-    ),
+    (InclinedLandingVectorEnv, {"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1"),
 ]
 
 
@@ -277,15 +257,18 @@ def make_vec(n=3, task="landing", **options):
     )  # fmt: skip
 
 
-def test_a_list_of_seeds_and_a_limit_of_steps_are_those_of_single_environments():
+@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
+def test_a_list_of_seeds_and_a_limit_of_steps_are_those_of_single_environments(task, plant):
     """As Gymnasium's own vector, through the restarts."""
-    options = {"num_envs": 3, "plant": "analytic", "max_episode_steps": 10}
-    theirs = gym.make_vec(IDS["landing"], vectorization_mode="sync", **options)
-    ours = gym.make_vec(IDS["landing"], autoreset_mode="NextStep", **options)
+    options = {"num_envs": 3, "plant": plant, "max_episode_steps": 10}
+    theirs = gym.make_vec(IDS[task], vectorization_mode="sync", **options)
+    ours = gym.make_vec(IDS[task], autoreset_mode="NextStep", **options)
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     for seed in ([4, 5, 4], None, (6, None, 7)):
         np.testing.assert_array_equal(theirs.reset(seed=seed)[0], ours.reset(seed=seed)[0])
-        for _ in range(12):
-            for a, b in zip(theirs.step(np.zeros((3, 2)))[:4], ours.step(np.zeros((3, 2)))[:4]):
+        rng = np.random.default_rng(1)
+        for actions in rng.uniform(-0.3, 0.3, (12, 3, SIZES[task][1])):
+            for a, b in zip(theirs.step(actions)[:4], ours.step(actions)[:4]):
                 np.testing.assert_array_equal(a, b)
     one = gym.make_vec(IDS["landing"], plant="mujoco", plant_options={"disturbance": 0})
     single = gym.make(IDS["landing"], plant="mujoco", plant_options={"disturbance": 0})
@@ -330,25 +313,6 @@ def test_a_mask_resets_some_vehicles_only():
     given = hovering((1, 0, 1.7))
     after, _ = env.reset(options={"reset_mask": mask, "state": given})
     assert after[1, 0] == 1.0
-
-
-@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
-def test_a_vector_equals_single_environments(task, plant):
-    """From given starts; the random restarts come from one generator and are not compared."""
-    vector = make_vec(2, task, plant=plant)
-    starts = hovering((1.0, 0, 1.8), (-1.5, 0, 2.0))
-    vector.reset(seed=0, options={"state": starts})
-    singles = [gym.make(IDS[task], plant=plant, pwm_centre="hover") for _ in range(2)]
-    for env, start in zip(singles, starts):
-        env.reset(options={"state": start})
-    rng = np.random.default_rng(1)
-    for _ in range(40):
-        actions = rng.uniform(-0.3, 0.3, (2, SIZES[task][1]))
-        observations, rewards, *_ = vector.step(actions)
-        for i, env in enumerate(singles):
-            observation, reward, *_ = env.step(actions[i])
-            np.testing.assert_array_equal(observation, observations[i])
-            assert reward == rewards[i]
 
 
 # --- Stable-Baselines3 -------------------------------------------------------------------------------

@@ -109,15 +109,9 @@ def test_every_face_shows_it():
     assert several.reset(seed=0)[0].shape == (5, size)
 
 
-def test_a_policy_is_not_flown_without_its_history(tmp_path):
+def test_a_policy_file_says_its_history(tmp_path):
     path = shutil.copy(locate("landing-nominal"), tmp_path / "h.zip")
     write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
     assert history_length(path) == 2 and trained_task(path) == "landing"
-    with pytest.raises(
-        UserError, match=r"was trained with history=2, and the landing task here has history=0"
-    ):
-        load_policy(path, make_task("landing"))
-    with pytest.raises(
-        UserError, match="takes 5 observations and gives 2 actions, but the task landing has 19"
-    ):
+    with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions, but .* landing has 19"):
         load_policy(path)

@@ -79,16 +79,6 @@ def test_predict_is_sb3s(tmp_path, options):
     np.testing.assert_allclose(loaded.predict(rows), wanted, atol=3e-5)
 
 
-@pytest.mark.parametrize("kind", [SAC, TD3])
-@pytest.mark.parametrize(
-    "options", [{}, SCALED, {"activation_fn": torch.nn.Tanh}], ids=["plain", "scaled", "tanh"]
-)
-def test_predict_is_that_of_sac_and_td3(tmp_path, kind, options):
-    network = kind("MlpPolicy", Spaces(5, 2), seed=0, device="cpu", buffer_size=1,
-                   policy_kwargs={"net_arch": [32, 16], **options})  # fmt: skip
-    assert_same_actions(network, saved(tmp_path / "p.zip", network))
-
-
 def assert_same_actions(network, path, task=None):
     """float32 sums: 256 terms at 6e-8, before a gain below 10."""
     rows = np.random.default_rng(1).normal(scale=3.0, size=(300, 5)).astype(np.float32)
@@ -103,14 +93,6 @@ def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
     together = loaded.predict(rows)
     assert together.dtype == np.float32
     np.testing.assert_array_equal(together, [loaded.predict(row) for row in rows])
-
-
-def test_another_vehicle_keeps_the_action_map_of_training(tmp_path):
-    path = saved(tmp_path / "p.zip", model())
-    heavy = dataclasses.replace(load_vehicle(), body_mass=0.04)
-    loaded = policy.load_policy(path, vehicle=heavy)
-    assert loaded.task.vehicle is heavy
-    assert loaded.task.pwm_centre == load_vehicle().hover_pwm
 
 
 def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
@@ -152,14 +134,11 @@ def test_a_policy_fits_the_default_environment_and_refuses_another_action_map_or
     assert policy.load_policy("landing-nominal", sloped, inclination=-0.2).task is sloped
     heavy = dataclasses.replace(load_vehicle(), body_mass=0.04, command_pwm_span=9_000.0)
     loaded = policy.load_policy("landing-nominal", vehicle=heavy).task
+    assert loaded.vehicle is heavy and loaded.pwm_centre == load_vehicle().hover_pwm
     same = make_task("landing", heavy, **loaded.options)
     assert policy.load_policy("landing-nominal", same).task.pwm_span == 16_500
     with pytest.raises(UserError, match="pwm_span=16500"):
         policy.load_policy("landing-nominal", make_task("landing", heavy))
-
-
-def not_a_zip(path):
-    path.write_text("nothing")
 
 
 def another_zip(path):
@@ -228,7 +207,7 @@ def unknown_option(path):
     [
         (lambda path: None, "does not exist"),
         (lambda path: path.mkdir(), "is a folder"),
-        (not_a_zip, "is not a zip file"),
+        (lambda path: path.write_text("nothing"), "is not a zip file"),
         (another_zip, "lacks policy.pth"),
         (setpoint_shape, "takes 8 observations and gives 3 actions, but the task landing has 5 and 2"),
         (setpoint_policy, "was trained for the task setpoint, not for landing"),
@@ -359,7 +338,7 @@ def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
 
 
 def test_files_of_sac_and_td3_are_read_after_training(tmp_path):
-    """Their headers have a last observation with and without VecNormalize."""
+    """Their headers have a last observation."""
     for kind in (SAC, TD3):
         network = learner(vehicles(), kind).learn(8)
         network.save(tmp_path / "plain.zip")
@@ -479,6 +458,9 @@ def test_networks_that_the_known_tensors_do_not_tell_are_refused_by_name(tmp_pat
         (SAC, {"use_sde": True, "policy_kwargs": {"clip_mean": 0.05}}),
         (SAC, {"use_sde": True, "policy_kwargs": {"net_arch": []}}),
         (SAC, {"policy_kwargs": {"net_arch": []}}),
+        (SAC, {"policy_kwargs": {"net_arch": [32, 16], **SCALED}}),
+        (TD3, {"policy_kwargs": {"net_arch": [32, 16], **SCALED}}),
+        (TD3, {"policy_kwargs": {"activation_fn": torch.nn.Tanh}}),
     ],
 )
 def test_predict_is_sb3s_with_less_usual_options(tmp_path, kind, options):

@@ -143,20 +143,6 @@ def test_vehicles_are_drawn_independently_of_the_size_of_the_batch():
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_a_flight_goes_on_as_it_was_while_others_begin_anew(plant):
-    flights = []
-    for others_begin in (False, True):
-        env = environment(plant, 3, robust(), 0.0)
-        env.reset()
-        for k in range(30):
-            if others_begin and k % 5 == 4:
-                env.reset(np.array([1, 2]))
-            env.step(np.full((3, 2), 0.1))
-        flights.append(env.plant.state[0].copy())
-    np.testing.assert_array_equal(*flights)
-
-
-@pytest.mark.parametrize("plant", PLANTS)
 def test_without_ranges_nothing_is_drawn(plant):
     """And a pool of which none are taken changes no bit."""
     states = []

@@ -110,10 +110,8 @@ def test_gymnasium_checks_it(options):
     "options, sentence",
     [
         ({"steepest": 2.0}, "steepest must be an angle above 0 and up to 0.873 rad"),
-        ({"steepest": math.nan}, "steepest must be"),
         ({"steepest": "wide"}, "steepest must be"),
         ({"dimensions": 4}, "dimensions must be 2 or 3, not 4"),
-        ({"dimensions": True}, "dimensions must be 2 or 3"),
         ({"random_yaw": True}, "random_yaw needs dimensions=3"),
         ({"azimuth": 1.0}, "azimuth needs dimensions=3"),
         ({"azimuth": math.inf, "dimensions": 3}, "azimuth must be a number, not inf"),
@@ -126,16 +124,10 @@ def test_wrong_options_are_refused_by_a_sentence(options, sentence):
         make_task("landing", **options)
 
 
-@pytest.mark.parametrize(
-    "trained, name",
-    [
-        ({"steepest": 0.4}, "steepest"),
-        ({"dimensions": 3}, "dimensions"),
-        ({"angle_limit": 0.9}, "angle_limit"),
-    ],
-    ids=str,
-)
-def test_a_policy_of_other_options_is_refused(tmp_path, trained, name):
+@pytest.mark.parametrize("name, value", [
+    ("steepest", 0.4), ("dimensions", 3), ("angle_limit", 0.9), ("fastest", 1.0)])  # fmt: skip
+def test_a_policy_of_other_options_is_refused(tmp_path, name, value):
+    trained = {name: value} | ({"dimensions": 3} if name == "fastest" else {})
     path = tmp_path / "policy.zip"
     path.write_bytes(locate("landing-nominal").read_bytes())
     write_metadata(path, {"task": "landing", "task_options": trained})

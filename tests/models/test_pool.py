@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.models.attitude import LAG, Z
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
 
 V = load_vehicle()
@@ -37,6 +37,7 @@ LOADED = {
     "all at once": LIBRARY["slung_load"].apply(FIELDS["all at once"], {"mass": 0.004, "length": 0.2}),
 }
 POOL = {**EFFECTS, **FIELDS}
+SIZES = {name: load_vehicle(name) for name in vehicle_names()}
 STEPS = 50
 ANALYTIC = pytest.param("analytic", {}, id="analytic")
 LOOP = pytest.param("analytic", {"attitude": "rate_loop"}, id="analytic rate_loop")
@@ -76,11 +77,11 @@ def commands(steps=STEPS, seed=0):
 
 
 @pytest.mark.parametrize("kind, options", [ANALYTIC, LOOP, MUJOCO, KINEMATIC, HYBRID])
-@pytest.mark.parametrize("members", [POOL, LOADED], ids=["pool", "loaded"])
+@pytest.mark.parametrize("members", [POOL, LOADED, SIZES], ids=["pool", "loaded", "sizes"])
 def test_each_flies_as_in_a_plant_of_its_own(kind, options, members):
     """Bit for bit: equations, engine's model and command histories are the same numbers."""
     pool = list(members.values())
-    own = V if members is POOL else LOADED["light"]
+    own = LOADED["light"] if members is LOADED else V
     together = begin(make_plant(kind, len(pool), own, pool=pool, **options), np.arange(1, len(pool) + 1))
     found = flight(together, commands())
     for k, vehicle in enumerate(pool):
@@ -107,16 +108,6 @@ def test_vehicles_with_and_without_loads_share_a_plant(kind, options):
 
 
 @pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
-def test_whoever_is_not_assigned_is_the_plants_own(kind, options):
-    pool = list(POOL.values())
-    plain, pooled = make_plant(kind, 3, V, **options), make_plant(kind, 3, V, pool=pool, **options)
-    for plant in (plain, pooled):
-        plant.set_platform(np.arange(3), V.platform_inclination)
-        plant.reset(np.arange(3), starts(3))
-    np.testing.assert_array_equal(flight(plain, commands()), flight(pooled, commands()))
-
-
-@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
 def test_others_fly_on_while_some_become_another(kind, options):
     pool = list(POOL.values())
     flights = []
@@ -135,25 +126,6 @@ def test_others_fly_on_while_some_become_another(kind, options):
             expected = flight(new, commands(20, seed=1))[2:, -1]
             np.testing.assert_array_equal(plant.state[2:], expected[:, :13])
     np.testing.assert_array_equal(*flights)
-
-
-@pytest.mark.parametrize("kind, options", [ANALYTIC, MUJOCO, HYBRID])
-def test_restore_replays_bit_for_bit(kind, options):
-    pool, n = list(POOL.values()), 8
-    plant = begin(make_plant(kind, n, V, pool=pool, disturbance=3, **options), np.arange(n) * 5)
-    plant.perturb(mass_scale=1.1, thrust_scale=0.9)
-    if kind != "analytic":
-        plant.set_contact(np.arange(0, n, 2), friction=0.3)
-    flight(plant, commands(15))
-    snapshot = plant.save()
-    first = flight(plant, commands(20, seed=1))
-    plant.perturb(mass_scale=1.0)
-    begin(plant, np.arange(n)[::-1])
-    plant.restore(snapshot)
-    np.testing.assert_array_equal(flight(plant, commands(20, seed=1)), first)
-    other = make_plant(kind, n, V, pool=pool, disturbance=0, **options)
-    other.restore(snapshot)
-    np.testing.assert_array_equal(flight(other, commands(20, seed=1)), first)
 
 
 def test_deviations_act_on_top_of_the_pools():

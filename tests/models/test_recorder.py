@@ -7,10 +7,9 @@ import pytest
 
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, VX, VZ, Z
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses, present_forces
+from inclined_landing.models.plants.recorder import STEP, Recorder, present_forces
 
 V = load_vehicle()
 ALPHA = V.platform_inclination
@@ -89,20 +88,3 @@ def test_at_rest_on_the_feet_and_not_otherwise():
     away, along = surface.split(present_forces(plant, 0)[1].sum(axis=0), ALPHA)
     # Creep below 0.2 mm/s leaves the balance of forces to 1 %.
     assert [away, along] == pytest.approx([WEIGHT * math.cos(ALPHA), -WEIGHT * math.sin(ALPHA)], rel=0.01)
-
-
-def test_impulses_are_the_change_of_momentum():
-    """Of a level drop, step by step; rounding of the four stages' sum is far below 1e-9 of the weight's."""
-    plant = MujocoPlant(1, control_period=STEP, torque_needs_motors=True)
-    plant.set_platform([0], 0.0)
-    plant.reset([0], over_slab(0.01, inclination=0.0, speed=1.0))
-    given, flown = [], [plant.state.copy()]
-    for _ in range(20):
-        given.append(impulses(plant, np.zeros((1, 4)))[0, 2])
-        flown.append(fly(plant, np.zeros((1, 1, 4)))[1])
-    gained = V.body_mass * np.diff(np.array(flown)[:, 0, VZ]) + WEIGHT * STEP
-    assert max(given) > 10 * WEIGHT * STEP
-    assert given == pytest.approx(gained, abs=1e-9 * WEIGHT * STEP)
-    single_step = MujocoPlant(1, integrator="implicitfast")
-    with pytest.raises(UserError, match="for the integrator RK4 only"):
-        impulses(single_step, np.zeros((1, 4)))

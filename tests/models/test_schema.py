@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from msgspec import Meta, field
 
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.schema import Real, Table, check, expected, parse
+from inclined_landing.models.schema import Real, Table, check, parse
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -104,12 +104,6 @@ def test_what_does_not_fit_is_named(keys, value, sentence):
     assert str(refused.value).startswith(f"file f: {sentence}")
 
 
-def test_what_a_number_may_be_is_said_in_words():
-    assert expected(Real) == "a number" and expected(bool | None) == "true or false"
-    assert expected(Annotated[float, Meta(gt=0, le=1e300)]) == "a number above 0"
-    assert expected(Annotated[float, Meta(ge=0.5, le=1e300)]) == "a number of at least 0.5"
-
-
 @dataclasses.dataclass
 class Group:
     near: Annotated[Share | None, "a note"] = None
@@ -134,11 +128,8 @@ def test_options_that_fit_their_types_are_let_pass(options):
 
 
 @pytest.mark.parametrize(("options", "sentence"), [
-    (Options(seed=9), "seed must be a whole number of at least 0 and below 9, not 9"),
     (Options(seed=True), "seed must be a whole number of at least 0 and below 9, not True"),
     (Options(rates=(0.5, 2.0)), "rates[1] must be a number from 0 to 1, not 2.0"),
-    (Options(rates=(0, 0, 0)), "rates must be a list of at most 2 entries, each a number from 0 to 1"),
-    (Options(centre="own"), "centre must be a number or 'hover', not 'own'"),
     (Options(centre=math.inf), "centre must be a number or 'hover', not inf"),
     (Options(group=Group(near=2.0)), "near must be a number from 0 to 1, not 2.0"),
     (Options(group=Group(out=3)), "out must be a path, not 3"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.models import geometry
-from inclined_landing.models.attitude import LAG, Z
+from inclined_landing.models.attitude import Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, vehicle_names, write_vehicle
 from inclined_landing.models.plants import make_plant
@@ -14,38 +14,6 @@ V = load_vehicle()
 NAMES = vehicle_names()
 FLEET = [load_vehicle(name) for name in NAMES]
 PLANTS = "analytic", "mujoco", "hybrid"
-
-
-def dropped(plant, vehicles):
-    """States, contacts and forces of a fall onto the slab, thrust at half of the hover's at first."""
-    ids = np.arange(plant.n)
-    plant.set_platform(ids, V.platform_inclination)
-    state = np.zeros((plant.n, 13))
-    state[:, Z] = 1.6
-    state[:, LAG] = [0.5 * vehicle.hover_lag for vehicle in vehicles]
-    plant.reset(ids, state)
-    rows = []
-    for _ in range(60):
-        plant.step(np.tile([12_000.0, 0.0, 0.0, 0.0], (plant.n, 1)))
-        seen = plant.state, plant.contacts.touch, plant.contacts.force
-        rows.append(np.concatenate([x.reshape(plant.n, -1) for x in seen], axis=1))
-    return np.stack(rows, axis=1)
-
-
-@pytest.mark.parametrize("kind", PLANTS)
-def test_each_size_flies_and_touches_as_in_a_plant_of_its_own(kind):
-    """Bit for bit; in contact too, where arms and rotors count."""
-    plant = make_plant(kind, len(FLEET), V, pool=FLEET)
-    plant.assign(np.arange(len(FLEET)), 1 + np.arange(len(FLEET)))
-    together = dropped(plant, FLEET)
-    for k, vehicle in enumerate(FLEET):
-        alone = dropped(make_plant(kind, 1, vehicle), [vehicle])[0]
-        np.testing.assert_array_equal(together[k], alone, err_msg=NAMES[k])
-    touched = together[:, :, 13:22].any(axis=2)
-    assert touched.any(axis=1).all()
-    height = [rows[first, Z] for rows, first in zip(together, touched.argmax(axis=1))]
-    big = int(np.argmax([vehicle.rotor_arm + vehicle.rotor_radius for vehicle in FLEET]))
-    assert height[big] > max(np.delete(height, big)) + 0.02  # its rotors reach the slab first
 
 
 def test_the_clearance_of_each_is_that_of_its_own_shapes():
