@@ -16,7 +16,7 @@ from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting
-from inclined_landing.eval.flying.vehicle import Radio, find_radio
+from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
 from inclined_landing.models.errors import UserError, not_installed
 
@@ -87,7 +87,6 @@ class RealConnection:
             import cflib.crtp
         except ModuleNotFoundError as error:
             raise UserError(not_installed(error)) from error
-        find_radio(uri)
         self.uri, self.onboard, self.confirms = uri, onboard, confirms
         self._clock = RealClock()
         self._capture = None if mocap is None else positions.open_capture(mocap, self._clock, latency)

@@ -283,7 +283,9 @@ class Pilot:
         step = self._final.step(estimate.time - self._phase_began, state, self._resting_time > 0.0)
         if isinstance(step, str):
             if self.phase is Phase.LANDING:
-                self._reach_goal(step, estimate)
+                self.report.goal = state.copy()
+                self.report.landing_time = estimate.time - self._phase_began
+                self._end(None, step)
                 return None
             self._print(f"{step}; sets down")
             self._set_down(estimate)
@@ -336,11 +338,6 @@ class Pilot:
         self._stuck_time = 0.0
         self._final.reset()
         self._follower.actor.reset()
-
-    def _reach_goal(self, outcome: str, estimate: StateEstimate) -> None:
-        self.report.goal = estimate.state.copy()
-        self.report.landing_time = estimate.time - self._phase_began
-        self._end(None, outcome)
 
     def _end(self, cause: Cause | None, outcome: str = "") -> None:
         if self.phase is not Phase.OVER:

@@ -24,12 +24,13 @@ _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.inf
 UDEV = "https://www.bitcraze.io/documentation/repository/crazyflie-lib-python/master/installation/usb_permissions/"
 # Crazyradio by number or serial number, channel 0 to 125, rate, address.
 _RADIO = re.compile(
-    r"radio://(?P<dongle>[0-9]{1,3}|[0-9A-Fa-f]{10,32})/(?P<channel>[0-9]{1,3})"
+    r"radio://([0-9]{1,3}|[0-9A-Fa-f]{10,32})/(?P<channel>[0-9]{1,3})"
     r"(/(250K|1M|2M)(/[0-9A-Fa-f]{10})?)?(\?rate_limit=[1-9][0-9]{0,5})?",
     re.ASCII,
 )
 _REMEDIES = {  # by scheme, where a vehicle does not answer
-    "radio": "is the vehicle on, are channel, rate and address its own, and is the Crazyradio free?",
+    "radio": "is the vehicle on, are channel, rate and address its own, is the Crazyradio plugged in and "
+    f"free? On Linux udev rules give access to it: {UDEV}",
     "usb": "is the vehicle connected by its cable?",
     "udp": "does anything answer there, as `landing-eval crazyflie` does?",
 }
@@ -49,31 +50,6 @@ def check_uri(uri: str) -> None:
             "--uri must look like radio://0/80/2M/E7E7E7E7E7 (Crazyradio, channel up to 125, rate 250K, 1M "
             "or 2M, address of ten hexadecimal digits), usb://0 or udp://127.0.0.1:19850, not "
             f"{shown(repr(uri), 60)}"
-        )
-
-
-def find_radio(uri: str) -> None:
-    """Raise UserError where the Crazyradio that `uri` names is not plugged in or cannot be opened."""
-    match = _RADIO.fullmatch(uri)
-    if match is None:
-        return
-    from cflib.drivers.crazyradio import get_serials
-
-    try:
-        serials = get_serials()
-    except Exception as error:  # pyusb's and libusb's, whatever they are
-        raise UserError(
-            f"the Crazyradio cannot be opened ({shown(error, 100)}); on Linux udev rules give access: {UDEV}"
-        ) from error
-    dongle = match["dongle"]
-    if not serials:
-        raise UserError(
-            f"no Crazyradio found: plug it in; if it is, udev rules give access to it on Linux: {UDEV}"
-        )
-    if not (len(serials) > int(dongle) if len(dongle) < 10 else dongle.upper() in serials):
-        raise UserError(
-            f"there is no Crazyradio {shown(dongle, 40)}: found 0 to {len(serials) - 1}, "
-            f"serial numbers {shown(', '.join(map(str, serials)), 100)}"
         )
 
 

@@ -130,9 +130,7 @@ def _installed() -> CheckResult:
     where = origin.get("url", "").removeprefix("file://")
     if origin.get("dir_info", {}).get("editable"):
         return CheckResult("installation", True, f"{package.version}, editable in {where}")
-    tag = re.search(r"^Tag: (\S+)", package.read_text("WHEEL") or "", re.MULTILINE)
-    detail = f"{package.version}, wheel {tag[1] if tag else 'of an unknown kind'}"
-    return CheckResult("installation", True, f"{detail}{' from ' + where if where else ''}")
+    return CheckResult("installation", True, f"{package.version}, wheel{' from ' + where if where else ''}")
 
 
 def _extra(name: str) -> CheckResult:
