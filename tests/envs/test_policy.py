@@ -28,6 +28,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 NAME = "inclined_landing.envs:InclinedLanding-v0"  # imported in other processes too
+SETPOINT = {"task": "setpoint", "task_options": {}}
 METADATA = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
 
 
@@ -146,14 +147,6 @@ def another_zip(path):
         archive.writestr("data", "{}")
 
 
-def setpoint_shape(path):
-    saved(path, model(8, 3))
-
-
-def setpoint_policy(path):
-    saved(path, model(8, 3), {"task": "setpoint", "task_options": {}})
-
-
 def nan_weights(path):
     network = model()
     with torch.no_grad():
@@ -188,18 +181,10 @@ def discrete_actions(path):
     PPO("MlpPolicy", env, device="cpu").save(path)
 
 
-def other_activation(path):
-    saved(path, model(activation_fn=torch.nn.SiLU))
-
-
 def damaged_metadata(path):
     saved(path, model(), metadata=None)
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(policy.METADATA, "{")
-
-
-def unknown_option(path):
-    saved(path, model(), {"task": "landing", "task_options": {"colour": 3}})
 
 
 @pytest.mark.parametrize(
@@ -209,16 +194,22 @@ def unknown_option(path):
         (lambda path: path.mkdir(), "is a folder"),
         (lambda path: path.write_text("nothing"), "is not a zip file"),
         (another_zip, "lacks policy.pth"),
-        (setpoint_shape, "takes 8 observations and gives 3 actions, but the task landing has 5 and 2"),
-        (setpoint_policy, "was trained for the task setpoint, not for landing"),
+        (
+            lambda path: saved(path, model(8, 3)),
+            "takes 8 observations and gives 3 actions, but the task landing has 5 and 2",
+        ),
+        (
+            lambda path: saved(path, model(8, 3), SETPOINT),
+            "was trained for the task setpoint, not for landing",
+        ),
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
         (damaged, "policy.pth in it is not a zip file"),
         (huge_stride, "tensor log_std has a shape that is none"),
         (discrete_actions, "not a PPO, SAC or TD3 policy"),
-        (other_activation, "SiLU"),
+        (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
         (damaged_metadata, "inclined_landing.json in it is not JSON"),
-        (unknown_option, "colour"),
+        (lambda path: saved(path, model(), METADATA | {"task_options": {"colour": 3}}), "colour"),
     ],
 )
 def test_wrong_files_are_one_sentence(tmp_path, make, sentence):
@@ -238,7 +229,7 @@ def test_wrong_observations_and_tasks(tmp_path):
         policy.load_policy(path, "hover")
     with pytest.raises(UserError, match="outside the supported range"):
         policy.load_policy(path, inclination=1.4)
-    other = saved(tmp_path / "s.zip", model(8, 3), {"task": "setpoint", "task_options": {}})
+    other = saved(tmp_path / "s.zip", model(8, 3), SETPOINT)
     with pytest.raises(UserError, match="no inclined platform"):
         policy.load_policy(other, inclination=-0.2)
 

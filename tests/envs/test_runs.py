@@ -69,17 +69,6 @@ def test_a_staged_run_appears_whole_or_not_at_all(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["deep"]
 
 
-def test_a_report_that_cannot_be_written_leaves_no_folder(tmp_path, monkeypatch):
-    def full(path, data):
-        raise UserError(f"cannot write {path}: no space left on device")
-
-    monkeypatch.setattr(storage, "write_bytes", full)
-    with pytest.raises(UserError) as raised:
-        runs.hand_over({"command": "success"}, print, False, tmp_path / "new" / "out", {"flights.csv": ""})
-    assert str(raised.value) == f"cannot write {tmp_path}/new/out/flights.csv: no space left on device"
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_empty_folder_that_is_there_gets_the_files_and_stays(tmp_path, monkeypatch):
     """As the one that the shell is in, which must not be replaced under it, and a mounted one."""
     monkeypatch.chdir(tmp_path)

@@ -303,13 +303,3 @@ def test_state_survives_json_and_continues_equally(name, task):
         assert other.level == c.level and other.gamma(9) == c.gamma(9) and other.log() == c.log()
         shares = [x.learning_rate_share(1_100_000, 1_500_000) for x in (c, other)]
         assert shares[0] == shares[1]
-
-
-@pytest.mark.parametrize("name, task, known", [
-    ("steep", "landing", "adaptive, fixed, paper or none"),
-    ("effort", "landing", "adaptive, fixed, paper or none"),
-    ("adaptive", "setpoint", "effort or none"), ("paper", "setpoint", "effort or none"),
-])  # fmt: skip
-def test_unknown_curricula(name, task, known):
-    with pytest.raises(UserError, match=f"unknown curriculum '{name}' for task {task}: it must be {known}"):
-        make_curriculum(name, task, 0.99)

@@ -58,21 +58,6 @@ def test_the_law_comes_in_uphill():
     assert not np.isnan(speed).any() and np.median(speed) > 0.3
 
 
-def test_a_short_run_is_reproducible_and_stamped(tmp_path, monkeypatch):
-    monkeypatch.setattr(warm_start, "CRITIC_FIRST", 128)
-    monkeypatch.setattr(warm_start, "_STEPS", 20)
-    folders = [
-        train(TrainConfig(task="touchdown", nominal=True, steps=512, out=tmp_path / name, **TINY))[0]
-        for name in "ab"
-    ]
-    a, b = (load_policy(folder / "final.zip") for folder in folders)
-    assert a.task.name == "touchdown" and a.task.pwm_centre == a.task.vehicle.hover_pwm
-    for left, right in zip(a.weights, b.weights):
-        np.testing.assert_array_equal(left, right)
-    started = load_policy("landing-nominal").weights
-    assert not all(np.array_equal(left, right) for left, right in zip(a.weights, started))
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
