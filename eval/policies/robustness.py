@@ -16,14 +16,13 @@ from inclined_landing.eval.pictures import video
 from inclined_landing.eval.policies import changes, slopes, vehicles
 from inclined_landing.eval.policies.entrants import parse_entrants
 from inclined_landing.eval.policies.moving import study as moving
-from inclined_landing.eval.policies.moving.controllers import BASELINES, Controller, find_all
+from inclined_landing.eval.policies.moving.controllers import BASELINES, find_all
 from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
 from inclined_landing.eval.policies.study import Study, write_studies
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import PLANTS
 from inclined_landing.models.vehicle import Vehicle
 
 # Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
@@ -130,7 +129,7 @@ def command(
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
     """
     over, vehicle, film = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle)), moving_platforms.film
-    _check(policies, over, plant, vehicle)
+    _check(policies, over, vehicle)
     changes.check_effects(thrust_and_effects.effect)
     if out is not None:
         runs.check_new_run(out)
@@ -164,7 +163,9 @@ def command(
         with runs.staged_run(out) as folder:
             write_studies(folder, found)
             if film is not None:
-                _write_film(folder, film, controllers[0])
+                filmed = [moving.ride(read_scenario(film), controllers[0])]
+                frames, total, rate = video.film(filmed, _FPS, 1.0, **_LOOK)
+                video.write({folder / "flight.gif": 1}, frames, total, rate)
     if json:
         reports = {study.name: study.report for study in found}
         print(storage.to_json(reports if len(found) > 1 else found[0].report))
@@ -173,14 +174,12 @@ def command(
         study.show()
 
 
-def _check(policies: tuple[str, ...], over: tuple[str, ...], plant: str, vehicle: tuple[str, ...]) -> None:
+def _check(policies: tuple[str, ...], over: tuple[str, ...], vehicle: tuple[str, ...]) -> None:
     """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
     if len(labels := {policy.partition("=")[0] for policy in policies}) > MOST_COMPARED:
         raise UserError(f"policies: at most {MOST_COMPARED} stand side by side, not {len(labels)}")
-    if plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
     if vehicle and (over == ("moving",) or (len(vehicle) > 1 and over != ("vehicles",))):
         raise UserError("--vehicle is one vehicle, of --over vehicles several; moving platforms have theirs")
 
@@ -200,9 +199,3 @@ def _landings(
         loaded[entrant.label] = load_policy(entrant.only, vehicle=known)
     studies = [changes.run(loaded, cases, **options)] if {"thrust", "effects"} & set(over) else []
     return studies + ([slopes.run(loaded, **options)] if "slopes" in over else [])
-
-
-def _write_film(folder: Path, scenario: str, controller: Controller) -> None:
-    """Write the first flight of a scenario as flight.gif."""
-    frames, total, rate = video.film([moving.ride(read_scenario(scenario), controller)], _FPS, 1.0, **_LOOK)
-    video.write({folder / "flight.gif": 1}, frames, total, rate)

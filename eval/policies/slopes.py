@@ -8,6 +8,7 @@ single slopes: the steepest that it knows, the paper's, or the one that it was t
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -116,20 +117,18 @@ def _entry(
     if ALL in found:
         frozen = landing_starts.over_slopes(task, every=every)
         edges = frozen.inclinations
-        strict = flown[name, ALL]["strict"].to_numpy()
-        shape = (len(edges) - 1, len(frozen.azimuths) - 1)
+        strict, (row, column) = flown[name, ALL]["strict"].to_numpy(), frozen.cell
+        columns = range(len(frozen.azimuths) - 1)
         entry |= {
             "all": found[ALL],
             "inclinations": edges.tolist(),
             "azimuths": frozen.azimuths.tolist(),
             "cells": [
-                [_share(strict[(frozen.cell[0] == i) & (frozen.cell[1] == j)]) for j in range(shape[1])]
-                for i in range(shape[0])
+                [_share(strict[(row == i) & (column == j)]) for j in columns] for i in range(len(edges) - 1)
             ],
             "curve": [
-                {"from": float(edges[i]), "to": float(edges[i + 1])}
-                | {"strict": _share(strict[frozen.cell[0] == i])}
-                for i in range(shape[0])
+                {"from": float(low), "to": float(high), "strict": _share(strict[row == i])}
+                for i, (low, high) in enumerate(itertools.pairwise(edges))
             ],
         }
     return entry | ({"any_heading": found[ANY_HEADING]} if ANY_HEADING in found else {})

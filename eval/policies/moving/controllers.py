@@ -128,8 +128,6 @@ def _imported(name: str, vehicle: Vehicle) -> Controller:
     def pilot(n: int) -> Pilot:
         with _blamed(what):
             made = found(vehicle) if isinstance(found, type) else found
-        if not callable(made):
-            raise UserError(f"{what} cannot be called with t, states and platforms: it lacks __call__")
         return _Checked(made, name, vehicle)
 
     return Controller(name.rpartition(":")[2], "controller", vehicle, pilot)

@@ -109,7 +109,7 @@ class Deaf:
         ("text", "must be an array of real numbers"),
         ("broken", "raised ZeroDivisionError: division by zero"),
         ("number", "no function or class"),
-        ("Deaf", "lacks __call__"),
+        ("Deaf", "object is not callable"),
     ],
 )
 def test_a_bad_controller_is_one_sentence(tmp_path, capsys, name, said):

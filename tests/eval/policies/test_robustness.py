@@ -17,6 +17,7 @@ from inclined_landing.models.parameters import check_vehicle, load_vehicle
 from tests.pages import EVIL_FILE, check_page
 
 CASES = changes.changes()
+VEHICLES = ("--over=vehicles",)
 
 
 def test_sizes_are_distances_from_neutral_within_what_is_possible():
@@ -146,6 +147,13 @@ def test_long_work_says_how_long_it_takes_and_what_is_done(monkeypatch, capsys):
         (("landing", "--every", "0"), "--every must"),
         (("landing", "--plant", "paper"), "unknown plant"),
         (("a@hummingbird=landing",), "goes with --over vehicles alone"),
+        (("landing", "--vehicle", "sparrow", *VEHICLES), "vehicle file sparrow does not exist"),
+        (("landing", "--ranges", "sparrow", *VEHICLES), "randomise file sparrow does not exist"),
+        (("landing", "--ranges", "sparrow", "--draws=0", *VEHICLES), "randomise file sparrow does not exist"),
+        (("setpoint", *VEHICLES), "policy setpoint is for the task setpoint, not for landing"),
+        (("setpoint", "--over=slopes"), "setpoint, not for landing"),
+        (("a@sparrow=landing", *VEHICLES), "a is for the vehicle sparrow, not flown here"),
+        (("a=landing+", *VEHICLES), "policies are written LABEL=POLICY"),
         ((), "name at least one policy"),
     ],
 )

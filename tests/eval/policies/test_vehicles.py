@@ -83,19 +83,3 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
         "vehicles.png",
     }
     assert json.loads((tmp_path / "out/vehicles.json").read_text())["draws"] is None
-
-
-@pytest.mark.parametrize("arguments, sentence", [
-    (["landing", "--vehicle", "sparrow"], "vehicle file sparrow does not exist"),
-    (["landing", "--ranges", "sparrow"], "randomise file sparrow does not exist"),
-    (["landing", "--ranges", "sparrow", "--draws", "0"], "randomise file sparrow does not exist"),
-    (["setpoint"], "policy setpoint is for the task setpoint, not for landing"),
-    (["a@sparrow=landing"], "a is for the vehicle sparrow, not flown here"),
-    (["a=landing+"], "policies are written LABEL=POLICY"),
-    (["landing", "--plant", "paper"], "unknown plant 'paper'"),
-    ([], "name at least one policy"),
-])  # fmt: skip
-def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp_path, capsys):
-    assert cli.main(["robustness", *arguments, "--over=vehicles", "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr()
-    assert sentence in said.err and not said.out and not (tmp_path / "out").exists()
