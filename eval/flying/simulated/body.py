@@ -115,10 +115,6 @@ class Body:
         change[2] += self.vehicle.environment_gravity
         self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
 
-    def scale_thrust(self, share: float) -> None:
-        """Set the thrust from now on as a share of the vehicle file's."""
-        self.plant.perturb(thrust_scale=share)
-
     def state_at(self, time: float) -> np.ndarray:
         """Return the state (13,) at a time within the last step."""
         return _between(self._before, self._now, (time - self.time) / self.step_length + 1.0)

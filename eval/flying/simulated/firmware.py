@@ -52,6 +52,7 @@ class State(enum.IntEnum):
     CRASHED = 11
 
 
+# The supervisor lets set-points through.
 _CAN_FLY = {State.READY_TO_FLY, State.FLYING, State.LEVEL_OUT, State.LANDED}
 _ARMED = _CAN_FLY | {State.ARMING}
 
@@ -201,21 +202,11 @@ class Firmware:
     # --- what runs on board ----------------------------------------------------------------------
 
     @property
-    def can_fly(self) -> bool:
-        """Whether the supervisor lets set-points through."""
-        return self.state in _CAN_FLY
-
-    @property
-    def is_flying(self) -> bool:
-        """Whether the supervisor takes the vehicle to be in the air."""
-        return self.state in (State.FLYING, State.LEVEL_OUT)
-
-    @property
     def info(self) -> int:
         """Status bits of the supervisor, as `supervisor.info` and cflib's `Supervisor` have them."""
         bits = (
-            *(self.state is State.CHECKS_PASSED, self.armed, True, self.can_fly),
-            *(self.is_flying, self.tumbled),
+            *(self.state is State.CHECKS_PASSED, self.armed, True, self.state in _CAN_FLY),
+            *(self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled),
             *(self.state is State.LOCKED, self.crashed),
         )
         return sum(bit << k for k, bit in enumerate(bits))
@@ -225,7 +216,7 @@ class Firmware:
 
         up: acceleration along the body's z, as an accelerometer shows it [g]; norm: its size [g].
         """
-        setpoint = self.setpoint if self.can_fly else FirmwareSetpoint()
+        setpoint = self.setpoint if self.state in _CAN_FLY else FirmwareSetpoint()
         if setpoint.thrust > 0.0:
             self._last_thrust = time
         if time - self._last_supervision >= PERIOD - 1e-9:

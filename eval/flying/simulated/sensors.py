@@ -120,7 +120,8 @@ class OnboardSensors:
         if self.failing and self._body.voltage > FLAT:
             self._body.voltage_drop += SAG_RATE * PERIOD
             sensitivity = LIBRARY["battery_voltage"].parameters[0].plausible
-            self._body.scale_thrust(max(0.0, 1.0 - sensitivity * self._body.voltage_drop))
+            share = max(0.0, 1.0 - sensitivity * self._body.voltage_drop)
+            self._body.plant.perturb(thrust_scale=share)
 
     def values(self, time: float) -> dict[str, float]:
         """Return the log variables of crtp.LOGGED."""

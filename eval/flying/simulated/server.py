@@ -11,12 +11,15 @@ import socket
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from inclined_landing.eval.flying import positions
 from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.simulated.body import FLOOR
 from inclined_landing.eval.flying.simulated.crtp import LARGEST, Packet
 from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import World
+from inclined_landing.models.attitude import VX, VZ
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.storage import reason
 
@@ -110,7 +113,8 @@ class SimulatorServer:
             self._tell(f"motors {'on' if world.thrust > 0.0 else 'off'} at {x:.2f}, {y:.2f}, {z:.2f} m")
             self._thrust = world.thrust
         where = "on the floor" if world.body.touching[FLOOR] else "on the platform"
-        places = where if world.body.touching.any() and world.speed < _STILL else ""
+        speed = float(np.linalg.norm(world.body.state[VX : VZ + 1]))
+        places = where if world.body.touching.any() and speed < _STILL else ""
         if places and places != self._places:
             x, y, z = world.body.state[:3]
             self._tell(f"at rest {places} at {x:.2f}, {y:.2f}, {z:.2f} m")

@@ -319,8 +319,3 @@ class World:
         for fault in [f for f in self._waiting if f.event == event]:
             self._waiting.remove(fault)
             self.schedule(self.body.time + fault.after, functools.partial(self.begin, fault))
-
-    @property
-    def speed(self) -> float:
-        """Speed of the vehicle [m/s]."""
-        return float(np.linalg.norm(self.body.state[VX : VX + 3]))
