@@ -101,23 +101,6 @@ def _seen(summary: dict) -> list[tuple]:
     ]
 
 
-def _sensitivities(summary: dict) -> list[tuple[str, ...]]:
-    """Return label, log odds and sensitivity indices, of resting and of `_SENSITIVE`, of every parameter."""
-
-    def text(value: dict) -> str:
-        if value["index"] is None:
-            return "-"
-        low, high = value["interval"]
-        return f"{value['index']:.2f} [{low:.2f}, {high:.2f}]"
-
-    known, rows = known_parameters(), []
-    for row in summary["sensitivities"]:
-        odds = "-" if row["log_odds"] is None else f"{row['log_odds']:+.2f}"
-        indices = (text(row["first_order"][name]) for name in ("rests", *_SENSITIVE))
-        rows.append((known[row["parameter"]].label, odds, *indices))
-    return rows
-
-
 def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str, float]) -> str:
     """Return the HTML page, everything inside; figures: captions by file."""
     given = {p.name for p in study.parameters}
@@ -138,22 +121,16 @@ def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str,
         known=known_parameters(study.vehicle),
         defaults={name: x for name, x in fixed.items() if name not in given and not math.isnan(x)},
         start_height=f"{1e3 * fixed['start_height']:g}" if "start_height" in fixed else "some",
-        sensitivities=_sensitivities(summary),
+        sensitive=("rests", *_SENSITIVE),
         figures=pictures,
     )
 
 
 def show(summary: dict, out: Path) -> None:
-    """Print the outcomes and the sensitivities."""
+    """Print the outcomes and the discussion."""
     outcomes = new_table(summary["study"]["title"] or "landing study", "outcome", "landings", "share [%]")
     for name, count, share, low, high in _seen(summary):
         outcomes.add_row(name, str(count), f"{share:.1f} [{low:.1f}, {high:.1f}]")
     show_table(outcomes)
-    if summary["sensitivities"]:
-        columns = ("parameter", "log odds of resting per s.d.", "alone, of resting", "of peak force")
-        rows = new_table("Sensitivities", *columns)
-        for cells in _sensitivities(summary):
-            rows.add_row(*cells[: len(columns)])
-        show_table(rows)
     counted, *more = summary["discussion"]
     say(*more, f"{counted} The page is {out / 'index.html'}.")

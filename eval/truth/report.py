@@ -112,12 +112,8 @@ def publish(
         storage.write_text(folder / f"{name}.html", page)
     claims = [claim for section in sections for claim in section.claims]
     failed = [claim for claim in claims if not claim.passed]
-    say(*(f"not met: {c.name}: {_measured(c)}, tolerance {c.tolerance}" for c in failed))
-    count = f"{len(claims) - len(failed)} of {len(claims)} claims hold"
-    unmet = f"; not met: {'; '.join(claim.name for claim in failed)}" if failed else ""
-    say(f"{count}{unmet}. The page is {out / f'{name}.html'}.")
+    for claim in failed:
+        found = f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"
+        say(f"not met: {claim.name}: {found}, tolerance {claim.tolerance}")
+    say(f"{len(claims) - len(failed)} of {len(claims)} claims hold. The page is {out / f'{name}.html'}.")
     return not failed
-
-
-def _measured(claim: Claim) -> str:
-    return f"{number(claim.measured)} {claim.unit}" if math.isfinite(claim.measured) else "not a number"

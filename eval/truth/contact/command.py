@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.claims import Claim, Section
+from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Folder, VehicleFile
 from inclined_landing.eval.truth.contact.figures import DRAW
 from inclined_landing.eval.truth.contact.laws import LAWS
@@ -42,12 +42,12 @@ def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
 
 def contact_record(sections: list[Section]) -> dict:
     """Return the content of contact.json."""
-    found = {s.key: {"checks": [_check(c) for c in s.claims], "data": s.data} for s in sections}
+    found = {}
+    for section in sections:
+        checks = [
+            {"name": c.name, "measured": c.measured, "unit": c.unit, "low": c.low, "high": c.high}
+            | {"met": c.passed, "note": c.why}
+            for c in section.claims
+        ]
+        found[section.key] = {"checks": checks, "data": section.data}
     return {"findings": found, "versions": runs.versions()}
-
-
-def _check(claim: Claim) -> dict:
-    """Return the entry of contact.json."""
-    bounds = {"low": claim.low, "high": claim.high}
-    value = {"name": claim.name, "measured": claim.measured, "unit": claim.unit}
-    return value | bounds | {"met": claim.passed, "note": claim.why}

@@ -13,8 +13,6 @@ from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulse
 from inclined_landing.models.vehicle import Vehicle
 
 PHASES = 8  # drops of one kind, their touch spread evenly over one step
-SLAB, BASE, FLOOR = 0, 1, 2
-FEET, BODY, ROTORS = 0, 1, 2
 
 
 def unpowered(vehicle: Vehicle, n: int, inclination=None, step: float = STEP) -> MujocoPlant:

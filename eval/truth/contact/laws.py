@@ -10,24 +10,13 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.eval.base.claims import Section
-from inclined_landing.eval.truth.contact.drops import (
-    BODY,
-    FEET,
-    FLOOR,
-    PHASES,
-    ROTORS,
-    SLAB,
-    advance,
-    drop,
-    energy,
-    unpowered,
-)
+from inclined_landing.eval.truth.contact.drops import PHASES, advance, drop, energy, unpowered
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
-from inclined_landing.models.geometry import PARTS, reach_below
+from inclined_landing.models.geometry import PARTS, SURFACES, reach_below
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import STEP, present_forces
+from inclined_landing.models.plants.recorder import FEET, STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
 from inclined_landing.models.vehicle import Vehicle
 
@@ -277,13 +266,14 @@ def parts(vehicle: Vehicle) -> Section:
     """Measure the contact part and force of a vehicle upright, nose down and upside down."""
     weight = vehicle.body_mass * vehicle.environment_gravity
     rows, right, loads = [], 0, []
-    for surface, name in ((SLAB, "slab"), (FLOOR, "floor")):
-        for pitch, part in ((0.0, FEET), (np.pi / 2, ROTORS), (np.pi, BODY)):
+    for name in ("slab", "floor"):
+        surface = SURFACES.index(name)
+        for pitch, part in ((0.0, "feet"), (np.pi / 2, "rotors"), (np.pi, "body")):
             plant = unpowered(vehicle, 1)
             plant.set_platform([0], 0.0)
-            height = vehicle.platform_surface_height if surface == SLAB else 0.0
+            height = vehicle.platform_surface_height if name == "slab" else 0.0
             state = np.zeros((1, STATE_SIZE))
-            state[0, X], state[0, PITCH] = (0.0 if surface == SLAB else 1.5), pitch
+            state[0, X], state[0, PITCH] = (0.0 if name == "slab" else 1.5), pitch
             state[0, Z] = height + reach_below(plant.shapes, (-np.sin(pitch), 0.0, np.cos(pitch))) + 0.002
             plant.reset([0], state)
             first = None
@@ -294,7 +284,7 @@ def parts(vehicle: Vehicle) -> Section:
                     first = sorted(PARTS[k] for k in np.flatnonzero(touch.any(axis=0)))
                     surfaces = touch.any(axis=1)
             force = plant.contacts.force[0]
-            ok = first is not None and PARTS[part] in first and surfaces[surface] and surfaces.sum() == 1
+            ok = first is not None and part in first and surfaces[surface] and surfaces.sum() == 1
             right += ok
             if pitch != np.pi / 2:  # nose down it falls over
                 loads.append(abs(force[surface].sum() / weight - 1))

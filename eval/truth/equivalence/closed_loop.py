@@ -17,17 +17,14 @@ from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant
 
-ALPHA = WORDS.tables["closed_loop"]["samples"]["low"]  # of each two-sample test
 QUANTITIES = ("time", "x", "z", "vx", "vz", "pitch")
 UNITS = ("s", "m", "m", "m/s", "m/s", "deg")
 _COLUMNS = [X, Z, VX, VZ, PITCH]
 # The plants by the name the report gives them.
-PAPER, EXTENDED, KINEMATIC, VEHICLE = (
-    "equations (paper)",
-    "equations with rate loop",
-    "MuJoCo, kinematic",
-    "MuJoCo, rate loop",
-)
+PAPER, EXTENDED = "equations (paper)", "equations with rate loop"
+KINEMATIC, VEHICLE = "MuJoCo, kinematic", "MuJoCo, rate loop"
+COMPARED = ((PAPER, KINEMATIC), (EXTENDED, VEHICLE), (PAPER, VEHICLE))  # two of the same model, one across
+FEWEST = 10  # landings in both plants, for a comparison
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,21 +39,6 @@ class Comparison:
     distance: dict[str, float]  # Kolmogorov-Smirnov, of each quantity
     p: dict[str, float]
     final: float  # m, largest distance of the final positions of flights of equal length
-
-    def first_to_second(self) -> np.ndarray:
-        """Return (3,) 5 % quantile, median and 95 % quantile of the second's time minus the first's [s]."""
-        return np.quantile(self.steps * self.period, [0.05, 0.5, 0.95])
-
-    def statement(self) -> str:
-        """Return one sentence on the two samples."""
-        significant = [q for q in QUANTITIES if self.p[q] < ALPHA]
-        if not significant:
-            return (
-                f"{self.second} against {self.first}: no quantity differs between the two samples at the "
-                f"{ALPHA:.0%} level (Kolmogorov-Smirnov, smallest p = {number(min(self.p.values()))})."
-            )
-        parts = ", ".join(f"{q} (D = {self.distance[q]:.2f}, p = {number(self.p[q])})" for q in significant)
-        return f"{self.second} against {self.first}: the samples differ at the {ALPHA:.0%} level in {parts}."
 
 
 def fly(policy: Policy, starts: np.ndarray) -> dict[str, list[Flight]]:
@@ -80,14 +62,14 @@ def quantities(flights: list[Flight]) -> np.ndarray:
 
 
 def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
-    """Return the comparison of two plants; None when fewer than ten flights succeed in both."""
+    """Return the comparison of two plants; None when fewer than FEWEST flights succeed in both."""
     from scipy.stats import ks_2samp
 
     pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
     same = np.mean(
         [a.success == b.success and a.touched == b.touched for a, b in zip(flown[first], flown[second])]
     )
-    if len(pairs) < 10:
+    if len(pairs) < FEWEST:
         return None
     a, b = (quantities([pair[k] for pair in pairs]) for k in (0, 1))
     tests = [ks_2samp(a[:, k], b[:, k]) for k in range(len(QUANTITIES))]
@@ -123,8 +105,7 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
 def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
     """Return the section, and the flights by plant for its figure."""
     flown = fly(policy, starts)
-    twins = [compare(flown, PAPER, KINEMATIC), compare(flown, EXTENDED, VEHICLE)]
-    cross = compare(flown, PAPER, VEHICLE)
+    compared = [c for pair in COMPARED if (c := compare(flown, *pair)) is not None]
     rows, summary = [], {}
     for name, flights in flown.items():
         landed = [f for f in flights if f.success]
@@ -134,25 +115,21 @@ def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
         rows.append(
             (name, f"{len(landed)} of {len(flights)}", f"{share['count']} of {len(flights)}", *middle)
         )
-    compared = [c for c in twins if c is not None]
-    if len(compared) < len(twins) or cross is None:
+    if len(compared) < len(COMPARED):
         fewest = min(sum(f.success for f in fs) for fs in flown.values())
         found, tables = [WORDS.claim("closed_loop", "few", fewest)], []
         remarks = ["Too few landings for a comparison."]
     else:
-        found = claims(flown, compared)
-        remarks = [c.statement() for c in (*compared, cross)]
-        early, middle, late = cross.first_to_second()
-        remarks.append(
+        *twins, cross = compared
+        found = claims(flown, twins)
+        early, middle, late = np.quantile(cross.steps * cross.period, [0.05, 0.5, 0.95])
+        remarks = [
             f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
             f"90 % of the starts: {early:+.2f} to {late:+.2f} s). Another loop is another closed-loop "
             "flight: both reach the goal, by ways that differ."
-        )
-        tests = [
-            (q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in (*compared, cross)))
-            for q in QUANTITIES
         ]
-        heads = tuple(f"{c.second} – {c.first}" for c in (*compared, cross))
+        tests = [(q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in compared)) for q in QUANTITIES]
+        heads = tuple(f"{c.second} – {c.first}" for c in compared)
         tables = [
             Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
         ]
@@ -165,7 +142,7 @@ def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
         remarks=remarks,
         data={
             "plants": summary,
-            "comparisons": [dataclasses.asdict(c) for c in (*twins, cross) if c is not None],
+            "comparisons": [dataclasses.asdict(c) for c in compared],
         },
     )
     return part, flown

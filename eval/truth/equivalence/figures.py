@@ -35,9 +35,9 @@ def _name(axis: Axes, title: str, x: str, y: str = "", **limits) -> None:
     axis.set(title=title, xlabel=x, ylabel=y, **limits)
 
 
-@panels(3, 3.07, 4.0)
+@panels(2, 4.6, 4.0)
 def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]], *axes: Axes) -> None:
-    """Draw the position difference over 6 s, and of single steps."""
+    """Draw the position difference over 6 s in both modes."""
     t = vehicle.command_control_period * np.arange(1, len(drawn["kinematic"][1].position) + 1)
     for axis, (attitude, (_, flight)) in zip(axes, drawn.items()):
         for k, label in enumerate(flight.labels):
@@ -49,17 +49,9 @@ def levels(vehicle: Vehicle, drawn: dict[Attitude, tuple[Gaps, Gaps]], *axes: Ax
         axis.axhline(limit, color=INK, lw=1, ls=":")
         axis.annotate("tolerance", (6, limit), ha="right", va="bottom", fontsize=8)
         _name(axis, _MODES[attitude], "time [s]", xlim=(0, 6), ylim=(1e-11, 1e-3))
-    axes[0].set_ylabel("largest position difference [m]")
-    for axis in axes[:2]:
         axis.plot([], [], color=MUTED, lw=1.4, ls="--", label="the same in 2-D")
         legend_below(axis)
-    edges = np.logspace(-15, -7, 49)
-    for (attitude, (step, _)), colour in zip(drawn.items(), (BLUE, ORANGE)):
-        sizes = np.clip(step.position.ravel(), 1.1e-15, None)
-        look: dict[str, Any] = {"color": colour, "alpha": 0.65, "label": attitude.replace("_", " ")}
-        axes[2].hist(sizes, edges, weights=np.full(sizes.size, 100 / sizes.size), **look)
-    _name(axes[2], "One control step", "position difference [m]", "share of states [%]", xscale="log")
-    legend_below(axes[2])
+    axes[0].set_ylabel("largest position difference [m]")
 
 
 @panels(2, 4.6, 4.0)

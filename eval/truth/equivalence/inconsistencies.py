@@ -7,6 +7,7 @@ the paper's equations.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -79,11 +80,6 @@ class Drag:
     error: float  # m/s2, rms of the difference
     apart: np.ndarray  # (steps,) m, median distance over time under the same commands
 
-    @property
-    def share(self) -> float:
-        """Return the error as a share of the drag."""
-        return self.error / self.paper
-
 
 def drag(v: Vehicle, sequences: Sequences) -> Drag:
     """Return the drag comparison along flights of the paper's equations under planar `sequences`."""
@@ -104,23 +100,19 @@ def drag(v: Vehicle, sequences: Sequences) -> Drag:
     )
 
 
-def printed_rotation(roll, pitch, yaw) -> np.ndarray:
-    """Return the rotation (3, 3), last term of (2,3) positive, as printed, the other misprint corrected."""
-    matrix = rotation(roll, pitch, yaw)
-    matrix[1, 2] += 2 * np.cos(yaw) * np.sin(roll) * np.cos(pitch)
-    return matrix
-
-
 def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
-    """Return the largest entry of |R'R - 1| and relative change of thrust over the commanded attitudes."""
+    """Return the largest entry of |R'R - 1| and relative change of thrust over the commanded attitudes.
+
+    printed: with the last term of (2,3) positive, as printed, the other misprint corrected.
+    """
     defect = stretch = 0.0
     angles = np.linspace(-v.command_angle_limit, v.command_angle_limit, 9)
-    for roll in angles:
-        for pitch in angles:
-            for yaw in np.linspace(-np.pi, np.pi, 17):
-                matrix = (printed_rotation if printed else rotation)(roll, pitch, yaw)
-                defect = max(defect, np.abs(matrix.T @ matrix - np.eye(3)).max())
-                stretch = max(stretch, abs(np.linalg.norm(matrix[:, 2]) - 1))
+    for roll, pitch, yaw in itertools.product(angles, angles, np.linspace(-np.pi, np.pi, 17)):
+        matrix = rotation(roll, pitch, yaw)
+        if printed:
+            matrix[1, 2] += 2 * np.cos(yaw) * np.sin(roll) * np.cos(pitch)
+        defect = max(defect, np.abs(matrix.T @ matrix - np.eye(3)).max())
+        stretch = max(stretch, abs(np.linalg.norm(matrix[:, 2]) - 1))
     return float(defect), float(stretch)
 
 
@@ -130,6 +122,7 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
     needed = v.hover_pwm / flight
     found = drag(v, sequences)
+    share = found.error / found.paper
     weight = v.body_mass * g
     speed = rotor_speed_sum(weight, pack(v)[0])
     excess = code_rotor_speed(weight, v) / speed - 1
@@ -152,7 +145,7 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
         "explained": 100 * (1 - factor) / (1 - needed),
         "drag": found,
         "family": sequences.family,
-        "share": 100 * found.share,
+        "share": 100 * share,
         "after_2": number(after[2.0]),
         "after_6": number(after[6.0]),
         "speed": number(speed),
@@ -170,7 +163,7 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
         "static_hover": v.static_hover_pwm / static,
         "corrected": sound,
         "printed": defect,
-        "drag": found.share,
+        "drag": share,
         "factor_four": excess,
     }
     rows = [tuple(cell.format(**filling) for cell in row) for row in WORDS.tables["inconsistencies"]["rows"]]

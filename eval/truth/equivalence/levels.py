@@ -127,47 +127,43 @@ def one_step(plant, commands: np.ndarray, starts: np.ndarray, flown: np.ndarray)
     return landed
 
 
-def claims(attitude: Attitude, found: dict[str, float], count: int, step: Gaps, flight: Gaps) -> list[Claim]:
-    """Return the claims of the three levels; found: accelerations; flights are claimed by family."""
-    mode = attitude.replace("_", " ")
-    where = f"{mode}, {count} random states"
-    result = [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
-    largest = float(step.position.max()), float(step.angle.max())
-    for level, label, *gaps in [("step", "", *largest), *(("flight", *g) for g in flight.by_group())]:
-        for quantity, gap in zip(("position", "angle"), gaps):
-            key = f"{level}_{attitude}_{quantity}"
-            result.append(WORDS.claim("levels", key, gap, mode=mode, label=label))
-    return result
-
-
 def measure(
     vehicle: Vehicle, attitude: Attitude, sequences: list[Sequences], count: int, seed: int
-) -> tuple[list[Claim], np.ndarray, tuple[Gaps, Gaps]]:
-    """Return the claims, the flights (steps, n, 13) of the equations, and the gaps of steps and flights."""
+) -> tuple[list[Claim], np.ndarray, np.ndarray, tuple[Gaps, Gaps]]:
+    """Return the claims of the three levels, the flights, and the gaps of single steps and of flights.
+
+    The flights (steps, n, 13) are those of the equations and of the engine; they are claimed by family.
+    """
     commands, starts = flying.side_by_side(vehicle, sequences)
-    n = len(starts)
+    n, mode = len(starts), attitude.replace("_", " ")
     found = accelerations(vehicle, attitude, count, seed)
     flown = flying.fly(equations(n, attitude, vehicle=vehicle), commands, starts)
     stepped = one_step(engine(n, attitude, vehicle), commands, starts, flown)
     landed = flying.fly(engine(n, attitude, vehicle), commands, starts)
     step, flight = Gaps.of(sequences, stepped, flown), Gaps.of(sequences, landed, flown)
-    return claims(attitude, found, count, step, flight), flown, (step, flight)
+    where = f"{mode}, {count} random states"
+    claims = [WORDS.claim("levels", key, value, where=where) for key, value in found.items()]
+    largest = float(step.position.max()), float(step.angle.max())
+    for level, label, *gaps in [("step", "", *largest), *(("flight", *g) for g in flight.by_group())]:
+        for quantity, gap in zip(("position", "angle"), gaps):
+            key = f"{level}_{attitude}_{quantity}"
+            claims.append(WORDS.claim("levels", key, gap, mode=mode, label=label))
+    return claims, flown, landed, (step, flight)
 
 
 def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> tuple[Section, dict]:
     """Return the section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
-    kinematic, slow, drawn = measure(vehicle, "kinematic", sequences, count, seed)
+    kinematic, slow, landed, drawn = measure(vehicle, "kinematic", sequences, count, seed)
     coarse = flying.fly(equations(n, "kinematic", PAPER_SUBSTEPS, vehicle), commands, starts)
-    landed = flying.fly(engine(n, "kinematic", vehicle), commands, starts)
     kinematic.append(WORDS.claim("levels", "paper_step", float(position_gap(landed, coarse).max())))
     mass = next(c for c in constants() if (c.section, c.name) == ("body", "mass"))
     uncertain = float(np.asarray(mass.uncertainty))
     scale = 1 + uncertain / vehicle.body_mass
     heavier = flying.fly(equations(n, "kinematic", vehicle=vehicle), commands, starts, mass_scale=scale)
     metres = float(np.median(position_gap(heavier, slow)[-1]))
-    rate_loop, flown, looped = measure(vehicle, "rate_loop", sequences, count, seed)
+    rate_loop, flown, _, looped = measure(vehicle, "rate_loop", sequences, count, seed)
     gaps = {"kinematic": drawn, "rate_loop": looped}
     rows = [
         (attitude.replace("_", " "), label, p, s, a)

@@ -3,10 +3,7 @@
 import errno
 import json
 import os
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -117,31 +114,6 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
     assert bits(tmp_path / "run") == bits(reference)
     assert not (tmp_path / "run" / "parts").exists()
     assert cli.main(["landings", str(study), "--out", str(tmp_path / "run"), "--resume"]) == 0
-
-
-@pytest.mark.slow
-def test_kill_9_and_resume(study, tmp_path, reference):
-    code = (
-        "import sys; from inclined_landing.eval.landings import command; import pathlib, time\n"
-        "command.CHUNK, real = 10, command.pool.completed\n"
-        "def slow(*a):\n"
-        "    for item in real(*a): yield item; time.sleep(1)\n"
-        "command.pool.completed = slow\n"
-        "command.command(sys.argv[1], pathlib.Path(sys.argv[2]))"
-    )
-    out = tmp_path / "run"
-    process = subprocess.Popen([sys.executable, "-c", code, str(study), str(out)], stderr=subprocess.DEVNULL)
-    try:
-        until = time.monotonic() + 60
-        while not list(out.glob("parts/[0-9]*.parquet")) and time.monotonic() < until:
-            time.sleep(0.02)
-            assert process.poll() is None
-    finally:
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-    assert not (out / "results.parquet").exists()
-    assert cli.main(["landings", str(study), "--out", str(out), "--resume"]) == 0
-    assert bits(out) == bits(reference)
 
 
 BAD = [
