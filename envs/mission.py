@@ -53,7 +53,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class MissionPlan:
     """Policies of a mission, and the conditions of the hand-over to the landing policy.
 
     Raises UserError for policies that do not go together and for a point too close to the platform.
@@ -174,7 +174,7 @@ class Leg:
 class Mission(Track):
     """One mission as flown."""
 
-    plan: Plan
+    plan: MissionPlan
     leg: np.ndarray  # (T,) index into LEGS: who commands from t[k] on
     legs: tuple[Leg, ...]  # those that were flown
     end: str  # of ENDS
@@ -215,7 +215,7 @@ def _without_limit(vehicle: Vehicle) -> Vehicle:
 
 
 def fly_missions(
-    plan: Plan, starts: np.ndarray, on_progress: Callable[[int], None] = lambda count: None
+    plan: MissionPlan, starts: np.ndarray, on_progress: Callable[[int], None] = lambda count: None
 ) -> list[Mission]:
     """Fly a mission from hover at each of starts (n, 3) [m], all at once in MuJoCo (RK4, 4 ms); return them.
 
@@ -234,7 +234,7 @@ def fly_missions(
 class _MissionBatch:
     """Missions in flight: n vehicles of one plant, each in its own leg."""
 
-    def __init__(self, plan: Plan, states: np.ndarray):
+    def __init__(self, plan: MissionPlan, states: np.ndarray):
         n = len(states)
         everyone = np.arange(n)
         self.plan, self.plant = plan, MujocoPlant(n, plan.vehicle)

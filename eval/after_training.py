@@ -54,8 +54,8 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
 
     final = load(folder / "final.zip")
     task = final.task
-    with ThreadPoolExecutor(1) as beside:  # of the table, whose time is the engine's
-        pictures = beside.submit(_draw, folder, final, stages)
+    with ThreadPoolExecutor(1) as pool:  # of the table, whose time is the engine's
+        pictures = pool.submit(_draw, folder, final, stages)
         show = _TABLES.get(task.table, _success)(folder, metrics, load)
         for path in pictures.result():
             print(path)

@@ -108,7 +108,7 @@ def _push(now, state, inertia, torque, out):
         for k in range(3):
             out[i, k], out[i, 3 + k] = now[i, k], 0.0
         if torque:
-            r, own = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[i if each else 0]
+            r, diagonal = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[i if each else 0]
             for k in range(3):
                 for j in range(3):
-                    out[i, 3 + k] += r[k, j] * own[j] * now[i, 3 + j]
+                    out[i, 3 + k] += r[k, j] * diagonal[j] * now[i, 3 + j]

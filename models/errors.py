@@ -34,9 +34,9 @@ class UserError(ValueError):
     """
 
     def __init__(self, sentence: str):
-        words = re.sub(LONG_WORD, lambda word: shown(word[0]), sentence)
-        words = re.sub(LONG_PATH, lambda path: shown(path[0], 160), words)
-        super().__init__(shown(words, LONGEST))
+        shortened = re.sub(LONG_WORD, lambda word: shown(word[0]), sentence)
+        shortened = re.sub(LONG_PATH, lambda path: shown(path[0], 160), shortened)
+        super().__init__(shown(shortened, LONGEST))
 
 
 @contextlib.contextmanager
@@ -57,13 +57,13 @@ def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
     return f"{package} is not installed; pip install 'inclined-landing[{extra}]'"
 
 
-def choices(names: Iterable[str], given: str) -> str:
-    """What may be named, as the end of a sentence: all, or of many those nearest to `given`."""
+def choices(names: Iterable[str], wanted: str) -> str:
+    """What may be named, as the end of a sentence: all, or of many those nearest to `wanted`."""
     names = list(names)
     every = f"known are {', '.join(names)}"
     if len(every) <= LONGEST_LIST:
         return every
-    near = difflib.get_close_matches(given, names, 3, 0.5) or names[:3]
+    near = difflib.get_close_matches(wanted, names, 3, 0.5) or names[:3]
     return f"known are {len(names)}, such as {', '.join(near)}"
 
 

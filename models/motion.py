@@ -59,8 +59,8 @@ class Motion:
         n, waves = len(self), self.amplitude.shape[-1] if self.amplitude.ndim else 0
         shapes = {"velocity": (n, 3)} | dict.fromkeys(("amplitude", "frequency", "phase"), (n, 6, waves))
         for name, shape in shapes.items():
-            if (own := getattr(self, name).shape) != shape:
-                raise UserError(f"a motion's {name} must have shape {shape}, not {own}")
+            if (found := getattr(self, name).shape) != shape:
+                raise UserError(f"a motion's {name} must have shape {shape}, not {found}")
         if (np.abs(self.amplitude[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
             raise UserError(f"a platform rolls by {_LARGEST_ROLL} rad at most, its waves together")
 
@@ -85,13 +85,13 @@ class Motion:
 
     def __setitem__(self, ids, motion: Motion) -> None:
         """Give the platforms `ids` (k,) the k motions, however many waves these have."""
-        own, given = self.amplitude.shape[2], motion.amplitude.shape[2]
+        here, there = self.amplitude.shape[2], motion.amplitude.shape[2]
         self.velocity[ids] = motion.velocity
         for name in ("amplitude", "frequency", "phase"):
-            if given > own:
-                setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, given - own))))
+            if there > here:
+                setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, there - here))))
             waves = getattr(self, name)
-            waves[ids, :, :given], waves[ids, :, given:] = getattr(motion, name), 0.0
+            waves[ids, :, :there], waves[ids, :, there:] = getattr(motion, name), 0.0
 
     @property
     def arrays(self) -> Waves:

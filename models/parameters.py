@@ -95,8 +95,10 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     if based_on is not None and based_on not in vehicle_names():
         names = ", ".join(vehicle_names())
         raise UserError(f"{what}: {_BASED_ON} can be {names}, not {shown(repr(based_on), 40)}")
-    given = schema.parse(tables, dict[str, dict[str, Entry]], f"{what}: ")
-    found = {f"{section}.{name}": entry for section, table in given.items() for name, entry in table.items()}
+    tables_read = schema.parse(tables, dict[str, dict[str, Entry]], f"{what}: ")
+    found = {
+        f"{section}.{name}": entry for section, table in tables_read.items() for name, entry in table.items()
+    }
     known = {c.label for c in shipped.values()}
     if unknown := [label for label in found if label not in known]:
         raise UserError(f"{what} has unknown entries: {_first(unknown)}")

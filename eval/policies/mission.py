@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
-from inclined_landing.envs.mission import ENDS, HAND_OVER, LANDING, LEGS, Mission, Plan, fly_missions
+from inclined_landing.envs.mission import ENDS, HAND_OVER, LANDING, LEGS, Mission, MissionPlan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.rendering import check_picture_options
 from inclined_landing.envs.shared import runs
@@ -131,7 +131,7 @@ def command(
     print(storage.to_json(report)) if json else show(report)
 
 
-def fly_with_progress(plan: Plan, starts: np.ndarray) -> list[Mission]:
+def fly_with_progress(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
     """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate where they take long.
 
     The estimate is made after the first second of flight, for missions of `TYPICAL` length.
@@ -154,7 +154,7 @@ def fly_with_progress(plan: Plan, starts: np.ndarray) -> list[Mission]:
 
 def make_plan(
     policies: tuple[str, str, str], hand_overs: HandOver, inclination: float | None, vehicle: Path | None
-) -> Plan:
+) -> MissionPlan:
     """Return the plan of the options. Raises UserError for invalid ones."""
     loaded = load_vehicle(vehicle) if vehicle is not None else None
     slope = None if inclination is None else math.radians(inclination)
@@ -162,7 +162,7 @@ def make_plan(
         (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
     x, z = _point(hand_overs.hand_over, "hand-over", "X,Z")
-    return Plan(
+    return MissionPlan(
         load_policy(setpoint, "setpoint", vehicle=loaded),
         load_policy(landing, vehicle=loaded, inclination=slope),
         load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
@@ -243,7 +243,7 @@ def _leg_statistics(missions: Sequence[Mission], name: str) -> dict[str, Any]:
     }
 
 
-def _hand_over_errors(missions: Sequence[Mission], plan: Plan) -> dict[str, Any]:
+def _hand_over_errors(missions: Sequence[Mission], plan: MissionPlan) -> dict[str, Any]:
     """Return the errors of position and speed at the hand-over to the landing policy."""
     states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.find_leg("landing")])
     states = states.reshape(-1, STATE_SIZE)

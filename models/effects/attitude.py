@@ -32,8 +32,8 @@ def _yaw_loop(vehicle, values):
 def _level(vehicle, values):
     tilt = [values.get(name, 0.0) for name in ("roll", "pitch")]
     shown = (old + new for old, new in zip(vehicle.effects_mocap_tilt, tilt))
-    held = (old - new / vehicle.attitude_gain for old, new in zip(vehicle.effects_attitude_trim, tilt))
-    return vehicle.changed(effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(held))
+    trim = (old - new / vehicle.attitude_gain for old, new in zip(vehicle.effects_attitude_trim, tilt))
+    return vehicle.changed(effects_mocap_tilt=tuple(shown), effects_attitude_trim=tuple(trim))
 
 
 def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:

@@ -7,14 +7,14 @@ import pytest
 
 from inclined_landing.envs import hover
 from inclined_landing.envs.hover import Trim
-from inclined_landing.envs.mission import APPROACH, CLIMB, LANDING, LEGS, Plan, fly_missions
+from inclined_landing.envs.mission import APPROACH, CLIMB, LANDING, LEGS, MissionPlan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.attitude import VX, VZ, YAW, Y
 from inclined_landing.models.errors import UserError
 
 POLICIES = [load_policy(name) for name in ("setpoint", "landing", "touchdown-nominal")]
-PLAN = Plan(*POLICIES)
+PLAN = MissionPlan(*POLICIES)
 N = 20
 
 
@@ -72,7 +72,9 @@ def test_roll_holds_the_plane_and_drifts_without():
     """A loose box hands over beside the plane and on the move."""
     loose = {"near": 0.3, "slow": 1.0, "dwell": 0.0}
     starts = np.array([[-1.0, 1.2, 1.8], [-1.0, -1.2, 1.8]])
-    held, drifted = (fly_missions(Plan(*POLICIES, **loose, hold=hold), starts) for hold in (True, False))
+    held, drifted = (
+        fly_missions(MissionPlan(*POLICIES, **loose, hold=hold), starts) for hold in (True, False)
+    )
     for one, other in zip(held, drifted):
         assert one.find_leg("approach").duration == other.find_leg("approach").duration
         assert abs(one.state[-1, Y]) < 0.05 < abs(other.state[-1, Y])
@@ -96,7 +98,7 @@ class Leaning:
 
 def test_a_landing_in_three_dimensions_commands_its_own_roll():
     leaning = Leaning()
-    mission = fly_missions(Plan(POLICIES[0], leaning, POLICIES[2]), PLAN.point)[0]
+    mission = fly_missions(MissionPlan(POLICIES[0], leaning, POLICIES[2]), PLAN.point)[0]
     assert mission.legs[0].name == "landing" and not mission.success
     own = mission.commands[mission.leg == LANDING]
     for channel in leaning.task.channels:
@@ -119,7 +121,7 @@ def test_trim_holds_what_sinks():
 def test_time_runs_out():
     """A vehicle too heavy for its policies never gets to the hand-over point."""
     heavy = dataclasses.replace(PLAN.vehicle, body_mass=1.6 * PLAN.vehicle.body_mass)
-    plan = Plan(*(load_policy(name, vehicle=heavy) for name in ("setpoint", "landing", "touchdown")))
+    plan = MissionPlan(*(load_policy(name, vehicle=heavy) for name in ("setpoint", "landing", "touchdown")))
     mission = fly_missions(plan, np.array([[-1.0, 0.0, 1.5]]))[0]
     assert not mission.success and mission.end in ("time limit", "fell to the floor")
     assert mission.legs[-1].name in ("climb", "approach") and not mission.legs[-1].done
@@ -136,22 +138,22 @@ def test_no_mission_begins_in_the_platform_under_it_or_outside(start):
 def test_policies_must_go_together():
     setpoint, landing, touchdown = POLICIES
     with pytest.raises(UserError, match="the landing policy touchdown-nominal is for the task touchdown"):
-        Plan(setpoint, touchdown, touchdown)
+        MissionPlan(setpoint, touchdown, touchdown)
     with pytest.raises(UserError, match="the setpoint policy landing is for the task landing"):
-        Plan(landing, landing, touchdown)
+        MissionPlan(landing, landing, touchdown)
     with pytest.raises(UserError, match="the touchdown policy landing is for the task landing"):
-        Plan(setpoint, landing, landing)
+        MissionPlan(setpoint, landing, landing)
     with pytest.raises(UserError, match=r"landing policy for one of 20\.0 deg, touchdown policy for 25\.7"):
-        Plan(setpoint, load_policy("landing-nominal", inclination=np.radians(-20.0)), touchdown)
+        MissionPlan(setpoint, load_policy("landing-nominal", inclination=np.radians(-20.0)), touchdown)
     heavy = PLAN.vehicle.changed(body_mass=0.04)
     with pytest.raises(
         UserError, match="landing policy landing-nominal is for another vehicle than the last"
     ):
-        Plan(setpoint, load_policy("landing-nominal", vehicle=heavy), touchdown)
+        MissionPlan(setpoint, load_policy("landing-nominal", vehicle=heavy), touchdown)
     turned = Leaning()
     turned.task = make_task("landing", dimensions=3, azimuth=1.0)
     with pytest.raises(UserError, match="for different slopes"):
-        Plan(setpoint, turned, touchdown)
+        MissionPlan(setpoint, turned, touchdown)
     for point in ((0.0, 1.4), (5.0, 1.8), (0.0, 2.3)):
         with pytest.raises(UserError, match="hand-over point must lie above the platform"):
-            Plan(*POLICIES, hand_over=point)
+            MissionPlan(*POLICIES, hand_over=point)

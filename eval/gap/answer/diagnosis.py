@@ -90,7 +90,7 @@ def diagnose(
 
     Raises UserError when no flight can be used.
     """
-    clock = _Clock()
+    clock = _Stopwatch()
     notes: list[str] = []
     flights, heldout, vehicle = as_logs(flights), as_logs(heldout), as_vehicle(vehicle)
     if platform is None:
@@ -169,7 +169,7 @@ def _search(
     reference: VehiclePosterior | None,
     platform: bool,
     notes: list[str],
-    clock: _Clock,
+    clock: _Stopwatch,
 ) -> _Searched:
     """Return the posterior of the sets of effects; in a strong wind the attitude loops are not judged."""
     fitted = prepare_all(flights, vehicle, platform, notes)
@@ -338,7 +338,7 @@ def _contact_result(
     return _ContactResult(after, test, effects, where, named, remaining)
 
 
-class _Clock:
+class _Stopwatch:
     """Wall time by stage."""
 
     def __init__(self):
