@@ -31,10 +31,15 @@ class OnboardPositioning:
     """The vehicle's own position in the place of motion capture."""
 
     at: tuple[float, float] | None  # x, y where it stands, m; None: unknown
+    stated: bool  # by somebody: where it stands, or its heading
 
     def start(self, radio: Radio, plan: FlightPlan) -> MotionCapture:
         """Return what the connected vehicle says. Raises UserError where it cannot, or not on this flight."""
         deck = positions.find_deck(radio.crazyflie.param.get_value)
+        if deck != positions.FLOW and self.stated:
+            raise UserError(
+                "a Lighthouse knows where the vehicle stands: --at and --heading are of a Flow deck"
+            )
         free = isinstance(plan.landing, PlannedFlight) and not plan.landing.present
         if deck == positions.FLOW and not free:
             raise UserError(

@@ -150,7 +150,8 @@ class VehicleOptions:
         """Return how the vehicle positions itself, at a place by default; None with motion capture."""
         if self.position == "mocap":
             return None
-        return OnboardPositioning(at if self.at is None else parse_start(self.at, "--at"))
+        place = at if self.at is None else parse_start(self.at, "--at")
+        return OnboardPositioning(place, self.at is not None or self.heading is not None)
 
     def connection(self) -> Connection:
         """Return the way to the vehicle. Raises UserError where there is none."""
@@ -199,6 +200,11 @@ class SimulationOptions:
         _reject("of a real vehicle", **stated, stand=real.stand, heading=heading)
         if mocap:
             _reject("of --position onboard", deck=self.deck)
+        for text in () if mocap else self.fault:
+            if text.startswith(("mocap-", "marker-", "attitude-turned")):
+                raise UserError(
+                    f"the fault {shown(text, 40)} is of motion capture, which --position onboard has not"
+                )
         angle = None if flight.inclination is None else math.radians(flight.inclination)
         setting = Setting(
             named_vehicle(self.vehicle or "nominal"),
