@@ -111,7 +111,7 @@ def test_every_command_has_its_line():
 def test_numbers_are_never_wrapped(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     table = new_table(
-        "A title", "policy", "slopes", "strict [%]", "success [%]", "time to the goal [s]", left=2
+        "A title", "policy", "slopes", "strict [%]", "success [%]", "time to the goal [s]", labels=2
     )
     cells = ("99.6 [97.8, 99.9]", "98.4 [96.0, 99.4]", "1.72 (0.83 to 2.32)")
     table.add_row("landing", "on every slope that it knows", *cells)

@@ -16,6 +16,7 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 V = load_vehicle()
 HEAVY = dataclasses.replace(V, body_mass=1.1 * V.body_mass)
 NO_VEHICLE = {
+    "benchmark",
     "demo",
     "export",
     "curves",

@@ -185,7 +185,7 @@ def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
         ({"commands": ["landing-train --help"]}, [], "--help is no command"),
         ({"variants": {"a": "", "b": "--gamma"}}, [], "--gamma"),
         ({"commands": ["landing-eval sucess x"]}, [], "sucess is no command"),
-        ({"commands": ["landing-eval success"]}, [], "POLICY"),
+        ({"commands": ["landing-eval touchdown"]}, [], "POLICY"),
         ({"commands": ["rm -r {out}"]}, [], "a command line begins with landing-train or landing-eval"),
         ({"commands": ["landing-train 'landing"]}, [], "quotation"),
         ({"commands": ["landing-train landing --seed {sed}"]}, [], "{sed} is no name of landing-train"),
