@@ -10,7 +10,7 @@ drop at REFERENCE_SPEED back with the wanted share of its speed after the wanted
 the engine's direct format, (-stiffness, -damping).
 
 Measured by drop tests of this vehicle on four feet, RK4 at 4 ms, eight phases of the touch within a step
-(`landing-eval validate contact` repeats them). At the reference speed:
+(`landing-eval contact` repeats them). At the reference speed:
 
 - restitutions from 0.1 are met within 0.02 on average (0.04 at the shortest contact time), with a scatter
   of 0.02 to 0.05 by the phase of the touch, half of it at 2 ms;

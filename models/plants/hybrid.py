@@ -1,7 +1,7 @@
 """The MuJoCo vehicle as a plant whose vehicles fly by the equations while nothing is within their reach.
 
 In the air an engine's step is the equations of `equations.py` with the rate loop, which agree with it to
-3.4e-5 m over 6 s (`landing-eval validate equivalence`) and cost a fraction of it. So each period is first
+3.4e-5 m over 6 s (`landing-eval equivalence`) and cost a fraction of it. So each period is first
 flown by the equations, RK4 in the engine's time steps, and accepted if the vehicle was out of reach of slab,
 base and floor at every one of them; otherwise the engine flies it from its beginning.
 
