@@ -70,7 +70,7 @@ COMMANDS = {
         "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",
     ),
     "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
-    "benchmark": ("machine", "What a step, an action and a training cost here (under a minute)."),
+    "benchmark": ("machine", "What a step, an action and a training cost here (about a minute)."),
     "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
 }
 GROUPS = {

@@ -310,7 +310,10 @@ def test_commands_end_with_the_sweep(number, place):
         "jobs.PROGRAMS = dict.fromkeys(jobs.PROGRAMS, 'pretended')\n"
         "sys.exit(cli.main(['sweep', 'pretended.toml', '--jobs', '2']))"
     )
-    process = subprocess.Popen([sys.executable, "-c", code])
+    # A test run that was started in the background ignores SIGINT, and so would what it starts.
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    )
     logs = [Path("runs/pretended/steps", name) for name in ("a-5.log", "b-5.log")]
     until = time.monotonic() + 60
     while not all(log.exists() and log.read_text() for log in logs):
