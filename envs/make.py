@@ -11,7 +11,7 @@ from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
-from inclined_landing.models.plants import PLANTS, make_plant
+from inclined_landing.models.plants import check_plant, make_plant
 from inclined_landing.models.vehicle import Vehicle
 
 MOST_VEHICLES = 100_000  # of one environment
@@ -38,8 +38,7 @@ def make_batch(
             f"num_envs must be a whole number from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}"
         )
     vehicle = as_vehicle(vehicle)
-    if not isinstance(plant, str) or plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(repr(plant), 40)}; known are {', '.join(PLANTS)}")
+    check_plant(plant)
     plant_options = {} if plant_options is None else plant_options
     if not isinstance(plant_options, dict):
         raise UserError(f"plant_options must be a dictionary, not {shown(repr(plant_options), 40)}")

@@ -65,10 +65,9 @@ class Flown:
         from inclined_landing.envs.policy import load_policy
         from inclined_landing.envs.tasks import import_task, is_path
         from inclined_landing.models.parameters import load_vehicle
-        from inclined_landing.models.plants import PLANTS
+        from inclined_landing.models.plants import check_plant
 
-        if self.plant not in PLANTS:
-            raise UserError(f"unknown plant {self.plant!r}; known are {', '.join(PLANTS)}")
+        check_plant(self.plant)
         vehicle = load_vehicle(self.vehicle) if self.vehicle is not None else None
         angle = None if self.inclination is None else math.radians(self.inclination)
         if angle is not None:

@@ -21,9 +21,9 @@ from inclined_landing.eval.policies.moving.scenario import read_scenario, shippe
 from inclined_landing.eval.policies.study import Study, write_studies
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import PLANTS
+from inclined_landing.models.plants import check_plant
 from inclined_landing.models.vehicle import Vehicle
 
 # Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
@@ -132,8 +132,7 @@ def command(
     over, vehicle, film = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle)), moving_platforms.film
     _check(policies, over, vehicle)
     changes.check_effects(thrust_and_effects.effect)
-    if plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(plant, 40)!r}; known are {', '.join(PLANTS)}")
+    check_plant(plant)
     if out is not None:
         runs.check_new_run(out)
     if film is not None:

@@ -29,6 +29,7 @@ from inclined_landing.eval.replay.recording import Recording, from_flight
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants import check_plant
 from inclined_landing.models.vehicle import Vehicle
 
 Sources = Annotated[
@@ -75,7 +76,8 @@ def command(
         raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
     check_random_starts(drawn, start)
-    plant, vehicle, units = _plant(flown), _vehicle(flown), parse_units(unit)
+    check_plant(flown.plant)
+    plant, vehicle, units = flown.plant, _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
     if (start or drawn) and not policies:
         raise UserError(
@@ -145,15 +147,6 @@ def _record(name: str, policy: Policy, where: Start, plant: str) -> list[Recordi
         named = f"{shown(name, 60)} from {policy.task.start_words(flight.state[0])}"
         recordings.append(from_flight(flight, named, plant))
     return recordings
-
-
-def _plant(flown: Flown) -> str:
-    """Return the plant of a log's simulation; raise UserError for an unknown one."""
-    from inclined_landing.models.plants import PLANTS
-
-    if flown.plant not in PLANTS:
-        raise UserError(f"unknown plant {shown(flown.plant, 40)!r}; known are {', '.join(PLANTS)}")
-    return flown.plant
 
 
 def _vehicle(flown: Flown) -> Vehicle:

@@ -49,16 +49,22 @@ __all__ = [
     "MujocoPlant",
     "Plant",
     "Snapshot",
+    "check_plant",
     "make_plant",
 ]
 
 PLANTS = {"mujoco": MujocoPlant, "hybrid": HybridPlant, "analytic": AnalyticPlant}
 
 
-def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
-    """Return a plant by name, one of PLANTS; raises UserError for options that it has not."""
+def check_plant(kind: str) -> None:
+    """Raise UserError unless `kind` is one of PLANTS."""
     if not isinstance(kind, str) or kind not in PLANTS:
         raise UserError(f"unknown plant {shown(repr(kind), 40)}; known are {', '.join(PLANTS)}")
+
+
+def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
+    """Return a plant by name, one of PLANTS; raises UserError for options that it has not."""
+    check_plant(kind)
     if kind == "analytic" and options.pop("moving", False):
         raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
     parameters = inspect.signature(PLANTS[kind]).parameters.values()

@@ -278,6 +278,8 @@ def test_doctor_finds_a_missing_package(monkeypatch):
 
 def test_benchmark_rows(landing_policy, monkeypatch, capsys):
     monkeypatch.setattr(benchmark, "_REPEATS", 1)
+    monkeypatch.setattr(benchmark, "_BLOCK", 2)
+    monkeypatch.setattr(benchmark, "VEHICLES", 16)
     monkeypatch.setattr(benchmark, "_ACTIONS", 20)
     monkeypatch.setattr(benchmark, "_TRAINING_STEPS", 4096)
     assert cli.main(["benchmark", "--policy", str(landing_policy), "--json"]) == 0

@@ -24,7 +24,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.perturbation import neutral
-from inclined_landing.models.plants import PLANTS, MujocoPlant
+from inclined_landing.models.plants import MujocoPlant, check_plant
 from inclined_landing.models.vehicle import Vehicle
 
 HORIZON = 1.0  # s
@@ -155,8 +155,7 @@ def simulate(
     if perturbation is not None:
         state[:, :LAG] += perturbation
     ambient = starts.gather([f.ambient for f in starts.flights])
-    if plant not in PLANTS:
-        raise UserError(f"unknown plant {plant!r}; known are {', '.join(PLANTS)}")
+    check_plant(plant)
     if plant == "analytic":
         pose = _analytic(starts, vehicle, state, commands, ambient)
     else:
