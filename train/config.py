@@ -47,7 +47,7 @@ CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its tas
 NET_ARCH = (64, 64)
 
 
-# --- presets: what options are that nobody gives ----------------------------------------------------
+# --- presets: values of options that are not set -----------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)

@@ -178,7 +178,7 @@ def resolved(text: str) -> tuple[str, int]:
 class PoseStream:
     """A `MotionCapture` that listens on a UDP port. address: HOST:PORT to listen on, or a port.
 
-    Raises UserError where nobody may listen there.
+    Raises UserError where that address cannot be bound.
     """
 
     def __init__(self, address: str, clock: FlightClock):

@@ -109,7 +109,7 @@ class Sweep:
                         else:
                             parse(bound(look_up("find")(words[0])), f"{program} {words[0]}", words[1:])
                 except (UserError, KeyError, SystemExit) as error:
-                    why = error if isinstance(error, UserError) else f"{shown(words[0], 40)} is no command"
+                    why = error if isinstance(error, UserError) else f"unknown command {shown(words[0], 40)}"
                     raise UserError(f"{shown(line, 100)}: {why}") from error
 
     def run(self, on: str, address: str | None, at_once: int) -> int:

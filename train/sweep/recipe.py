@@ -86,5 +86,5 @@ def _check_names(texts: Iterable[str], known: Iterable[str]) -> None:
         for name in re.findall(r"\{([^{}]*)\}", text):
             if name not in known:
                 raise UserError(
-                    f"{{{shown(name, 40)}}} is no name of {shown(text, 80)}; {choices(known, name)}"
+                    f"unknown placeholder {{{shown(name, 40)}}} in {shown(text, 80)}; {choices(known, name)}"
                 )
