@@ -9,15 +9,11 @@ from typing import Literal
 
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.models import effects
 from inclined_landing.models.vehicle import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
-SURE = 0.9  # probability of a sure name; from development families
-POSSIBLE = 0.05  # probability of an effect that is listed as possible though not named
-# Share of the squared one-second error of a residual function that makes the verdict `unknown`: on
-# development families at most 0.036 where nothing, or one effect of the library, is hidden.
-MATERIAL = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +74,7 @@ class NamedEffect:
         sizes = [p for name, p in self.parameters.items() if name not in about]
         differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] for p in sizes)
         at_bound = any(p.at_bound for p in self.parameters.values())
-        return self.probability >= SURE and differs and not (at_bound or self.unresolved)
+        return self.probability >= thresholds.SURE and differs and not (at_bound or self.unresolved)
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""
@@ -140,7 +136,7 @@ class ResidualAnalysis:
         """Return whether a function explains a share MATERIAL of the squared error; yaw never does."""
         if one.channel == "yaw" or not math.isfinite(self.error):
             return one.channel != "yaw"
-        return one.displacement**2 >= MATERIAL * self.error**2
+        return one.displacement**2 >= thresholds.MATERIAL * self.error**2
 
     @property
     def unexplained(self) -> bool:
@@ -283,7 +279,7 @@ class Diagnosis:
             for name in set(one.effects) - named:
                 found[name] = found.get(name, 0.0) + one.probability
         likely = sorted(found.items(), key=lambda item: -item[1])
-        return {name: part for name, part in likely if part >= POSSIBLE}
+        return {name: part for name, part in likely if part >= thresholds.POSSIBLE}
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.before_after import (
     landing_gap,
     open_loop_errors,
@@ -64,9 +65,6 @@ from inclined_landing.models.equations import derivative
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
-
-FEW_FLIGHTS = 3
-STRONG_WIND = 0.05  # of the weight, drag of a wind in which the attitude loops are not judged
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
@@ -179,7 +177,7 @@ def _search(
     notes += [*_data_notes(problem), *unidentifiable]
     clock("prepare")
     found = sets.search(problem)
-    if problem.logged[:, 3:5].any() and _steady_force(problem, found.values) > STRONG_WIND:
+    if problem.logged[:, 3:5].any() and _steady_force(problem, found.values) > thresholds.STRONG_WIND:
         # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that
         # no formula of the library has: they would be named as changes of the loops.
         notes.append(
@@ -320,10 +318,10 @@ def _contact_result(
 ) -> _ContactResult:
     """Return the contact effects found from the landings of the flights."""
     landings = landings_of(flights, corrected)
-    if len(landings) < contact.LEAST_LANDINGS or not any(e.contact for e in library.values()):
+    if len(landings) < thresholds.LEAST_LANDINGS or not any(e.contact for e in library.values()):
         if landings:
             few = f"{len(landings)} touchdown{'s' * (len(landings) > 1)} only"
-            notes.append(f"{few}: contact effects need {contact.LEAST_LANDINGS}")
+            notes.append(f"{few}: contact effects need {thresholds.LEAST_LANDINGS}")
         return _ContactResult(corrected)
     problem, named = contact.contact_posterior(landings, corrected, library)
     effects = contact_effects(problem, named)
@@ -354,13 +352,13 @@ class _Stopwatch:
 def _data_notes(problem: Problem) -> list[str]:
     """Return notes on too few or too short flights."""
     n, notes = len(problem.flights), []
-    if n < FEW_FLIGHTS:
+    if n < thresholds.FEW_FLIGHTS:
         notes.append(
             f"{n} flight{'s' * (n > 1)} only: parts of a flight take the place of flights left out, and "
             "how far flights differ is a guess"
         )
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
-    if seconds < 20.0:
+    if seconds < thresholds.SHORT_FLIGHT:
         notes.append(f"{seconds:.0f} s of usable flight only: small effects cannot be seen")
     if not problem.logged[:, :2].any():
         notes.append("roll or pitch not logged: only the motion up and down can be judged")

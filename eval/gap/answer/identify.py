@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
@@ -49,10 +50,6 @@ from inclined_landing.models.vehicle import Vehicle
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
 PAPER["fit"] = 85.3
 FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
-UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which an effect is not identifiable
-ROUGH = 0.2  # above which it is poorly identified
-CONFOUNDED = 0.8  # posterior correlation above which two effects are confounded
-UNMET = 0.95  # posterior over prior standard deviation from which flights say nothing of an effect
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +155,7 @@ def identify(
     result = problem.corrected({n: v for n, v in values.items() if n not in places})
     reference, identifiable = _vehicle_posterior(problem, result, inflation, noise_model.size)
     for one in identifiable:
-        if one.share > UNIDENTIFIABLE:
+        if one.share > thresholds.UNIDENTIFIABLE:
             notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
     own = [problem.corrected(v) for v in leave_one_out(problem, local, frozenset(values), values)]
     test = judged or fitted
@@ -198,11 +195,12 @@ def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
     for name, own in columns.items():
         share = float(max(np.where(error[own] > 0.0, error[own] / wide[own], 1.0)))
         others = [
-            n for n, its in columns.items() if n != name and correlation[np.ix_(own, its)].max() > CONFOUNDED
+            n
+            for n, its in columns.items()
+            if n != name and correlation[np.ix_(own, its)].max() > thresholds.CORRELATED
         ]
-        result.append(
-            Identifiable(name, share, tuple(others) if share > ROUGH else (), LIBRARY[name].regimes)
-        )
+        confounded = tuple(others) if share > thresholds.ROUGH else ()
+        result.append(Identifiable(name, share, confounded, LIBRARY[name].regimes))
     return reference, tuple(sorted(result, key=lambda one: one.share))
 
 
@@ -298,7 +296,7 @@ def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarr
     # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
     # identification: theta = 0, and flights that meet it name it.
     prior = local.slab.diagonal() * local.unit**2
-    met = (known.diagonal() < UNMET**2 * prior) | [c.effect == BASE for c in columns]
+    met = (known.diagonal() < thresholds.UNMET**2 * prior) | [c.effect == BASE for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
     repeating = reference_residual(problem, residual)
     return VehiclePosterior(tuple(columns), mean, known, repeating, frozenset(free_effects()))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.result import (
     Disturbance,
@@ -23,17 +24,11 @@ from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.fit import dersimonian_laird
 from inclined_landing.eval.gap.search.posterior import EffectSet
 from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
-from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, SetPosterior, leave_one_out
+from inclined_landing.eval.gap.search.sets import SetPosterior, leave_one_out
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError, first_of
-
-NAMED = 0.75  # probability of an effect that is named; calibrated on development families
-RELEVANT = 0.03  # share of the squared error in a channel that an effect must explain to be named
-WORTH = 0.1  # share by which an error one second ahead grows without a named effect
-LIKELY = 0.03  # probability of an effect that counts as confounded with another
-CREDIBLE = 0.95  # probability of the sets in which confounded effects are searched
 
 
 def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
@@ -67,7 +62,9 @@ def _too_slow(flights: Sequence[str]) -> str:
 
 def probable_effects(found: SetPosterior) -> EffectSet:
     """Return the effects of the best set of probability >= NAMED, confounded ones added."""
-    return frozenset(n for n in found.names if found.probability(n, *confounded_with(found, n)) >= NAMED)
+    return frozenset(
+        n for n in found.names if found.probability(n, *confounded_with(found, n)) >= thresholds.NAMED
+    )
 
 
 def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[EffectSet], Values]) -> Values:
@@ -85,7 +82,7 @@ def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[Effect
         for name, lost in squared_error_increase(problem, found, values).items():
             shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
         least = min(shares, key=lambda name: shares[name], default="")
-        if not least or shares[least] >= RELEVANT:
+        if not least or shares[least] >= thresholds.RELEVANT:
             return values
         names -= {least}
 
@@ -97,7 +94,7 @@ def useful_values(
 
     Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
     where an effect acts on the attitude or on yaw. It is dropped where without it the first of these does not
-    grow, the others as they are, and none by WORTH with the others fitted again. All of `values` where no
+    grow, the others as they are, and none by USEFUL with the others fitted again. All of `values` where no
     stretch is so long. fit: values of a set of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
@@ -124,7 +121,7 @@ def useful_values(
             if errors(others)[first] <= here[first]:
                 without = fitted(rest)
                 growth = without[0][by[name]] / np.maximum(here[by[name]], 1e-12)
-                if growth.max() <= 1.0 + WORTH:
+                if growth.max() <= 1.0 + thresholds.USEFUL:
                     fewer.append((growth[0], without))
         if not fewer:
             break
@@ -147,13 +144,13 @@ def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[
     beside: dict[str, float] = defaultdict(float)  # and of sets with it
     covered = 0.0
     for one in found.sets:
-        if covered >= CREDIBLE:
+        if covered >= thresholds.CONFOUNDED_WITHIN:
             break
         covered += one.probability
         for other in one.names - found.names:
             (beside if name in one.names else alone)[other] += one.probability
     ranked = sorted(alone.items(), key=lambda item: -item[1])
-    return tuple(n for n, share in ranked if share > max(beside[n], LIKELY))
+    return tuple(n for n, share in ranked if share > max(beside[n], thresholds.CONFOUNDED))
 
 
 def squares_by_channel(problem: Problem, found: SetPosterior, values: Values) -> np.ndarray:
@@ -192,7 +189,7 @@ def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[st
                 ci95=(max(low, value - half), min(high, value + half)),
                 neutral=p.neutral,
                 bounds=p.bounds,
-                at_bound=bool(min(value - low, high - value) <= 1e-6 * (high - low)),
+                at_bound=bool(min(value - low, high - value) <= thresholds.AT_BOUND * (high - low)),
                 per_flight=tuple(map(float, value + known.deviation)),
                 per_flight_error=tuple(map(float, known.alone)),
                 spread=known.between,
@@ -222,7 +219,7 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
     effects = []
     for name, sized in found.sizes.items():
         members = (name, *confounded_with(found, name))
-        if found.probability(*members) < NAMED:
+        if found.probability(*members) < thresholds.NAMED:
             continue
         (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
         estimate = Estimate(
@@ -231,7 +228,7 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
             ci95=sized.ends,
             neutral=p.neutral,
             bounds=p.bounds,
-            at_bound=bool(min(sized.value - low, high - sized.value) <= 1e-6 * (high - low)),
+            at_bound=bool(min(sized.value - low, high - sized.value) <= thresholds.AT_BOUND * (high - low)),
             per_flight=tuple(map(float, sized.each)),
             per_flight_error=tuple(map(float, sized.error)),
             spread=dersimonian_laird(sized.each, sized.error),
@@ -254,4 +251,4 @@ def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[S
         for other in found.sets
     ]
     both.sort(key=lambda one: -one.probability)
-    return tuple(one for k, one in enumerate(both) if not k or one.probability >= LEAST_PROBABILITY)
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED)

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import savgol_filter
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
-from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
 from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.forces import AMBIENT_SIZE
@@ -98,7 +98,7 @@ class MeasuredFlight:
     @property
     def shows_lags(self) -> bool:
         """Return whether its sampling rate is high enough to distinguish lags and delays."""
-        return 1.0 / self.dt > 0.99 * LEAST_RATE
+        return 1.0 / self.dt > thresholds.LAG_RATE
 
     @property
     def yaw_rate_command(self) -> np.ndarray | None:

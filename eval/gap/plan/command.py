@@ -16,6 +16,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder, Seed, VehicleFile
 from inclined_landing.eval.base.style import save_figure, styled
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
 from inclined_landing.eval.gap.plan.picture import picture
@@ -46,12 +47,12 @@ def command(
     runs.check_new_run(out)
     plan_input = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
-    if best.probability >= words.DECIDED and not plan_input.vary:
+    if best.probability >= thresholds.DECIDED and not plan_input.vary:
         say(f"No flight is needed: {best.text} has a probability of {best.probability:.2f}.")
         return
     plan = _designed(plan_input, seconds, seed)
     confounded_lines = words.indistinguishable(plan.discrimination, plan.expected)
-    if plan.gain < words.LEAST_GAIN and not plan_input.vary:
+    if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
         say(words.competing_sets(plan.discrimination), *confounded_lines)
         say("No flight was planned: none within the safe space would tell these apart.")
         return

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.whitening import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
@@ -23,14 +24,13 @@ from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
 from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.sets import PRIOR_EMPTY, SetPosterior
+from inclined_landing.eval.gap.search.sets import SetPosterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.vehicle import Vehicle
 
 # Shares of the linear model's information over which gains are averaged: a real flight has less.
 INFORMATION_SHARES = (1.0, 0.1, 0.01)
-UNIDENTIFIABLE = 0.7  # posterior over prior standard deviation above which flights do not excite an effect
 DRAWS = 20  # Monte Carlo samples of every set
 
 
@@ -83,7 +83,7 @@ def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet
     Such an effect keeps its prior odds and a plausible size.
     """
     local, best = found.local, found.sets[0]
-    share = 1.0 - PRIOR_EMPTY ** (1.0 / len(problem.library))
+    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
     scored = {one.names for one in found.sets}
     result = []
     for name, effect in problem.library.items():
@@ -91,7 +91,8 @@ def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet
         own = local.index([name])
         if names in scored or effect.told_by or not len(own):
             continue
-        if local.standard_errors(names)[own[0]] < UNIDENTIFIABLE * np.sqrt(local.slab[own[0], own[0]]):
+        prior = np.sqrt(local.slab[own[0], own[0]])
+        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, most_informative_piece, probable_sets
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, set_hypotheses
 from inclined_landing.eval.gap.plan.pieces import Space
@@ -14,10 +15,7 @@ from inclined_landing.eval.gap.search.evidence import Problem
 from inclined_landing.eval.gap.search.sets import SetPosterior
 from inclined_landing.models.effects import LIBRARY
 
-DECIDED = 0.95  # probability of a set from which on no flight is needed
-LEAST_GAIN = 0.05  # nat, information gain of a flight that is worth flying
 SHOWN_ABOVE = 0.02  # probability of a set that is mentioned
-LEFT_IN_DOUBT = 0.5  # share of the doubt above which two sets stay indistinguishable after a flight
 
 
 def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bool) -> str:
@@ -34,12 +32,12 @@ def discrimination_text(discrimination: ModelDiscrimination, platform: bool) -> 
 
     platform: the slab of the vehicle file stands in the arena.
     """
-    if discrimination.probabilities.max() >= DECIDED:
+    if discrimination.probabilities.max() >= thresholds.DECIDED:
         return ""
     piece, expected = most_informative_piece(discrimination, Space.of(discrimination.vehicle, platform))
     lines = indistinguishable(discrimination, expected)
     right, before = discrimination.probabilities @ np.diag(expected), (discrimination.probabilities**2).sum()
-    if right > before + LEAST_GAIN:
+    if right > before + thresholds.LEAST_GAIN:
         flown = f"{piece.text[0].upper()}{piece.text[1:]}, again and again: after {SECONDS:.0f} s"
         lines.insert(0, f"{flown} the right one is expected to have a probability of {100 * right:.0f} %.")
     return " ".join(lines)
@@ -75,7 +73,7 @@ def indistinguishable(discrimination: ModelDiscrimination, expected: np.ndarray)
     """Return a sentence for every group of sets that stays indistinguishable, with a remedy."""
     p, lines, texts = discrimination.probabilities, [], _shown(discrimination)[1]
     remaining = expected / (expected + np.diag(expected)[:, None])  # of the doubt between two, after
-    pairs = remaining > LEFT_IN_DOUBT * p / (p + p[:, None])
+    pairs = remaining > thresholds.LEFT_IN_DOUBT * p / (p + p[:, None])
     np.fill_diagonal(pairs, False)
     count, group = connected_components(pairs & pairs.T, directed=False)
     for k in range(count):

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from inclined_landing.envs.shared.tables import new_table
 from inclined_landing.eval.base.style import MUTED, panel
-from inclined_landing.eval.gap.answer.identify import PAPER, ROUGH, UNIDENTIFIABLE, Identification, Identified
+from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
@@ -78,9 +79,11 @@ def identifiability(found: Identification) -> Figure:
     figure = Figure(figsize=(WIDTH, 0.22 * n + 0.7))
     axis = panel(figure, 2.0, 0.5, WIDTH - 2.3, 0.22 * n)
     for k, one in enumerate(found.identifiable):
-        colour = AFTER if one.share <= ROUGH else BEFORE if one.share > UNIDENTIFIABLE else "#c9b458"
+        colour = AFTER if one.share <= thresholds.ROUGH else "#c9b458"
+        if one.share > thresholds.UNIDENTIFIABLE:
+            colour = BEFORE
         axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
-    axis.axvline(ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
+    axis.axvline(thresholds.ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("standard error / prior standard deviation [1]")
     name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)

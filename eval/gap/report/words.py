@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from inclined_landing.eval.gap.plan.words import DECIDED
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -389,7 +389,7 @@ def plan_command(d: Diagnosis, report: Path) -> str:
     for one in d.sets:
         free = tuple(n for n in one.effects if not LIBRARY[n].contact)
         apart[free] = apart.get(free, 0.0) + one.probability
-    doubt = bool(apart) and max(apart.values()) < DECIDED
+    doubt = bool(apart) and max(apart.values()) < thresholds.DECIDED
     weighed = (d.separating_manoeuvre or "").startswith("No flight")
     if d.verdict != "unknown" and (weighed or not doubt):
         return ""

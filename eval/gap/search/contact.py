@@ -21,15 +21,15 @@ import numpy as np
 from scipy import stats
 from scipy.special import logsumexp
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
 from inclined_landing.eval.gap.search.columns import SLAB, FittedValues, Values
 from inclined_landing.eval.gap.search.posterior import SPIKE, EffectSet, flight_weights
-from inclined_landing.eval.gap.search.sets import LEAST_PROBABILITY, PRIOR_EMPTY, REFIT_ABOVE, SetProbability
+from inclined_landing.eval.gap.search.sets import REFIT_ABOVE, SetProbability
 from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
-LEAST_LANDINGS = 6
 MOST_EFFECTS = 2  # of a set
 MODEL_ERROR = 0.1  # standard deviation between two idealised contact models, in plausible sizes
 SCAN = (0.2, 0.55, 1.1, 2.4)  # sizes simulated on both sides of neutral, in plausible sizes
@@ -38,7 +38,6 @@ RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
 NEWTON_STEPS = 2  # of the marginalised parameters
 CREDIBLE = 0.95  # probability of an interval
-FALSE_ALARM = 0.05
 COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
@@ -81,7 +80,7 @@ def contact_posterior(
     sets, chosen = engine.distribution()
     values = sets[0].values
     p_value = common_residual_p_value(problem.flights, engine.residual(values), engine.inflation)
-    unexplained = p_value < FALSE_ALARM
+    unexplained = p_value < thresholds.LANDING_RESIDUAL
     return problem, ContactPosterior(
         sets, engine.estimates(chosen), engine.gains(values), unexplained, p_value
     )
@@ -283,7 +282,7 @@ class _ContactModel:
 
     def distribution(self) -> tuple[tuple[SetProbability, ...], list[_Profile]]:
         """Return the bagged posterior over sets, most probable first, and the profiles of the first."""
-        share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
+        share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
         table: dict[EffectSet, list[_Profile]] = {}
         for count in range(MOST_EFFECTS + 1):
@@ -304,7 +303,7 @@ class _ContactModel:
             self.rescan(table, likeliest)
             seen.add(likeliest)
         order = sorted(logs, key=lambda n: (-probability[n], sorted(n)))
-        kept = [n for k, n in enumerate(order) if not k or probability[n] >= LEAST_PROBABILITY]
+        kept = [n for k, n in enumerate(order) if not k or probability[n] >= thresholds.REPORTED]
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
         return tuple(SetProbability(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]

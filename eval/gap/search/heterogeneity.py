@@ -16,16 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 from inclined_landing.eval.gap.search.columns import Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
 from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding
 
-SIGNIFICANCE = 0.01  # familywise false alarm rate of a diagnosis
 PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1
-LEAST_INFORMATION = 0.7  # standard error over prior standard deviation below which a flight excites an effect
-CONFOUNDED = 0.05  # likelihood ratio to the best effect above which another is confounded with it
-UNCONFOUNDED = 0.5  # share of an effect's information above which it is a difference of its own
 
 
 def inconsistent_flights(
@@ -106,7 +103,7 @@ class _FlightInformation:
         index = self.own[name]
         scale = np.sqrt(self.known[index])
         own = self.a[np.ix_(flights, index, index)] / np.outer(scale, scale)
-        return flights[np.linalg.eigvalsh(own).min(axis=-1) > 1.0 / LEAST_INFORMATION**2]
+        return flights[np.linalg.eigvalsh(own).min(axis=-1) > 1.0 / thresholds.EXCITED**2]
 
 
 @dataclasses.dataclass
@@ -191,7 +188,7 @@ def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) ->
         members = part.candidate_groups()
         p = part.p_value(members) * _multiplicity(members) * len(exciting)
         k = int(np.argmin(p))
-        if p[k] < SIGNIFICANCE and (best is None or p[k] < best.level):
+        if p[k] < thresholds.INCONSISTENT and (best is None or p[k] < best.level):
             group = tuple(map(int, flights[members[k]]))
             others = tuple(int(f) for f in remaining if f not in group)
             best = _Split(name, group, others, float(p[k]), len(exciting))
@@ -217,10 +214,12 @@ def _described_split(
         last, rest = chosen[-1], [name for name in known if name not in chosen]
         after = [_conditional_test(table, split, chosen, name) for name in rest]
         explained = {
-            r.name for r in after if r.own < UNCONFOUNDED or r.p_value * split.tested >= SIGNIFICANCE
+            r.name
+            for r in after
+            if r.own < thresholds.DIFFERS_BESIDE or r.p_value * split.tested >= thresholds.INCONSISTENT
         }
         first, *others = (_conditional_test(table, split, chosen[:-1], name) for name in (last, *rest))
-        least = first.likelihood + math.log(CONFOUNDED)
+        least = first.likelihood + math.log(thresholds.DIFFERS_ALIKE)
         likely = [r for r in others if r.name in explained and r.likelihood > least]
         confounded[last] = tuple(r.name for r in sorted(likely, key=lambda r: -r.likelihood))
         more = [r for r in after if r.name not in explained]
@@ -243,7 +242,7 @@ def _described_split(
         others=tuple(names[k] for k in split.others),
         differences=tuple(differences),
         p_value=split.level,
-        false_alarms=SIGNIFICANCE,
+        false_alarms=thresholds.INCONSISTENT,
     )
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
@@ -28,7 +29,6 @@ from inclined_landing.models.vehicle import Vehicle
 UNITS = {
     channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()
 }  # of `equivalent_sizes`
-SIGNIFICANCE = 0.02  # family-wise
 FLIPS = 400  # random sign flips
 BLOCK = 5.0  # s of flight that share a sign in the permutation test
 COMMAND_LAGS = (0.1, 0.25)  # s
@@ -193,7 +193,7 @@ def analyse_residual(
     scores = np.stack([f.scores(signs) for f in functions])
     largest = scores.max(axis=0)  # over all functions, of the data and of every flip (max-T test)
     p_value = float((largest >= largest[0] - 1e-9).mean())
-    threshold = np.quantile(largest[1:], 1.0 - SIGNIFICANCE)
+    threshold = np.quantile(largest[1:], 1.0 - thresholds.RESIDUAL)
     depends: dict[str, Dependence] = {}
     for k in np.argsort(-scores[:, 0], kind="stable"):
         f = functions[k]

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtr
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
 from inclined_landing.eval.gap.search.columns import BASE, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
@@ -32,7 +33,6 @@ from inclined_landing.eval.gap.search.posterior import (
 
 SAME_RATIO = frozenset(("mass", "thrust_scale"))
 LEFT_OUT = 30.0  # nat
-PRIOR_EMPTY = 0.5  # prior probability of the empty set
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
 MOST_FITS = 12  # sets fitted through the simulator
@@ -44,7 +44,6 @@ NEWTON_STEPS = 3
 STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
 MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
 ALTERNATIONS = 4  # rounds of fitting effects and noise model in turn
-LEAST_PROBABILITY = 1e-3  # of a set that is reported
 LINEARISATIONS = 3  # points whose log evidences are averaged
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
 LAGS = 4  # windows over which autocorrelations are summed
@@ -202,7 +201,7 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
     Not both of SAME_RATIO: free flight shows the ratio of thrust to mass alone.
     """
     # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
-    share = 1.0 - PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
+    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
     both = len(SAME_RATIO) if names >= SAME_RATIO else 0
     return len(names) * math.log(share / (1.0 - share)) - both * LEFT_OUT
 
@@ -363,7 +362,7 @@ def _bagged_posterior(
             probability[subset] = probability.get(subset, 0.0) + part * float(share)
     result: list[SetProbability] = []
     for one in sorted(probability, key=lambda n: -probability[n]):
-        if probability[one] < LEAST_PROBABILITY and result:
+        if probability[one] < thresholds.REPORTED and result:
             continue
         if one in nodes:
             values = nodes[one].values

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import types
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from scipy import optimize, stats
 from scipy.signal import lfilter
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise_model import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
@@ -523,3 +525,15 @@ def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
     # Slopes are taken over a step of 0.5 %, of a logarithm: half of that in the mean.
     assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=3e-3)
     assert 0.0 < deviation[BASE, "drag x"] <= form.BASE["drag x"]
+
+
+def test_every_threshold_says_what_it_decides_and_what_was_measured():
+    """Each is used, and its entry has the three lines; what comes in pairs shares them."""
+    source = Path(thresholds.__file__)
+    entries = re.split(r"\n(?=[A-Z_]+ = )", source.read_text("utf-8"))[1:]
+    names = [entry.split(" = ")[0] for entry in entries]
+    code = "".join(p.read_text("utf-8") for p in source.parent.rglob("*.py"))
+    assert [n for n in names if f"thresholds.{n}" not in code] == []
+    for entry, after in zip(entries, [*entries[1:], ""]):
+        said = [re.findall(r"^# (decides|larger|measured) ", text, re.M) for text in (entry, after)]
+        assert ["decides", "larger", "measured"] in (said[0], said[1] if not said[0] else None), entry

@@ -5,12 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.named import NAMED, confounded_with, contact_effects, joint_sets
+from inclined_landing.eval.gap import diagnose, thresholds
+from inclined_landing.eval.gap.answer.named import confounded_with, contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.gap.search.contact import (
-    LEAST_LANDINGS,
     ContactEstimate,
     ContactPosterior,
     common_residual_p_value,
@@ -36,7 +35,7 @@ def higher():
 @pytest.mark.parametrize("likely", [False, True])
 def test_an_unlikely_effect_of_contact_is_not_named(likely):
     """Though it is in the most probable set: the others share the rest."""
-    share = NAMED + 0.05 if likely else NAMED - 0.05
+    share = thresholds.NAMED + 0.05 if likely else thresholds.NAMED - 0.05
     sized = ContactEstimate(1.3, (1.1, 1.5), np.full(8, 1.3), np.full(8, 0.1))
     probable = SetProbability(frozenset({"friction"}), share, {"friction": {"scale": 1.3}})
     posterior = ContactPosterior(
@@ -86,7 +85,9 @@ def test_a_contact_effect_is_named_among_few(higher):
     """From as few landings as are taken: the offset within the 3 mm that start states leave open."""
     flights, offset = higher
     few = {name: LIBRARY[name] for name in ("friction", "platform_height")}
-    problem, found = contact_posterior(landings_of(flights[:LEAST_LANDINGS], VEHICLE), VEHICLE, few)
+    problem, found = contact_posterior(
+        landings_of(flights[: thresholds.LEAST_LANDINGS], VEHICLE), VEHICLE, few
+    )
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
     assert found.probability("platform_height") > 0.9 and confounded_with(found, "platform_height") == ()
     assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
