@@ -14,6 +14,8 @@ from inclined_landing.models import effects
 from inclined_landing.models.vehicle import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
+VERSION = 1  # of report.json
+_DRAWN = {"corrected", "horizon", "windows"}  # not in report.json: the vehicle file, and curves of figures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,17 +181,13 @@ class ScoredSet:
         """Return the names of the effects as part of a sentence."""
         return " with ".join(self.effects) if self.effects else "nothing"
 
-    def to_json(self) -> dict:
-        """Return the entry of report.json."""
-        return _some(self, "effects", "probability", "values") | {"deviations": self.standard_errors}
-
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
     """Contrast of an effect between groups of flights: its values in a model of the others."""
 
     effect: str
-    alike: tuple[str, ...]  # effects confounded with it (a key of report.json)
+    confounded_with: tuple[str, ...]
     swapped: bool  # the values are those of the others in a model of the flights
     values: dict[str, float]
     ci95: dict[str, tuple[float, float]]  # of the values that differ
@@ -205,10 +203,6 @@ class InconsistentFlights:
     p_value: float  # of the most significant difference, corrected for multiple testing; NaN for a sensor
     false_alarms: float  # familywise false alarm rate; NaN for a sensor
     sensor: str = ""  # a sentence on the sensor that fails, for which the flights are left out of the fit
-
-    def to_json(self) -> dict:
-        """Return the entry of report.json."""
-        return dataclasses.asdict(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,54 +281,12 @@ class Diagnosis:
         return effects.apply(vehicle, {name: shown[name] for name in effects.LIBRARY if name in shown})
 
     def to_json(self) -> dict:
-        """Return the contents of report.json: plain dicts, sequences, strings and numbers."""
-        named = [
-            {
-                **_some(e, "name", "probability", "sure", "cost", "gain", "remedy", "note"),
-                "class": e.members,
-                "parameters": {
-                    name: _some(p, "value", "unit", "ci95", "per_flight", "spread")
-                    for name, p in e.parameters.items()
-                },
-                "follows_from": None,
-            }
-            for e in self.effects
-        ]
-        depends_on = [
-            _some(
-                d,
-                *("channel", "on", "size", "unit", "share", "score", "against", "regimes"),
-                *("displacement", "displacement_ci95"),
-            )
-            | {"material": self.residual.material(d)}
-            for d in self.residual.depends_on
-        ]
-        return {
-            **_some(
-                self, "verdict", "nothing", "separating_manoeuvre", "platform", "flights", "heldout", "notes"
-            ),
-            "contradictions": [one.to_json() for one in self.inconsistent_flights],
-            "effects": named,
-            "possible": self.possible,
-            "sets": [one.to_json() for one in self.sets],
-            "unseen": [one.to_json() for one in self.unidentifiable_sets],
-            "noise": {channel: d.noise for channel, d in self.disturbance.items()},
-            "disturbance": {
-                channel: _some(d, "size", "size_ci95", "time", "time_ci95", "unit")
-                for channel, d in self.disturbance.items()
-            },
-            "where": [dataclasses.asdict(row) for row in self.where],
-            "gap": {plant: dataclasses.asdict(gap) for plant, gap in self.gap.items()},
-            "remainder": _some(self.residual, "unexplained", "p_value", "size", "error")
-            | {
-                "depends_on": depends_on,
-                "touchdown": self.touchdowns and dataclasses.asdict(self.touchdowns),
-            },
-            "seconds": float(sum(self.seconds.values())),
-            "stages": self.seconds,
-        }
-
-
-def _some(one, *names: str) -> dict:
-    """Return some fields of a dataclass by name."""
-    return {name: getattr(one, name) for name in names}
+        """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
+        record = {"version": VERSION, "nothing": self.nothing, "possible": self.possible}
+        record |= {name: value for name, value in dataclasses.asdict(self).items() if name not in _DRAWN}
+        for entry, effect in zip(record["effects"], self.effects):
+            entry["sure"] = effect.sure
+        record["residual"]["unexplained"] = self.residual.unexplained
+        for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
+            entry["material"] = self.residual.material(one)
+        return record

@@ -51,7 +51,7 @@ roll = { sum = ["roll", "roll"] }
 pitch = "pitch"
 cmd_thrust_pwm = "cmd_thrust_pwm"
 """
-REPORT = {"sets": [{"effects": ["body_drag"], "probability": 1.0, "values": {"body_drag": {}}}]}
+REPORT = {"version": 1, "sets": [{"effects": ["body_drag"], "probability": 1.0, "values": {"body_drag": {}}}]}
 
 
 def flight() -> str:

@@ -124,7 +124,7 @@ def report(*named, verdict=None, gap=None, sets=()):
         "effects": [
             {
                 "name": name,
-                "class": list(members),
+                "members": list(members),
                 "parameters": {
                     key: {"value": x} if np.isscalar(x) else {"value": x[0], "ci95": x[1:]}
                     for key, x in values.items()
@@ -133,7 +133,7 @@ def report(*named, verdict=None, gap=None, sets=()):
             for name, members, values in named
         ],
         "gap": gap or {},
-        "seconds": 5.0,
+        "seconds": {"name": 5.0},
     }
 
 

@@ -19,7 +19,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
-from inclined_landing.eval.gap.result import Disturbance, InconsistentFlights
+from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights
 from inclined_landing.eval.gap.search import heterogeneity
 from inclined_landing.eval.gap.search.columns import BASE, Values, slab_deviations
 from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
@@ -95,6 +95,7 @@ class Identification:
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
         return {
+            "version": VERSION,
             "vehicle": {f: getattr(self.vehicle, f) for f in self.fields},
             "parameters": [dataclasses.asdict(p) for p in self.parameters],
             "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
@@ -103,7 +104,7 @@ class Identification:
             "fields": self.fields,
             "flights": self.flights,
             "notes": self.notes,
-            "contradictions": [one.to_json() for one in self.inconsistent_flights],
+            "inconsistent_flights": [dataclasses.asdict(one) for one in self.inconsistent_flights],
             "paper": PAPER,
         }
 

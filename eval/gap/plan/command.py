@@ -9,18 +9,17 @@ from typing import Annotated
 import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder, Seed, VehicleFile
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
 from inclined_landing.eval.gap.plan.picture import picture
-from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
+from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.models import storage
 
 
@@ -50,7 +49,18 @@ def command(
     if best.probability >= thresholds.DECIDED and not plan_input.vary:
         say(f"No flight is needed: {best.text} has a probability of {best.probability:.2f}.")
         return
-    plan = _designed(plan_input, seconds, seed)
+    with stages() as tick:
+        plan = design(
+            plan_input.hypotheses,
+            plan_input.vehicle,
+            noise_levels=plan_input.noise_levels,
+            vary=plan_input.vary,
+            seconds=seconds,
+            platform=plan_input.platform,
+            reference=plan_input.reference,
+            seed=seed,
+            tick=tick,
+        )
     confounded_lines = words.indistinguishable(plan.discrimination, plan.expected)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
         say(words.competing_sets(plan.discrimination), *confounded_lines)
@@ -76,25 +86,6 @@ def command(
     say(*words.flight(plan), *lines[1:])
     print(f"To fly it: {fly}")
     say(f"{lines[0]} The flight that separates them best is {flight}.")
-
-
-def _designed(plan_input: PlanInput, seconds: float, seed: int) -> Plan:
-    """Return the plan, with a progress bar on a terminal."""
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description:22}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=None)
-        return design(
-            plan_input.hypotheses,
-            plan_input.vehicle,
-            noise_levels=plan_input.noise_levels,
-            vary=plan_input.vary,
-            seconds=seconds,
-            platform=plan_input.platform,
-            reference=plan_input.reference,
-            seed=seed,
-            tick=lambda what: bar.update(task, description=what),
-        )
 
 
 def to_json(plan: Plan, report: Path, seed: int) -> dict:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.plan import pieces, safety
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
@@ -64,6 +65,7 @@ class Plan:
         return float(self.discrimination.probabilities @ np.diag(self.expected))
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # many small matrices, in threads of our own
 def design(
     hypotheses: Sequence[ScoredSet],
     vehicle: Vehicle,

@@ -220,25 +220,26 @@ class ModelDiscrimination(Candidates):
 
         gram (P, P), or (K, P, P) where the flight is another one under every set.
         """
-        return self._after(gram, 1.0, seed).mean(axis=1)
+        return self._after(gram, (1.0,), seed)[0].mean(axis=1)
 
     def forecast(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
         """Return `expected` (K, K) averaged over INFORMATION_SHARES, as a real flight has less than all."""
-        each = [self._after(gram, share, seed).mean(axis=1) for share in INFORMATION_SHARES]
-        return np.mean(each, axis=0)
+        return self._after(gram, INFORMATION_SHARES, seed).mean(axis=(0, 2))
 
     def gain(self, gram: np.ndarray, seed: int = 0) -> float:
         """Return the expected information gain [nat], averaged over INFORMATION_SHARES; gram as above."""
         # I = H(p) - E H(p | data),  H(p) = -sum_j p_j log p_j  (Lindley 1956)
         p = self.probabilities
-        after = [p @ _entropy(self._after(gram, share, seed)).mean(axis=1) for share in INFORMATION_SHARES]
+        after = [p @ _entropy(one).mean(axis=1) for one in self._after(gram, INFORMATION_SHARES, seed)]
         return float(_entropy(p) - np.mean(after))
 
-    def _after(self, gram: np.ndarray, share: float, seed: int) -> np.ndarray:
-        """Return posterior probabilities (K, DRAWS, K) after a share of the information of a flight."""
+    def _after(self, gram: np.ndarray, shares: Sequence[float], seed: int) -> np.ndarray:
+        """Return posterior probabilities (S, K, DRAWS, K) after each share of the information of a flight."""
         if gram.ndim == 2:
-            return self._simulated_posteriors(share * gram, _matrix_root(share * gram), seed)
-        return np.stack([self._after(one, share, seed)[k] for k, one in enumerate(gram)])
+            root = _matrix_root(gram)
+            each = [self._simulated_posteriors(x * gram, math.sqrt(x) * root, seed) for x in shares]
+            return np.stack(each)
+        return np.stack([self._after(one, shares, seed)[:, k] for k, one in enumerate(gram)], axis=1)
 
     def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
         """Return posterior probabilities (K, DRAWS, K) after flights simulated with each set."""

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.result import ScoredSet
+from inclined_landing.eval.gap.result import VERSION, ScoredSet
 from inclined_landing.eval.gap.search.reference import VehiclePosterior, read_reference
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
@@ -28,17 +28,18 @@ CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 class _Set(Table, frozen=True):
-    """An entry of `sets` or `unseen`."""
+    """An entry of `sets` or `unidentifiable_sets`."""
 
     effects: list[str]
     probability: Annotated[float, Meta(ge=0, le=1)]
     values: dict[str, dict[str, Real]] = field(default_factory=dict)
-    deviations: dict[str, dict[str, Real]] = field(default_factory=dict)
+    standard_errors: dict[str, dict[str, Real]] = field(default_factory=dict)
 
 
 class _Disturbance(Struct, frozen=True):
     """An entry of `disturbance`; None: a typical level."""
 
+    noise: Annotated[float, Meta(ge=1e-9, le=1e300)] | None = None
     size: Annotated[float, Meta(ge=0, le=1e300)] | None = None
     time: Annotated[float, Meta(ge=1e-3, le=1e300)] | None = None
 
@@ -55,11 +56,10 @@ class _Report(Struct, frozen=True):
     """The entries of report.json that a plan needs; all others are ignored."""
 
     sets: Annotated[list[_Set], Meta(min_length=1)]
-    unseen: list[_Set] = []
+    unidentifiable_sets: list[_Set] = []
     platform: bool = False
     verdict: str = ""
-    remainder: _Residual = _Residual()
-    noise: dict[str, Annotated[float, Meta(ge=1e-9, le=1e300)]] = {}
+    residual: _Residual = _Residual()
     disturbance: dict[str, _Disturbance] = {}
 
 
@@ -90,8 +90,8 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
         options = schema.parse(storage.read_json(run, "record"), dict[str, Any], f"record {run}: ")
     if vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
-    if "sets" not in data:
-        raise UserError(f"report {path} has no sets of effects; it is none of landing-eval gap")
+    if data.get("version") != VERSION or "sets" not in data:
+        raise UserError(f"report {path} is not from landing-eval gap of this version; run it again")
     platform = {"platform": options.get("platform", False)}
     report = schema.parse(platform | data, _Report, f"report {path}: ")
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
@@ -101,7 +101,7 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
         diagnosed,
         _noise_levels(report),
         report.platform,
-        tuple(d.on for d in report.remainder.depends_on) if report.verdict == "unknown" else (),
+        tuple(d.on for d in report.residual.depends_on) if report.verdict == "unknown" else (),
         read_reference(vehicle, diagnosed)[0],
         None if same else vehicle,
     )
@@ -111,7 +111,10 @@ def _hypotheses(report: _Report, where: str) -> list[ScoredSet]:
     """Return the sets of a report, the unidentifiable ones included, without effects of contact."""
     found: dict[tuple[str, ...], ScoredSet] = {}
     rows = [(f"{where}sets[{k}]", row) for k, row in enumerate(report.sets)]
-    for what, row in [*rows, *((f"{where}unseen[{k}]", row) for k, row in enumerate(report.unseen))]:
+    for what, row in [
+        *rows,
+        *((f"{where}unidentifiable_sets[{k}]", row) for k, row in enumerate(report.unidentifiable_sets)),
+    ]:
         unknown = [n for n in row.effects if n not in LIBRARY]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
@@ -120,9 +123,11 @@ def _hypotheses(report: _Report, where: str) -> list[ScoredSet]:
             if name not in row.values:
                 raise UserError(f"{what}.values.{name} is missing")
             _check_parameters(f"{what}.values.{name}", name, row.values[name])
-            _check_parameters(f"{what}.deviations.{name}", name, row.deviations.get(name, {}), bounds=False)
+            _check_parameters(
+                f"{what}.standard_errors.{name}", name, row.standard_errors.get(name, {}), bounds=False
+            )
         probability = row.probability + (found[names].probability if names in found else 0.0)
-        errors = {n: row.deviations.get(n, {}) for n in names}
+        errors = {n: row.standard_errors.get(n, {}) for n in names}
         first = found.get(names, ScoredSet(names, 0.0, {n: row.values[n] for n in names}, errors))
         found[names] = dataclasses.replace(first, probability=probability)
     if sum(h.probability for h in found.values()) <= 0.0:
@@ -148,6 +153,6 @@ def _noise_levels(report: _Report) -> NoiseLevels:
     found = np.array([typical.noise, typical.disturbance, typical.time])
     for k, channel in enumerate(CHANNELS):
         one = report.disturbance.get(channel, _Disturbance())
-        for j, level in enumerate((report.noise.get(channel), one.size, one.time)):
+        for j, level in enumerate((one.noise, one.size, one.time)):
             found[j, k] = found[j, k] if level is None else level
     return dataclasses.replace(typical, noise=found[0], disturbance=found[1], time=found[2])

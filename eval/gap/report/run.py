@@ -9,15 +9,11 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
 from inclined_landing.eval.base.options import FlightSource
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.gap.flights.reading import check_apart, read_flights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
-
-_COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
 
 
 @contextlib.contextmanager
@@ -26,13 +22,7 @@ def read_run(source: FlightSource, parts: int, reference_files: Sequence[str] = 
 
     parts: stages of the work after reading, each announced by the tick.
     """
-    console = Console(stderr=True)
-    with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=len(source.files) + len(source.heldout) + len(reference_files) + parts)
-
-        def tick(what: str) -> None:
-            bar.update(task, description=what, advance=1)
-
+    with stages(len(source.files) + len(source.heldout) + len(reference_files) + parts) as tick:
         read = functools.partial(read_flights, mapping=source.mapping, units=source.unit, tick=tick)
         reference_logs: list[FlightLog] = []
         reference_notes: tuple[str, ...] = ()

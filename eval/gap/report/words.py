@@ -277,7 +277,7 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
     ]
     lines = f"Beside a model of {model}, in {there} {effect.says.format(**values)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
-    others = [label(name) for name in one.alike]
+    others = [label(name) for name in one.confounded_with]
     return f"{lines} What differs may as well be {listed(others, 'or')}." if others else lines
 
 

@@ -67,7 +67,7 @@ def test_from_logs_to_report_and_corrected_model(logs, gap, tmp_path):
     files = logs()
     code, report, _ = gap(*files[:3], "--heldout", files[3])
     assert code == 0 and {p.name for p in (tmp_path / "out").iterdir()} == FILES
-    assert "thrust_scale" in report["effects"][0]["class"]
+    assert "thrust_scale" in report["effects"][0]["members"]
     assert report["heldout"] == ["flight_3"]
     assert sum(one["probability"] for one in report["sets"]) == pytest.approx(1.0, abs=0.05)
     for plant in ("analytic", "mujoco"):

@@ -216,7 +216,9 @@ def report(tmp_path, *hypotheses, **more):
     sets = [
         {"effects": list(h.effects), "probability": h.probability, "values": h.values} for h in hypotheses
     ]
-    (folder / "report.json").write_text(json.dumps({"verdict": "effects", "sets": sets, **more}))
+    (folder / "report.json").write_text(
+        json.dumps({"version": 1, "verdict": "effects", "sets": sets, **more})
+    )
     return folder
 
 
@@ -240,7 +242,7 @@ def test_what_flights_could_not_show_is_sought_too(tmp_path):
     """Nothing but an effect near the floor is open: the flight goes there."""
     ground = ScoredSet(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
     row = {"effects": ["ground_effect"], "probability": 0.03, "values": ground.values}
-    folder = report(tmp_path, ScoredSet((), 0.9, {}), unseen=[row])
+    folder = report(tmp_path, ScoredSet((), 0.9, {}), unidentifiable_sets=[row])
     doubt = read_report(folder)
     assert [h.text for h in doubt.hypotheses] == ["nothing", "ground_effect"]
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
@@ -270,7 +272,10 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
             {"sets": [{"effects": ["wind"], "probability": 1.0, "values": {"wind": {"x": 90.0}}}]},
             "sets[0].values.wind.x is 90 m/s; it must be from -20 to 20",
         ),
-        ({"noise": {"x": -1.0}}, "[noise] x must be a number of at least 1e-09, not -1.0"),
+        (
+            {"disturbance": {"x": {"noise": -1.0}}},
+            "[disturbance.x] noise must be a number of at least 1e-09, not -1.0",
+        ),
         (
             {"disturbance": {"y": {"size": -1.0}}},
             "[disturbance.y] size must be a number of at least 0, not -1.0",

@@ -239,7 +239,7 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
     assert text.index("b contradicts the other 2 flights.") < text.index(
         "Wrong or missing in the model:", text.index("<body>")
     )
-    record = json.loads(storage.to_json(d.to_json()))["contradictions"][0]
+    record = json.loads(storage.to_json(d.to_json()))["inconsistent_flights"][0]
     assert record["flights"] == ["b"] and record["differences"][0]["ci95"]["scale"] == [0.84, 0.88]
 
 
@@ -275,11 +275,15 @@ def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
 
 def test_the_json_has_the_promised_keys():
     record = json.loads(storage.to_json(example().to_json()))
-    promised = ("verdict", "effects", "separating_manoeuvre", "where", "gap", "remainder", "seconds")
+    promised = ("verdict", "effects", "separating_manoeuvre", "where", "gap", "residual", "seconds")
     assert set(promised) <= set(record)
-    assert set(record["effects"][0]) >= {"name", "class", "parameters", "gain"}
+    assert set(record["effects"][0]) >= {"name", "members", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
     assert record["nothing"] == 0.0 and record["sets"][1]["effects"] == ["mass", "attitude_trim"]
-    assert record["noise"]["z"] == 0.001 and record["disturbance"]["z"]["size"] == 0.3 and record["platform"]
+    assert (
+        record["disturbance"]["z"]["noise"] == 0.001
+        and record["disturbance"]["z"]["size"] == 0.3
+        and record["platform"]
+    )
     assert set(record["where"][0]) >= {"regime", "channel", "before", "after", "floor", "unit"}
     assert set(record["gap"]["mujoco"]) >= {"before", "after", "floor"}

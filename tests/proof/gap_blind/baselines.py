@@ -66,7 +66,7 @@ def report(method: str, flights: Sequence[FlightLog], heldout: Sequence[FlightLo
         "effects": [
             {
                 "name": name,
-                "class": list(_LEVEL if name in _LEVEL else (name,)),
+                "members": list(_LEVEL if name in _LEVEL else (name,)),
                 "parameters": {key: {"value": value} for key, value in numbers.items()},
             }
             for name, numbers in values.items()

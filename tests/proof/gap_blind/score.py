@@ -38,12 +38,12 @@ _NEAR_GROUND = (
 def score_case(label: Mapping, report: Mapping) -> dict:
     """Judge one report against its label: a flat row.
 
-    label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `class`,
+    label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `members`,
     `parameters`, optionally `sets`, `gap` and `seconds`.
     """
     effects = report["effects"]
     found = [effect["name"] for effect in effects]
-    classes = [{effect["name"], *effect.get("class", ())} for effect in effects]
+    classes = [{effect["name"], *effect["members"]} for effect in effects]
     welcome = _welcome(label)
     spurious = [name for name, members in zip(found, classes) if not members & welcome]
     return {
@@ -60,7 +60,7 @@ def score_case(label: Mapping, report: Mapping) -> dict:
         "errors": {c: e for c in label["causes"] if (e := parameter_error(c, label, effects)) is not None},
         "covered": {c: x for c in label["causes"] if (x := covered(c, label, effects))},
         "closed": {plant: closed_share(gap) for plant, gap in report.get("gap", {}).items()},
-        "seconds": report.get("seconds"),
+        "seconds": sum(report["seconds"].values()) if "seconds" in report else None,
     }
 
 
