@@ -4,8 +4,8 @@
 shows the gap before and after.
 """
 
-from inclined_landing.eval.gap.answer.diagnosis import diagnose
+from inclined_landing.eval.gap.answer.rollout import measure_gap
+from inclined_landing.eval.gap.pipeline import diagnose
 from inclined_landing.eval.gap.result import Diagnosis
-from inclined_landing.eval.gap.search.rollout import measure_gap
 
 __all__ = ["Diagnosis", "diagnose", "measure_gap"]

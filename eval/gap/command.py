@@ -13,9 +13,9 @@ from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.eval.gap.report import figures, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
-from inclined_landing.eval.gap.search.reference import read_reference
 from inclined_landing.models.parameters import load_vehicle
 
 

@@ -19,7 +19,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
 from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Seed, Starts
-from inclined_landing.eval.gap.search.rollout import HORIZON
+from inclined_landing.eval.gap.answer.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.command import parse_units
 from inclined_landing.eval.pictures.flights import check_random_starts, choose_starts, start_points

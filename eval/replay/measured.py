@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
-from inclined_landing.eval.gap.search.rollout import RolloutWindows, simulate
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
 from inclined_landing.models.errors import UserError
@@ -23,7 +23,7 @@ def from_log(
     """Return the measured flight with, where the log suffices, its simulation; and notes on what is missing.
 
     platform: the vehicle file's slab stood there. horizon: s after which the simulation begins again at the
-    measured state, see `gap.search.rollout`.
+    measured state, see `gap.answer.rollout`.
     """
     notes = [f"{log.name}: {note}" for note in log.notes]
     platform = platform or log.contact is not None

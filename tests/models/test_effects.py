@@ -17,7 +17,7 @@ import pytest
 from scipy.signal import detrend
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.search.prediction import predict, translated
+from inclined_landing.eval.gap.model.prediction import predict, translated
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS

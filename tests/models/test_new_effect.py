@@ -9,7 +9,7 @@ import pytest
 
 from inclined_landing.envs import randomise
 from inclined_landing.eval.cli import main as evaluate
-from inclined_landing.eval.gap.search.columns import Candidates
+from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.models.effects import LIBRARY, Effect, Parameter, apply
 from inclined_landing.models.parameters import load_vehicle
 

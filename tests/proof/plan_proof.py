@@ -17,13 +17,13 @@ from msgspec import Meta
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.base.tracking import thrust_and_angles
+from inclined_landing.eval.gap.answer.named import scored_sets, unidentifiable_sets
 from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.infer.sets import search
+from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design
-from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
-from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.sets import search
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
@@ -117,8 +117,8 @@ def _searched(
     library, _ = identifiable_effects({n: e for n, e in LIBRARY.items() if not e.contact}, measured)
     problem = Problem(measured, vehicle, library, known)
     found = search(problem)
-    hypotheses, noise_levels = set_hypotheses(problem, found)
-    return hypotheses, unidentifiable_sets(problem, found), noise_levels
+    sets = scored_sets(problem, found)
+    return sets, unidentifiable_sets(problem, found), NoiseLevels.of(problem, found)
 
 
 def _named(cause: str, hypotheses: Sequence[ScoredSet]) -> tuple[float, float]:

@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE
 from inclined_landing.eval.gap.flights.windows import REGIMES
+from inclined_landing.eval.gap.infer import residual, touchdown_simulation
+from inclined_landing.eval.gap.model.prediction import channels_of
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError, WindowCurves
-from inclined_landing.eval.gap.search import residual, rollout, touchdown_simulation
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.prediction import channels_of
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 

@@ -19,27 +19,27 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
-from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights
-from inclined_landing.eval.gap.search import heterogeneity
-from inclined_landing.eval.gap.search.columns import BASE, Values, slab_deviations
-from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.fit import fit_least_squares
-from inclined_landing.eval.gap.search.posterior import (
+from inclined_landing.eval.gap.infer import heterogeneity
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.infer.gaussian import (
     LinearGaussian,
     ParameterEstimate,
     confounding,
     estimate_between_flight_deviations,
     excitation,
 )
-from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import VehiclePosterior, free_effects
-from inclined_landing.eval.gap.search.residual import Residual, reference_residual
-from inclined_landing.eval.gap.search.sets import (
+from inclined_landing.eval.gap.infer.residual import Residual, reference_residual
+from inclined_landing.eval.gap.infer.sets import (
     autocorrelation_inflation,
     fit_jointly,
     leave_one_out,
 )
-from inclined_landing.eval.gap.search.vehicle_fit import field_half_widths, fit_vehicle
+from inclined_landing.eval.gap.infer.vehicle_fit import field_half_widths, fit_vehicle
+from inclined_landing.eval.gap.model.columns import BASE, Values, slab_deviations
+from inclined_landing.eval.gap.model.prediction import predict
+from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
+from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.effects import LIBRARY, FittedConstant

@@ -10,22 +10,22 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
+from inclined_landing.eval.gap.infer.contact import ContactPosterior
+from inclined_landing.eval.gap.infer.fit import dersimonian_laird
+from inclined_landing.eval.gap.infer.gaussian import EffectSet
+from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out
+from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.gap.model.columns import FittedValues, Values
+from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import (
     Disturbance,
     Estimate,
     NamedEffect,
     ScoredSet,
 )
-from inclined_landing.eval.gap.search import rollout
-from inclined_landing.eval.gap.search.columns import FittedValues, Values
-from inclined_landing.eval.gap.search.contact import ContactPosterior
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import dersimonian_laird
-from inclined_landing.eval.gap.search.posterior import EffectSet
-from inclined_landing.eval.gap.search.prediction import UNITS_OF, channels_of
-from inclined_landing.eval.gap.search.sets import SetPosterior, leave_one_out
-from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError, first_of
@@ -236,6 +236,45 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
         probability, remedy = found.probability(*members), problem.library[name].remedy
         effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
     return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def scored_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
+    """Return the sets of a posterior with values and their standard errors."""
+    result = []
+    for scored in found.sets:
+        names = tuple(n for n in problem.library if n in scored.names)
+        values = {n: dict(scored.values[n]) for n in names}
+        sized = found.local.estimates(values)
+        standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
+        for (name, parameter), known in sized.items():
+            standard_errors[name][parameter] = known.error
+        result.append(ScoredSet(names, scored.probability, values, standard_errors))
+    return result
+
+
+def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
+    """Return the most probable set extended by each effect that the flights do not excite.
+
+    Such an effect keeps its prior odds and a plausible size.
+    """
+    local, best = found.local, found.sets[0]
+    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
+    scored = {one.names for one in found.sets}
+    result = []
+    for name, effect in problem.library.items():
+        names = best.names | {name}
+        own = local.index([name])
+        if names in scored or effect.told_by or not len(own):
+            continue
+        prior = np.sqrt(local.slab[own[0], own[0]])
+        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
+            continue
+        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
+        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
+        ordered = tuple(n for n in problem.library if n in names)
+        odds = best.probability * share / (1.0 - share)
+        result.append(ScoredSet(ordered, odds, values, {name: width}))
+    return result
 
 
 def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:

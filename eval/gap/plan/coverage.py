@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.infer.residual import regressors
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.search.residual import regressors
 from inclined_landing.models.errors import UserError, shown
 
 FEATURES = 16  # of a function

@@ -10,13 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan import pieces, safety
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle

@@ -14,17 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.whitening import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
+from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
+from inclined_landing.eval.gap.infer.sets import SetPosterior
+from inclined_landing.eval.gap.model.columns import Candidates, Column, Values
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
-from inclined_landing.eval.gap.search.columns import Candidates, Column, Values
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.posterior import BETWEEN, SPIKE
-from inclined_landing.eval.gap.search.prediction import CHANNELS, predict
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.sets import SetPosterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -55,51 +54,17 @@ class NoiseLevels:
         return dataclasses.replace(vehicle, **fields)
 
     @staticmethod
+    def of(problem: Problem, found: SetPosterior) -> NoiseLevels:
+        """Return the levels of the flights of a posterior."""
+        noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
+        levels = noise, found.noise_model.size, found.noise_model.time, found.inflation
+        return NoiseLevels(*(of[: len(CHANNELS)] for of in levels))
+
+    @staticmethod
     def typical() -> NoiseLevels:
         """Return typical levels: noise of a millimetre and 0.3 deg, and a small disturbance."""
         noise, disturbance = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
         return NoiseLevels(np.array(noise), np.array(disturbance), np.full(6, 0.3), np.ones(6))
-
-
-def set_hypotheses(problem: Problem, found: SetPosterior) -> tuple[list[ScoredSet], NoiseLevels]:
-    """Return the sets of a posterior as hypotheses, and its noise and disturbance levels."""
-    hypotheses = []
-    for scored in found.sets:
-        names = tuple(n for n in problem.library if n in scored.names)
-        values = {n: dict(scored.values[n]) for n in names}
-        sized = found.local.estimates(values)
-        standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
-        for (name, parameter), known in sized.items():
-            standard_errors[name][parameter] = known.error
-        hypotheses.append(ScoredSet(names, scored.probability, values, standard_errors))
-    noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
-    levels = noise, found.noise_model.size, found.noise_model.time, found.inflation
-    return hypotheses, NoiseLevels(*(of[: len(CHANNELS)] for of in levels))
-
-
-def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
-    """Return the most probable set extended by each effect that the flights do not excite.
-
-    Such an effect keeps its prior odds and a plausible size.
-    """
-    local, best = found.local, found.sets[0]
-    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
-    scored = {one.names for one in found.sets}
-    result = []
-    for name, effect in problem.library.items():
-        names = best.names | {name}
-        own = local.index([name])
-        if names in scored or effect.told_by or not len(own):
-            continue
-        prior = np.sqrt(local.slab[own[0], own[0]])
-        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
-            continue
-        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
-        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
-        ordered = tuple(n for n in problem.library if n in names)
-        odds = best.probability * share / (1.0 - share)
-        result.append(ScoredSet(ordered, odds, values, {name: width}))
-    return result
 
 
 class ModelDiscrimination(Candidates):

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct, field
 
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import VERSION, ScoredSet
-from inclined_landing.eval.gap.search.reference import VehiclePosterior, read_reference
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown

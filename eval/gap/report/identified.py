@@ -15,12 +15,12 @@ from inclined_landing.envs.shared.tables import new_table
 from inclined_landing.eval.base.style import MUTED, panel
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
-from inclined_landing.eval.gap.search.reference import VehiclePosterior, posterior_path
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.windows import NEAR, prepare
-from inclined_landing.eval.gap.search import rollout
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle

@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose, measure_gap
-from inclined_landing.eval.gap.answer.diagnosis import _steady_force
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.answer.named import useful_values
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare
-from inclined_landing.eval.gap.search import sets
-from inclined_landing.eval.gap.search.columns import BASE, Candidates
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.features import ReferenceResidual
-from inclined_landing.eval.gap.search.fit import active_set_step, dersimonian_laird, fit_least_squares
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.vehicle_fit import (
+from inclined_landing.eval.gap.infer import sets
+from inclined_landing.eval.gap.infer.fit import active_set_step, dersimonian_laird, fit_least_squares
+from inclined_landing.eval.gap.infer.vehicle_fit import (
     field_half_widths,
     fit_vehicle,
     leave_one_out_modes,
     vehicles_a_half_width_away,
 )
+from inclined_landing.eval.gap.model.columns import BASE, Candidates
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
+from inclined_landing.eval.gap.pipeline import _steady_force
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations, forces
 from inclined_landing.models.effects import LIBRARY

@@ -15,20 +15,21 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise_model import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
-from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.columns import BASE, SHAPE_COVARIANCE, Column
-from inclined_landing.eval.gap.search.features import Basis, ReferenceResidual
-from inclined_landing.eval.gap.search.posterior import Bounds, LinearGaussian
-from inclined_landing.eval.gap.search.prediction import predict
-from inclined_landing.eval.gap.search.reference import (
+from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian
+from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
+from inclined_landing.eval.gap.infer.sets import SetProbability, _relevant_subsets, model_error_weights
+from inclined_landing.eval.gap.model import form
+from inclined_landing.eval.gap.model.columns import BASE, SHAPE_COVARIANCE, Column
+from inclined_landing.eval.gap.model.prediction import predict
+from inclined_landing.eval.gap.model.reference import (
+    Basis,
+    ReferenceResidual,
     VehiclePosterior,
     digest,
     free_effects,
     posterior_path,
     read_reference,
 )
-from inclined_landing.eval.gap.search.residual import _RidgeRegression, _sign_flips, gain_matrix
-from inclined_landing.eval.gap.search.sets import SetProbability, _relevant_subsets, model_error_weights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import rotation, tilted

@@ -9,11 +9,11 @@ import pytest
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS, prepare, prepare_all
+from inclined_landing.eval.gap.infer.gaussian import spike_deviations
+from inclined_landing.eval.gap.model.columns import slab_covariance
+from inclined_landing.eval.gap.model.prediction import predict, requested_differences
+from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.search.columns import slab_covariance
-from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.posterior import spike_deviations
-from inclined_landing.eval.gap.search.prediction import predict, requested_differences
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap.flights.windows import prepare
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights
+from inclined_landing.eval.gap.infer.sets import autocorrelation_inflation
+from inclined_landing.eval.gap.model.columns import BASE, Column, slab_deviations
+from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
-from inclined_landing.eval.gap.search.columns import BASE, Column, slab_deviations
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
-from inclined_landing.eval.gap.search.fit import fit_least_squares
-from inclined_landing.eval.gap.search.heterogeneity import inconsistent_flights
-from inclined_landing.eval.gap.search.sets import autocorrelation_inflation
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.proof import gap_agreement

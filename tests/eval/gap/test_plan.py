@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
+from inclined_landing.eval.gap.model.columns import Column
+from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.search.columns import Column
-from inclined_landing.eval.gap.search.features import ReferenceResidual
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle

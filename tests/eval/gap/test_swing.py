@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.search.swing import ANGLE, STRETCH, pulled, stretches
+from inclined_landing.eval.gap.model.swing import ANGLE, STRETCH, pulled, stretches
 from inclined_landing.models import load
 from inclined_landing.models.parameters import load_vehicle
 

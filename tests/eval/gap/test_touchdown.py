@@ -8,16 +8,16 @@ import pytest
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with, contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
-from inclined_landing.eval.gap.result import ScoredSet
-from inclined_landing.eval.gap.search.contact import (
+from inclined_landing.eval.gap.infer.contact import (
     ContactEstimate,
     ContactPosterior,
     common_residual_p_value,
     contact_posterior,
     inflation,
 )
-from inclined_landing.eval.gap.search.sets import SetProbability
-from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem, static_deflection
+from inclined_landing.eval.gap.infer.sets import SetProbability
+from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
+from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.proof.gap_blind.generate import landings, logs
@@ -118,7 +118,7 @@ def made_up(monkeypatch, landings, hidden, noise=1.0, seed=0):
         return white + sum(slopes[n] * (hidden.get(n, 0.0) - now[n]) / (4.0 * unit[n]) for n in few)
 
     monkeypatch.setattr(TouchdownProblem, "errors", errors)
-    monkeypatch.setattr("inclined_landing.eval.gap.search.contact.common_residual_p_value", lambda *_: 1.0)
+    monkeypatch.setattr("inclined_landing.eval.gap.infer.contact.common_residual_p_value", lambda *_: 1.0)
     return contact_posterior(landings, VEHICLE, few)[1]
 
 

@@ -23,8 +23,8 @@ from scipy.signal import lfilter, savgol_filter
 
 from inclined_landing.eval.gap import measure_gap
 from inclined_landing.eval.gap.flights.windows import in_free_flight, prepare_all
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import fit_least_squares
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import rotation
 from inclined_landing.models.effects import LIBRARY

@@ -27,7 +27,7 @@ from .cases import CURVE, ROTORPY, SETS, STRATA, Case, Flown, of_set
 from .page import markdown, reliability
 
 if TYPE_CHECKING:
-    from inclined_landing.eval.gap.search.reference import VehiclePosterior
+    from inclined_landing.eval.gap.model.reference import VehiclePosterior
 
 METHODS = ("workflow", "tuning", "sparse")
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
@@ -141,7 +141,7 @@ def _case(case: Case, methods: Sequence[str], out: Path) -> None:
 def _identified(case: Case, flown: Flown) -> tuple[Vehicle, VehiclePosterior]:
     """The vehicle that the gap is measured for, and what is known of it."""
     from inclined_landing.eval.gap.answer.identify import identify
-    from inclined_landing.eval.gap.search.reference import VehiclePosterior
+    from inclined_landing.eval.gap.model.reference import VehiclePosterior
     from inclined_landing.models.parameters import load_vehicle
 
     if not flown.identify:

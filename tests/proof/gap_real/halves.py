@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from inclined_landing.eval.gap.answer.diagnosis import diagnose
+from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.infer.fit import LeastSquaresFit, fit_least_squares
+from inclined_landing.eval.gap.model.columns import slab_deviations
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Diagnosis, PlantGap
-from inclined_landing.eval.gap.search import rollout
-from inclined_landing.eval.gap.search.columns import slab_deviations
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.vehicle import Vehicle

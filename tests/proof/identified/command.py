@@ -15,8 +15,8 @@ import numpy as np
 import tyro
 
 from inclined_landing.eval.gap.answer.identify import Identification, identify
+from inclined_landing.eval.gap.answer.rollout import measure_gap
 from inclined_landing.eval.gap.report.identified import described, write_posterior
-from inclined_landing.eval.gap.search.rollout import measure_gap
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.flights.convert import public_sets
 from inclined_landing.models import storage

@@ -5,7 +5,7 @@
 theta ~ N(m, Sigma): error of the identified vehicle, with the posterior covariance of its identification.
 delta: change since then. Its prior is the *slab* for an effect of the set, as wide as real vehicles differ,
 and the *spike* for every other, as wide as a negligible error: no model is exact. u ~ N(0, between^2): random
-effect of every flight. Model errors of the formulas are columns of J as well (`search.form`).
+effect of every flight. Model errors of the formulas are columns of J as well (`model.form`).
 
 Probabilities are averaged over bootstrap samples of the flights (bagged posterior: Huggins and Miller 2023),
 since no set is exactly true: the posterior under misspecification would be overconfident.
@@ -19,13 +19,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.columns import (
+from inclined_landing.eval.gap.model.columns import (
     SHAPE_COVARIANCE,
     Values,
     slab_covariance,
     slab_deviations,
 )
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
+from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
 SPIKE = 0.35  # standard deviation of the spike, in negligible sizes
 BETWEEN = 0.35  # least between-flight standard deviation, in negligible sizes

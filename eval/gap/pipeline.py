@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.before_after import (
     landing_gap,
     open_loop_errors,
@@ -23,12 +24,25 @@ from inclined_landing.eval.gap.answer.named import (
     joint_sets,
     named_effects,
     relevant_values,
+    scored_sets,
+    unidentifiable_sets,
     useful_values,
 )
 from inclined_landing.eval.gap.flights.landings import Landing, landings_of
 from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
-from inclined_landing.eval.gap.plan.information import set_hypotheses, unidentifiable_sets
+from inclined_landing.eval.gap.infer import contact, heterogeneity, residual, sets
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.infer.gaussian import EffectSet
+from inclined_landing.eval.gap.infer.vehicle_fit import (
+    field_half_widths,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
+)
+from inclined_landing.eval.gap.model.columns import Candidates, Values, slab_deviations
+from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -38,24 +52,6 @@ from inclined_landing.eval.gap.result import (
     ResidualAnalysis,
     ScoredSet,
     Touchdowns,
-)
-from inclined_landing.eval.gap.search import (
-    contact,
-    heterogeneity,
-    residual,
-    rollout,
-    sets,
-)
-from inclined_landing.eval.gap.search.columns import Candidates, Values, slab_deviations
-from inclined_landing.eval.gap.search.evidence import Problem, identifiable_effects
-from inclined_landing.eval.gap.search.fit import fit_least_squares
-from inclined_landing.eval.gap.search.posterior import EffectSet
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
-from inclined_landing.eval.gap.search.vehicle_fit import (
-    field_half_widths,
-    fit_vehicle,
-    leave_one_out_modes,
-    vehicles_a_half_width_away,
 )
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
@@ -133,7 +129,7 @@ def diagnose(
         corrected=contact_result.vehicle,
         separating_manoeuvre=manoeuvre or None,
         where=where + contact_result.where,
-        sets=contact_result.sets(tuple(set_hypotheses(problem, found)[0])),
+        sets=contact_result.sets(tuple(scored_sets(problem, found))),
         unidentifiable_sets=tuple(unidentifiable_sets(problem, found)),
         touchdowns=touchdowns,
         disturbance=disturbances(problem, found.noise_model),

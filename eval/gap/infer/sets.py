@@ -18,10 +18,8 @@ from scipy.special import ndtr
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
-from inclined_landing.eval.gap.search.columns import BASE, FittedValues, Values, slab_deviations
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
-from inclined_landing.eval.gap.search.fit import LeastSquaresFit, fit_least_squares
-from inclined_landing.eval.gap.search.posterior import (
+from inclined_landing.eval.gap.infer.fit import LeastSquaresFit, fit_least_squares
+from inclined_landing.eval.gap.infer.gaussian import (
     EffectSet,
     Evidence,
     LinearGaussian,
@@ -30,6 +28,8 @@ from inclined_landing.eval.gap.search.posterior import (
     excitation,
     flight_weights,
 )
+from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
 SAME_RATIO = frozenset(("mass", "thrust_scale"))
 LEFT_OUT = 30.0  # nat

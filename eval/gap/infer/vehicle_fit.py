@@ -12,9 +12,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.columns import FittedValues, Values
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
+from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
+from inclined_landing.eval.gap.model.columns import FittedValues, Values
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.models.vehicle import Vehicle
 
 ROUNDS = 8  # of Newton's method

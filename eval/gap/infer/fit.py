@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search.columns import BASE, Column, FittedValues, Values
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem, solve
+from inclined_landing.eval.gap.model.columns import BASE, Column, FittedValues, Values
+from inclined_landing.eval.gap.model.problem import Linearisation, Problem, solve
 
 
 @dataclasses.dataclass

@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap.flights.landings import BEFORE, TRANSIENT, Landing
-from inclined_landing.eval.gap.search.columns import Candidates
-from inclined_landing.eval.gap.search.rollout import delayed_commands, without_delays
+from inclined_landing.eval.gap.model.columns import Candidates
+from inclined_landing.eval.gap.model.prediction import delayed_commands, without_delays
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, X, Y, Z
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.effects.touchdown import spring_of

@@ -18,12 +18,12 @@ import numpy as np
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
+from inclined_landing.eval.gap.model.columns import Values
+from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.model.reference import TARGETS, TIME, Basis, ReferenceResidual
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
-from inclined_landing.eval.gap.search.columns import Values
-from inclined_landing.eval.gap.search.evidence import Problem
-from inclined_landing.eval.gap.search.features import TARGETS, TIME, Basis, ReferenceResidual
-from inclined_landing.eval.gap.search.posterior import EffectSet, LinearGaussian
-from inclined_landing.eval.gap.search.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.models.vehicle import Vehicle
 
 UNITS = {

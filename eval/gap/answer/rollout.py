@@ -15,11 +15,10 @@ import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
+from inclined_landing.eval.gap.model.prediction import as_flown, delayed_commands, predict, without_delays
 from inclined_landing.eval.gap.result import PlantGap
-from inclined_landing.eval.gap.search.prediction import as_flown, predict
 from inclined_landing.models import equations, forces
-from inclined_landing.models.attitude import LAG, PWM, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
-from inclined_landing.models.delays import averages
+from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
@@ -118,21 +117,6 @@ def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
     ]
     p, a = flight.noise[:3], flight.noise[3:6]
     return np.concatenate([factor[0] * p, factor[1] * p, factor[2] * a, factor[3] * a])
-
-
-def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag state (m,)."""
-    late = vehicle.effects_mocap_delay
-    delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
-    commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
-    return commands, forces.lags(commands[:, PWM], dt, forces.pack(vehicle))
-
-
-def without_delays(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle without delays, for commands that `delayed_commands` has delayed."""
-    return dataclasses.replace(
-        vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
-    )
 
 
 def simulate(

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.search import form
+from inclined_landing.eval.gap.model import form
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.vehicle import Vehicle
@@ -29,7 +29,7 @@ class Column:
     effect: str
     parameter: str
     fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect at which it is taken
-    form: str = ""  # name of a model error of the effect (`search.form`), in place of a parameter
+    form: str = ""  # name of a model error of the effect (`model.form`), in place of a parameter
 
 
 class Candidates:

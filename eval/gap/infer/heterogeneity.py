@@ -17,10 +17,10 @@ import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.infer.gaussian import BETWEEN, confounding
+from inclined_landing.eval.gap.model.columns import Values, slab_deviations
+from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
-from inclined_landing.eval.gap.search.columns import Values, slab_deviations
-from inclined_landing.eval.gap.search.evidence import Linearisation, Problem
-from inclined_landing.eval.gap.search.posterior import BETWEEN, confounding
 
 PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1
 

@@ -11,17 +11,18 @@ held between rows and averaged exactly over each step, which makes delays differ
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
-from inclined_landing.eval.gap.search.swing import pulled
+from inclined_landing.eval.gap.model.swing import pulled
 from inclined_landing.models.attitude import PWM, euler_rates, tilted
 from inclined_landing.models.attitude_loops import angle_steps, yaw_steps
 from inclined_landing.models.delays import averages
-from inclined_landing.models.forces import lag_step, pack, wrench
+from inclined_landing.models.forces import lag_step, lags, pack, wrench
 from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 
@@ -90,6 +91,21 @@ def as_flown(flight, vehicle: Vehicle) -> Vehicle:
     if flight.requests is not None:
         vehicle = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
     return vehicle
+
+
+def delayed_commands(command: np.ndarray, dt: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands (m, 4) as delayed means (m - 1, 4) over each step, and the thrust lag state (m,)."""
+    late = vehicle.effects_mocap_delay
+    delays = [vehicle.effects_thrust_delay + late] + [vehicle.effects_attitude_delay + late] * 3
+    commands = np.stack([averages(command[:, k], dt, d) for k, d in enumerate(delays)], axis=1)
+    return commands, lags(commands[:, PWM], dt, pack(vehicle))
+
+
+def without_delays(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle without delays, for commands that `delayed_commands` has delayed."""
+    return dataclasses.replace(
+        vehicle, effects_thrust_delay=0.0, effects_attitude_delay=0.0, effects_mocap_delay=0.0
+    )
 
 
 def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:

@@ -23,10 +23,10 @@ from scipy.special import logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
-from inclined_landing.eval.gap.search.columns import SLAB, FittedValues, Values
-from inclined_landing.eval.gap.search.posterior import SPIKE, EffectSet, flight_weights
-from inclined_landing.eval.gap.search.sets import REFIT_ABOVE, SetProbability
-from inclined_landing.eval.gap.search.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights
+from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE, SetProbability
+from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
+from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 

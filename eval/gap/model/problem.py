@@ -15,10 +15,10 @@ import numpy as np
 from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.flights.whitening import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
-from inclined_landing.eval.gap.search import form
-from inclined_landing.eval.gap.search.columns import BASE, Candidates, Column, Values
-from inclined_landing.eval.gap.search.prediction import CHANNELS, predict, translated
-from inclined_landing.eval.gap.search.reference import VehiclePosterior
+from inclined_landing.eval.gap.model import form
+from inclined_landing.eval.gap.model.columns import BASE, Candidates, Column, Values
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, translated
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 

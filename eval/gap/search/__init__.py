@@ -1,1 +1,0 @@
-"""Which effects explain the flights."""
