@@ -10,10 +10,9 @@ import pytest
 from inclined_landing.models import effects
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from tests.proof.gap_blind import cases, causes, score, summary
+from tests.proof.gap_blind import cases, causes, score, tables
 from tests.proof.gap_blind import command as run
 from tests.proof.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
-from tests.proof.gap_blind.page import markdown, reliability
 from tests.proof.simulator import FAMILIES
 
 
@@ -255,38 +254,27 @@ def test_calibration_of_known_probabilities():
             for k in range(n)
         ]
 
-    exact = summary.calibration(rows(0.85, 17, 20) + rows(0.25, 5, 20))
+    exact = tables.calibration(rows(0.85, 17, 20) + rows(0.25, 5, 20))
     assert exact["error"] == pytest.approx(0.0) and [b["right"]["of"] for b in exact["bins"]] == [20, 20]
-    over = summary.calibration(rows(1.0, 8, 10))
+    over = tables.calibration(rows(1.0, 8, 10))
     assert over["error"] == pytest.approx(0.2)
-    assert over["log score"] == pytest.approx(-0.2 * np.log(summary.LEAST))
-    assert summary.calibration([{"belief": None}]) is None
-
-
-def made_results() -> dict:
-    """Return results of eleven cases, with their tables."""
-    sets = ((0.9, "wind"), (0.1,))
-    rows = [score.score_case(label(), report(WIND, sets=sets)) for _ in range(9)]
-    rows += [score.score_case(label(), report(DRAG)), score.score_case(label("nothing", ()), report())]
-    results = {"set": "dev", "seed": 0, "cases": 11, "labels sha256": "0" * 64}
-    method = {"table": summary.table(rows), "families": summary.by_family(rows)}
-    method |= {"calibration": summary.calibration(rows), "cases": [{"case": "case_000"} | rows[0]]}
-    return results | {"methods": {"workflow": method}}
+    assert over["log score"] == pytest.approx(-0.2 * np.log(tables.LEAST))
+    assert tables.calibration([{"belief": None}]) is None
 
 
 def test_table_counts_with_intervals():
-    results = made_results()
-    method = results["methods"]["workflow"]
-    lines = {line["stratum"]: line for line in method["table"]}
+    sets = ((0.9, "wind"), (0.1,))
+    rows = [score.score_case(label(), report(WIND, sets=sets)) for _ in range(9)]
+    rows += [score.score_case(label(), report(DRAG)), score.score_case(label("nothing", ()), report())]
+    results = {"set": "dev", "seed": 0, "cases drawn": 11} | tables.results_of(rows)
+    lines = {line["stratum"]: line for line in results["table"]}
     single = lines["single"]
     assert (single["cases"], single["named"], single["misnamed"]) == (10, 9, 1)
     assert single["good"]["interval"] == pytest.approx([0.596, 0.982], abs=1e-3)  # Wilson's
     assert lines["nothing"]["right"] == 1 and "single, weak" in lines
-    text = markdown(results)
+    text = tables.markdown(results)
     assert "| single | 10 | 9 | 1 |" in text and "| cascade | 91 % [62, 98] |" in text
-    assert "calibration error 0.100" in text and reliability(results) is not None
-    method["calibration"] = None
-    assert reliability(results) is None
+    assert "calibration error 0.100" in text
 
 
 def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
@@ -294,21 +282,20 @@ def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):
     flown = []
 
     def at_once(work, calls, processes, done):
-        for case, methods, out in calls:
+        for case, out in calls:
             flown.append(case.name)
             assert (out / "sealed" / "labels.json").exists()
-            for method in methods:
-                run.storage.write_json(out / "reports" / method / f"{case.name}.json", report())
+            run.storage.write_json(out / "reports" / f"{case.name}.json", report())
             yield None, None
 
     monkeypatch.setattr(run, "in_processes", at_once)
     out = tmp_path / "set"
     run.command(out, "dev", 3, cases=12)
     first = json.loads((out / "results.json").read_text())
-    line = first["methods"]["workflow"]["table"][0]
+    line = first["table"][0]
     assert len(flown) == 12 and line["missed"] == line["cases"]
     assert not any("wind" in path.read_text() for path in (out / "reports").rglob("*.json"))
-    (out / "reports" / "workflow" / "case_004.json").unlink()
+    (out / "reports" / "case_004.json").unlink()
     run.command(out, "dev", 3, cases=12)
     assert json.loads((out / "results.json").read_text()) == first and flown[12:] == ["case_004"]
     with pytest.raises(UserError, match="another blind set"):

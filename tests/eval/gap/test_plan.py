@@ -19,7 +19,6 @@ from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
-from tests.proof import plan_proof
 
 VEHICLE = load_vehicle()
 FREE, SLAB = (pieces.Space.of(VEHICLE, platform) for platform in (False, True))
@@ -326,25 +325,3 @@ def test_the_short_text_names_a_piece_the_scale_or_nothing():
     assert (
         said(dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)) == ""
     )
-
-
-def test_the_proof_counts_flights_until_the_right_name_stands_alone():
-    case = {"cause": "wind", "size": "weak", "family": "cascade", "before": (0.3, 0.2)}
-    settled = case | {"before": (0.9, 0.0)}  # nothing in doubt: counted, not flown on
-    rows = [
-        settled,
-        case | {"planned": [(0.96, 0.1)], "ordinary": [(0.5, 0.0)] * plan_proof.MOST},
-        case | {"planned": [(0.97, 0.6), (0.97, 0.2)], "ordinary": [(0.99, 0.1)]},
-    ]
-    assert [plan_proof.flown(r["planned"]) for r in rows[1:]] == [1, 2]  # a rival must go first
-    text = plan_proof.markdown(rows)
-    assert "3 cases; in 2 the right name is in doubt" in text
-    assert "| planned | 2 of 2 | 1.5" in text and "| ordinary | 1 of 2 | 3.0" in text
-    assert "0.50 times the ordinary ones" in text
-
-
-def test_the_proof_flies_the_set_points():
-    plan = points("run")
-    rows = plan_proof.reference(plan, VEHICLE)
-    assert rows[:, :3] == pytest.approx(plan.path.position[::2])
-    assert rows[:, 9] == pytest.approx(plan.path.yaw[::2])

@@ -21,10 +21,9 @@ BARS = {
     "nothing": ("nothing changed, but a sure name", 0.10),
     "unknown": ("causes outside the library that are flagged", 1.0),
 }
-BASELINES = {"tuning": "parameter tuning", "sparse": "sparse regression"}
 HEADER = (
     *("set", "told", "flights", "verdict", "sure", "possible", "told size", "found", "rough"),
-    *("error after 1 s, cm", "tuning", "sparse regression"),
+    *("error after 1 s, cm", "tuning"),
 )
 
 
@@ -62,8 +61,8 @@ def summary_text(results: Sequence[dict]) -> str:
         sign = "at most" if key in ("wrong", "nothing") else "at least"
         share = f"{100 * count / of:.0f} %" if of else "none"
         lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
-    lines += [_unknown_counts(results), _errors(results)]
-    return "\n".join(lines + [_baseline_counts(results, method) for method in BASELINES])
+    lines += [_unknown_counts(results), _errors(results), _tuning_counts(results)]
+    return "\n".join(lines)
 
 
 def _unknown_counts(results: Sequence[dict]) -> str:
@@ -87,14 +86,14 @@ def _errors(results: Sequence[dict]) -> str:
     return f"error one second ahead where a right name is sure, median: {before} to {after} cm"
 
 
-def _baseline_counts(results: Sequence[dict], method: str) -> str:
-    """Return on how many causes of medium size or more a baseline has a right name, and its wrong names."""
-    rows = [(r, r["baselines"][method]) for r in results if method in r.get("baselines", {})]
+def _tuning_counts(results: Sequence[dict]) -> str:
+    """Return on how many causes of medium size or more tuning has a right name, and its wrong names."""
+    rows = [(r, r["tuning"]) for r in results if r.get("tuning")]
     clear = [one for r, one in rows if r["kind"] == "cause" and r["strength"] != "weak"]
     right, names = sum(one["right"] for one in clear), sum(len(one["names"]) for _, one in rows)
     wrong = sum(one["wrong"] for _, one in rows)
     counted = f"right among its names {right}/{len(clear)}; {wrong} of its {names} names are wrong"
-    return f"{BASELINES[method]}: {counted}"
+    return f"parameter tuning: {counted}"
 
 
 def line(r: dict) -> str:
@@ -133,31 +132,26 @@ def cells(results: Sequence[dict]) -> list[list[str]]:
     lines = []
     for r in results:
         if "error" in r:
-            lines.append([r["set"], r["name"], "", "not read: " + r["error"], *[""] * 8])
+            lines.append([r["set"], r["name"], "", "not read: " + r["error"], *[""] * 7])
             continue
         if r["kind"] == "dose":
             told = f"{r['parameter']} at {r['dose']:g}"
-            lines.append([r["set"], r["name"], str(r["flights"][0]), *[""] * 3, told, _found(r), *[""] * 4])
+            lines.append([r["set"], r["name"], str(r["flights"][0]), *[""] * 3, told, _found(r), *[""] * 3])
             continue
         told = f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else ""
         error = "" if r["before"] is None else f"{100 * r['before']:.0f} to {100 * r['after']:.0f}"
         verdict = r["verdict"] + (
             f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
         )
-        others = [_baseline(r["baselines"].get(method)) for method in BASELINES]
+        one = r["tuning"]
+        tuning = f"{'right' if one['right'] else 'missed'}, {one['wrong']} wrong" if one else ""
         sure, possible = "; ".join(_names(r, True)), ", ".join(_names(r, False))
         flights = f"{r['flights'][0]} and {r['flights'][1]}"
         rough = "" if r["rough"] is None else f"{r['rough']:.3g}"
         lines.append(
-            [r["set"], r["name"], flights, verdict, sure, possible, told, _found(r), rough, error, *others]
+            [r["set"], r["name"], flights, verdict, sure, possible, told, _found(r), rough, error, tuning]
         )
     return lines
-
-
-def _baseline(one: dict | None) -> str:
-    if one is None:
-        return ""
-    return f"{'right' if one['right'] else 'missed'}, {one['wrong']} wrong"
 
 
 def markdown(results: Sequence[dict]) -> str:

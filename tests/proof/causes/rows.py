@@ -22,8 +22,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-from ..gap_blind import baselines
-from . import rough
+from . import baselines
 
 HALVES = ("development", "heldout", "fresh")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
@@ -169,7 +168,7 @@ def answer(data: Path, row: Row) -> dict:
         "before": gap.before if gap else None,
         "after": gap.after if gap else None,
         "seconds": time.perf_counter() - began,
-        "baselines": _baselines(row, flights, known.vehicle),
+        "tuning": _tuning(row, flights, known.vehicle),
         "rough": _rough(row, reference, flights),
         **judged(row, d),
     }
@@ -195,26 +194,23 @@ def dose_answer(data: Path, row: Row) -> dict:
     }
 
 
-def _baselines(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict[str, dict]:
-    """Return what parameter tuning and sparse regression name on the same flights."""
+def _tuning(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict | None:
+    """Return what parameter tuning names on the same flights."""
     right, allowed = set(row.right), set(row.right) | set(row.beside)
-    result = {}
-    for method, find in (("tuning", baselines.tune), ("sparse", baselines.regress)):
-        try:
-            names = set(find(flights, vehicle))
-        except (ImportError, UserError):
-            continue
-        result[method] = {"right": bool(names & right), "wrong": len(names - allowed), "names": sorted(names)}
-    return result
+    try:
+        names = baselines.tune(flights, vehicle)
+    except UserError:
+        return None
+    return {"right": bool(names & right), "wrong": len(names - allowed), "names": sorted(names)}
 
 
 def _rough(row: Row, reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:
     """Return what a rough regression says of the told size, or of the dose of rotor M3."""
     if row.dose is not None:
-        return rough.request(reference, flights, 2)
+        return baselines.request(reference, flights, 2)
     if row.size is None:
         return None
-    return {"thrust": rough.thrust, "wind": rough.wind}[row.size["of"]](reference, flights)
+    return {"thrust": baselines.thrust, "wind": baselines.wind}[row.size["of"]](reference, flights)
 
 
 def _inconsistent(d: Diagnosis) -> list[str]:

@@ -1,14 +1,47 @@
-"""What a rough regression says of a told size: minutes of work, which the workflow has to do better."""
+"""What others would do with the same flights: a regression by hand of a told size, or parameter tuning.
+
+`tune` fits all parameters that the model already has together, as system identification tools do; it is given
+the workflow's own windows and whitening, which they lack. It cannot answer that something unknown remains.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import least_squares
 
+from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.logs import FlightLog, motion
 from inclined_landing.eval.logs.values import MOTORS_OFF
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.vehicle import Vehicle
+
+# Effects that rescale a constant of the paper's equations.
+TUNED = tuple(
+    name
+    for name, effect in LIBRARY.items()
+    if any(p.constant and not p.constant.field.startswith("effects_") for p in effect.parameters)
+)
+
+
+def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> set[str]:
+    """Return which of TUNED are off: the 95 % interval leaves out nominal, by more than is negligible."""
+    problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
+    names = [name for name in TUNED if name in problem.library]
+    fit = fit_least_squares(problem, {name: {} for name in names}, np.ones(problem.channels), iterations=15)
+    error = np.sqrt(np.diag(fit.linear.covariance()))
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    found = set()
+    for column, e in zip(fit.linear.columns, error):
+        p = problem.parameter(column)
+        value = fit.values[column.effect][column.parameter]
+        if abs(value - p.neutral) > max(quantile * e, p.negligible):
+            found.add(column.effect)
+    return found
 
 
 def thrust(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:

@@ -1,1 +1,0 @@
-"""Measured touchdowns on a flat floor, and the same touchdowns simulated."""
