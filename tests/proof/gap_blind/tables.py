@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.envs.shared.statistics import proportion
 
 from ..shared import table
-from .cases import CURVES, STRATA
+from .cases import STRATA
 from .causes import SIZES
 from .score import GOOD, OUTCOMES
 
@@ -21,7 +21,7 @@ LEAST = 1e-3  # of a probability in the log score: a report keeps its likeliest 
 def results_of(rows: list[Mapping]) -> dict:
     """Return the numbers of all tables, and the rows."""
     lines = []
-    for stratum in (*STRATA, *CURVES):
+    for stratum in STRATA:
         members = [row for row in rows if row["stratum"] == stratum]
         if members:
             lines.append({"stratum": stratum} | line(members))
@@ -71,7 +71,7 @@ def families(rows: Iterable[Mapping]) -> list[dict]:
     for family in sorted({row["family"] for row in rows}):
         members = [row for row in rows if row["family"] == family]
         shares = {}
-        for stratum in (*STRATA, *CURVES):
+        for stratum in STRATA:
             part = [row["outcome"] in GOOD for row in members if row["stratum"] == stratum]
             if part:
                 shares[stratum] = proportion(sum(part), len(part))
