@@ -14,6 +14,8 @@ from tests import ROOT, documents
 FOLDERS = ("models", "envs", "eval", "train", "tests", "docs", "examples")
 PROSE = re.compile(r"^ {0,3}```.*?^ {0,3}```", re.DOTALL | re.MULTILINE)  # blocks, which other tests run
 SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+# Docstrings, which are what is checked, and comments.
+NO_CODE = re.compile(r'^\s*r?"""(?:.|\n)*?"""|(?:^|\s)#.*$', re.MULTILINE)
 NAME = re.compile(r"-{0,2}[A-Za-z_][\w./-]*(\(\))?")
 SUFFIXES = (".py", ".toml", ".cc", ".h", ".in", ".j2", ".js", ".xml", ".yml", ".cff", ".txt", ".json", ".md")
 FOREIGN = {  # names of other programs, and names that are put together from parts
@@ -53,10 +55,14 @@ def files(*suffixes: str) -> list[Path]:
 
 def docstrings(tree: ast.AST) -> Iterator[ast.Constant]:
     """Yield the docstrings of a module, also those below fields."""
-    bodies = (body for node in ast.walk(tree) if isinstance(body := getattr(node, "body", None), list))
-    for statement in (one for body in bodies for one in body if isinstance(one, ast.Expr)):
-        if isinstance(statement.value, ast.Constant) and isinstance(statement.value.value, str):
-            yield statement.value
+    nodes = [tree]
+    while nodes:
+        body = getattr(nodes.pop(), "body", ())
+        for one in body if isinstance(body, list) else ():
+            if not isinstance(one, ast.Expr):
+                nodes.append(one)
+            elif isinstance(one.value, ast.Constant) and isinstance(one.value.value, str):
+                yield one.value
 
 
 @functools.cache
@@ -64,14 +70,8 @@ def known() -> frozenset[str]:
     """Return every word that code, tables and configuration have, and the names of files and options."""
     words: set[str] = set(dir(builtins))
     for path in files(".py"):
-        tree = ast.parse(path.read_text("utf-8"))
-        prose = {id(constant) for constant in docstrings(tree)}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
-                words |= set(re.findall(r"[\w.-]+", node.value))
-            for field in ("id", "attr", "arg", "name", "module", "asname"):
-                if isinstance(value := getattr(node, field, None), str):
-                    words |= set(value.split("."))
+        code = NO_CODE.sub("", path.read_text("utf-8"))
+        words |= {*re.findall(r"[\w.-]+", code), *re.findall(r"\w+", code)}
     for path in files(*SUFFIXES[1:-1]):
         if path.stat().st_size < 500_000:
             words |= set(re.findall(r"[\w.-]+", path.read_text("utf-8")))

@@ -30,11 +30,11 @@ def test_one_command_runs_them_from_the_root():
     ("words", "sentence"),
     [
         ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; python -m tests.proof --help"),
-        ("plan-proof --out {out} --family moon", "unknown family 'moon'; known are dev, fresh"),
+        ("gap-agreement --out {out} --family moon", "unknown family 'moon'; known are dev, fresh"),
         ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
         ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),
         ("causes {folder}/none --out {out}", "{folder}/none: no folder"),
-        ("gap-real {folder} --out {out} --only moon", "unknown part 'moon'"),
+        ("gap-real {folder} --out {out}", "{folder}/utias_fmpc is missing"),
     ],
 )
 def test_wrong_words_are_one_sentence(words, sentence, tmp_path, capsys):
