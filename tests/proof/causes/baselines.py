@@ -13,8 +13,8 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from inclined_landing.eval.gap.flights.windows import prepare_all
-from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.logs import FlightLog, motion
 from inclined_landing.eval.logs.values import MOTORS_OFF
 from inclined_landing.models.effects import LIBRARY
