@@ -194,15 +194,22 @@ class Difference:
 
 
 @dataclasses.dataclass(frozen=True)
+class SetAside:
+    """A flight that cannot be used: nothing is computed with it."""
+
+    flight: str
+    reason: str  # a sentence
+
+
+@dataclasses.dataclass(frozen=True)
 class InconsistentFlights:
     """A group of flights that is inconsistent with the others."""
 
     flights: tuple[str, ...]
     others: tuple[str, ...]
     differences: tuple[Difference, ...]  # the surest first
-    p_value: float  # of the most significant difference, corrected for multiple testing; NaN for a sensor
-    false_alarms: float  # familywise false alarm rate; NaN for a sensor
-    sensor: str = ""  # a sentence on the sensor that fails, for which the flights are left out of the fit
+    p_value: float  # of the most significant difference, corrected for multiple testing
+    false_alarms: float  # familywise false alarm rate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,6 +257,7 @@ class Diagnosis:
         ScoredSet, ...
     ] = ()  # with effects that the flights could not have shown, at prior odds
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
+    set_aside: tuple[SetAside, ...] = ()  # flights that cannot be used
     # Values of all effects that were estimated again; empty where none was.
     estimated: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     # Fields of the vehicle that these change, with half-widths of their 95 % intervals.

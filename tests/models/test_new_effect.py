@@ -116,7 +116,7 @@ def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_p
     assert worn.contact_friction == 0.9 * V.contact_friction and apply(V, {"wear": {}}) == V
     (tmp_path / "worn.toml").write_text("[effects.wear]\nwear = [0.1, 0.1]\n")
     assert randomise.read_ranges(tmp_path / "worn.toml").draw(V, 0, 2) == [worn, worn]
-    candidates = Candidates.of(V, LIBRARY)
+    candidates = Candidates.for_vehicle(V, LIBRARY)
     (column,) = candidates.columns(["wear"])
     moved, step = candidates.one_sided_difference({}, column)
     assert moved == apply(V, {"wear": {"wear": step}})

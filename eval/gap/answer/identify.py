@@ -17,31 +17,24 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import disturbances
-from inclined_landing.eval.gap.flights.sensors import without_failed_sensors
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare_all
-from inclined_landing.eval.gap.infer import heterogeneity
-from inclined_landing.eval.gap.infer.fit import fit_least_squares
-from inclined_landing.eval.gap.infer.gaussian import (
-    LinearGaussian,
-    ParameterEstimate,
-    confounding,
-    estimate_between_flight_deviations,
-    excitation,
+from inclined_landing.eval.gap.flights.usable import usable_flights
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.eval.gap.infer.fit import (
+    estimate_noise,
+    field_half_widths,
+    fit_least_squares,
+    fit_vehicle,
 )
-from inclined_landing.eval.gap.infer.residual import Residual, reference_residual
-from inclined_landing.eval.gap.infer.sets import (
-    autocorrelation_inflation,
-    fit_jointly,
-    leave_one_out,
-)
-from inclined_landing.eval.gap.infer.vehicle_fit import field_half_widths, fit_vehicle
-from inclined_landing.eval.gap.model.columns import BASE, Values, slab_deviations
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread
+from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
+from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
+from inclined_landing.eval.gap.infer.sets import leave_one_out
+from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
-from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights
+from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights, SetAside
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.effects import LIBRARY, FittedConstant
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -91,6 +84,7 @@ class Identification:
     flights: tuple[str, ...]
     notes: tuple[str, ...]
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()
+    set_aside: tuple[SetAside, ...] = ()
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
@@ -105,6 +99,7 @@ class Identification:
             "flights": self.flights,
             "notes": self.notes,
             "inconsistent_flights": [dataclasses.asdict(one) for one in self.inconsistent_flights],
+            "set_aside": [dataclasses.asdict(one) for one in self.set_aside],
             "paper": PAPER,
         }
 
@@ -122,71 +117,75 @@ def identify(
     heldout: flights for the fit in percent; without them each flight is evaluated with the others' fit.
     Raises UserError when no flight can be used.
     """
-    notes: list[str] = []
-    flights, heldout, vehicle = as_logs(flights), as_logs(heldout), as_vehicle(vehicle)
-    flights, failed = without_failed_sensors(flights)
-    heldout, failed_heldout = without_failed_sensors(heldout)
-    fitted = prepare_all(flights, vehicle, platform, notes)
-    judged = prepare_all(heldout, vehicle, platform, notes) if heldout else []
+    vehicle = as_vehicle(vehicle)
+    use = usable_flights(flights, heldout, vehicle, platform)
     library, unidentifiable = identifiable_effects(
-        {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, fitted
+        {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, use.fitted
     )
-    notes += unidentifiable
-    problem = Problem(fitted, vehicle, library)
-    problem.wide_model_errors = True
-    places = [name for name in problem.library if LIBRARY[name].of_the_place]
-    fit, noise_model = fit_jointly(problem, list(problem.library))
-    inflation = autocorrelation_inflation(problem, fit.values)
+    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
+    names = frozenset(problem.library)
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
-    values = fit_least_squares(
-        problem, {n: fit.values[n] for n in problem.library}, inflation, prior=slab_deviations
-    ).values
+    joint = {n: joint[n] for n in problem.library}
+    joint = fit_least_squares(problem, joint, prior=slab_deviations).values
     columns = problem.columns([*problem.library, BASE])
-    near = problem.linearise(values, columns, inflation)
-    inconsistent = heterogeneity.inconsistent_flights(problem, near, values)
-    notes[:0] = map(heterogeneity.summary_line, inconsistent)
-    failed += failed_heldout
-    notes[:0] = [f"{one.flights[0]} is left out: {one.sensor}" for one in failed]
-    inconsistent = (*failed, *inconsistent)
-    problem.confounded = confounding(near)
-    problem.between = estimate_between_flight_deviations(problem, near)
-    problem.excitation = excitation(problem, near)
-    values, _ = fit_vehicle(problem, values, frozenset(problem.library), inflation)
-    local = LinearGaussian.of(problem, problem.linearise(values, columns, inflation), values)
-    result = problem.corrected({n: v for n, v in values.items() if n not in places})
-    reference, identifiable = _vehicle_posterior(problem, result, inflation, noise_model.size)
-    for one in identifiable:
-        if one.share > thresholds.UNIDENTIFIABLE:
-            notes.append(f"{one.effect.replace('_', ' ')} is not excited enough in these flights")
-    own = [problem.corrected(v) for v in leave_one_out(problem, local, frozenset(values), values)]
-    test = judged or fitted
-    vehicles = [result] * len(judged) if judged else own
-    if not judged and len(fitted) < 2:
-        notes.append("one flight only: the fit in percent is on the flight that was fitted")
-    channels = {}
-    for channel, (measured, before, after) in _compared_series(test, vehicle, vehicles).items():
-        channels[channel] = {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
+    linear = problem.linearise(joint, columns)
+    inconsistent = inconsistent_flights(problem, linear, joint)
+    spread = Spread.of(problem, linear)
+    values, _ = fit_vehicle(problem, spread, joint, names)
+    local = LinearGaussian.of(problem, spread, problem.linearise(values, columns), values)
+    result = _without_place(problem, values)
+    reference, identifiable = _vehicle_posterior(problem, result)
+    left_out = [problem.corrected(v) for v in leave_one_out(problem, local, names, values)]
+    vehicles = [result] * len(use.judged) if use.judged else left_out
+    series = _compared_series(use.judged or use.fitted, vehicle, vehicles)
     sized = local.estimates(values)
+    notes = [
+        *map(summary_line, inconsistent),
+        *use.notes,
+        *unidentifiable,
+        *(
+            f"{one.effect.replace('_', ' ')} is not excited enough in these flights"
+            for one in identifiable
+            if one.share > thresholds.UNIDENTIFIABLE
+        ),
+    ]
+    if not use.judged and len(use.fitted) < 2:
+        notes.append("one flight only: the fit in percent is on the flight that was fitted")
     return Identification(
         vehicle=result,
         reference=reference,
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
-        fit=channels,
-        disturbance=disturbances(problem, noise_model),
+        fit={
+            channel: {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
+            for channel, (measured, before, after) in series.items()
+        },
+        disturbance=disturbances(problem),
         fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
-        flights=tuple(f.name for f in fitted),
+        flights=tuple(f.name for f in use.fitted),
         notes=tuple(notes),
         inconsistent_flights=inconsistent,
+        set_aside=use.set_aside,
     )
 
 
-def _vehicle_posterior(problem: Problem, vehicle: Vehicle, inflation, size):
+def _without_place(problem: Problem, values: Values) -> Vehicle:
+    """Return the vehicle with effects at `values`, but those of the place."""
+    return problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
+
+
+def _vehicle_posterior(
+    problem: Problem, vehicle: Vehicle
+) -> tuple[VehiclePosterior, tuple[Identifiable, ...]]:
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
     library, _ = identifiable_effects(free_effects(), problem.flights)
-    around = Problem(problem.flights, vehicle, library)
-    around.weight, around.wide_model_errors = problem.weight, True
-    reference = identified_reference(around, size, inflation)
+    around = dataclasses.replace(
+        Problem.of(problem.flights, vehicle, library, model_errors=1.0),
+        noise_model=problem.noise_model,
+        weight=problem.weight,
+        inflation=problem.inflation,
+    )
+    reference = identified_reference(around)
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))
     scale = np.where(error > 0.0, error, 1.0)
@@ -276,28 +275,21 @@ def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iter
         p = problem.library[effect].parameter(parameter)
         end = float(np.clip(values[effect][parameter] + _half_width(problem, known), *p.bounds))
         one = {**values, effect: {**values[effect], parameter: end}}
-        yield problem.corrected({n: v for n, v in one.items() if not LIBRARY[n].of_the_place})
+        yield _without_place(problem, one)
 
 
-def identified_reference(problem: Problem, size: np.ndarray, inflation: np.ndarray) -> VehiclePosterior:
-    """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
-
-    size (6,) of the disturbance, inflation (6,): of the fit that made the vehicle.
-    """
-    columns = problem.columns([*problem.library, BASE])
-    near = problem.linearise({}, columns, inflation)
-    problem.confounded = confounding(near)
-    problem.between = estimate_between_flight_deviations(problem, near)
-    problem.excitation = excitation(problem, near)
-    local = LinearGaussian.of(problem, near, {})
-    change, covariance = local.posterior(frozenset(problem.library))
-    residual = Residual.by(problem, local, frozenset(problem.library), {}, size, inflation)
+def identified_reference(problem: Problem) -> VehiclePosterior:
+    """Return the posterior of the vehicle of `problem`, all effects with their slab priors."""
+    columns, names = problem.columns([*problem.library, BASE]), frozenset(problem.library)
+    linear = problem.linearise({}, columns)
+    local = LinearGaussian.of(problem, Spread.of(problem, linear), linear, {})
+    change, covariance = local.posterior(names)
     known = covariance * np.outer(local.unit, local.unit)
     mean = (local.at + change) * local.unit
     # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
     # identification: theta = 0, and flights that meet it name it.
     prior = local.slab.diagonal() * local.unit**2
-    met = (known.diagonal() < thresholds.UNMET**2 * prior) | [c.effect == BASE for c in columns]
+    met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
-    repeating = reference_residual(problem, residual)
+    repeating = reference_residual(problem, white_residuals(problem, local, names, {}))
     return VehiclePosterior(tuple(columns), mean, known, repeating, frozenset(free_effects()))

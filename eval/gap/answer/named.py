@@ -1,40 +1,42 @@
-"""The named effects: estimates, confounded effects, and shares of the decrease in squared error."""
+"""The named effects: which probable ones matter and predict, their sizes, and the vehicle with them."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.flights.noise_model import NoiseModel
 from inclined_landing.eval.gap.infer.contact import ContactPosterior
-from inclined_landing.eval.gap.infer.fit import dersimonian_laird
+from inclined_landing.eval.gap.infer.fit import (
+    field_half_widths,
+    fit_least_squares,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
+)
 from inclined_landing.eval.gap.infer.gaussian import EffectSet
-from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out
-from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
-from inclined_landing.eval.gap.model.columns import FittedValues, Values
+from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
+from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import (
-    Disturbance,
-    Estimate,
-    NamedEffect,
-    ScoredSet,
-)
+from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError, first_of
+from inclined_landing.models.vehicle import Vehicle
 
 
-def named_effects(problem: Problem, found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
+def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, largest gain first."""
-    sizes, lost = _estimates(problem, found, values), squared_error_increase(problem, found, values)
-    before, after = (squares_by_channel(problem, found, v).sum() for v in ({}, values))
+    problem = found.problem
+    sizes, lost = _estimates(found, values), _squared_error_increase(problem, values)
+    before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
     members = {name: (name, *confounded_with(found, name)) for name in values}
     slow = [f.name for f in problem.flights if not f.shows_lags]
     unresolved = {name: bool(slow) and problem.library[name].is_lag for name in values}
@@ -60,26 +62,32 @@ def _too_slow(flights: Sequence[str]) -> str:
     return f"{which} do not distinguish lags: log 50 or more."
 
 
-def probable_effects(found: SetPosterior) -> EffectSet:
-    """Return the effects of the best set of probability >= NAMED, confounded ones added."""
-    return frozenset(
-        n for n in found.names if found.probability(n, *confounded_with(found, n)) >= thresholds.NAMED
-    )
+def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
+    """Return the values of a set of effects."""
+    problem = found.problem
+    values = posterior_mode(problem, found.local.with_wide_slabs(names), names)
+    if problem.identified:
+        return values
+    # Far from the nominal vehicle, spikes of other effects would take a share.
+    return fit_least_squares(problem, values, prior=slab_deviations).values
 
 
-def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[EffectSet], Values]) -> Values:
+def relevant_values(found: SetPosterior) -> FittedValues:
     """Return the values of the probable effects that matter: RELEVANT of the squared error in a channel.
 
-    With many flights a change too small to matter is certain. fit: values of a set of effects.
+    With many flights a change too small to matter is certain.
     """
-    names = probable_effects(found)
+    # Effects of the best set of probability >= NAMED, those confounded with them added.
+    names = frozenset(
+        n for n in found.names if found.probability(n, *confounded_with(found, n)) >= thresholds.NAMED
+    )
     while True:
-        values = fit(names)
-        after = squares_by_channel(problem, found, values)
+        values = fitted_values(found, names)
+        after = found.problem.squares_by_channel(values)
         logged = after > 0.0
         # R^2 = increase without it / (rest + increase), in the channel where it is largest
         shares = {}
-        for name, lost in squared_error_increase(problem, found, values).items():
+        for name, lost in _squared_error_increase(found.problem, values).items():
             shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
         least = min(shares, key=lambda name: shares[name], default="")
         if not least or shares[least] >= thresholds.RELEVANT:
@@ -88,8 +96,10 @@ def relevant_values(problem: Problem, found: SetPosterior, fit: Callable[[Effect
 
 
 def useful_values(
-    problem: Problem, found: SetPosterior, values: Values, fit: Callable[[EffectSet], Values]
-) -> Values:
+    found: SetPosterior,
+    values: FittedValues,
+    fit: Callable[[SetPosterior, EffectSet], FittedValues] = fitted_values,
+) -> FittedValues:
     """Return the values of the effects without which flights left out are predicted worse.
 
     Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
@@ -98,6 +108,7 @@ def useful_values(
     stretch is so long. fit: values of a set of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
+    problem = found.problem
     try:
         starts = rollout.RolloutWindows.of(problem.flights)
     except UserError:
@@ -107,8 +118,8 @@ def useful_values(
     def errors(left_out: Sequence[Values]) -> np.ndarray:
         return rollout.pose_errors(starts, [problem.corrected(v) for v in left_out])
 
-    def fitted(names: EffectSet) -> tuple[np.ndarray, Values, list[FittedValues]]:
-        there = fit(names)
+    def fitted(names: EffectSet) -> tuple[np.ndarray, FittedValues, list[FittedValues]]:
+        there = fit(found, names)
         left_out = leave_one_out(problem, found.local.with_wide_slabs(names), names, there)
         return errors(left_out), there, left_out
 
@@ -153,22 +164,16 @@ def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[
     return tuple(n for n, share in ranked if share > max(beside[n], thresholds.CONFOUNDED))
 
 
-def squares_by_channel(problem: Problem, found: SetPosterior, values: Values) -> np.ndarray:
-    """Return the weighted sum of squared white errors (6,) of every channel."""
-    white = problem.white_errors_at(values)
-    squares = np.concatenate([np.einsum("wcq,wcq->wc", x, x) for x in white])
-    return (problem.weight / found.inflation * squares).sum(axis=0)
-
-
-def squared_error_increase(problem: Problem, found: SetPosterior, values: Values) -> dict[str, np.ndarray]:
-    """Return effect -> increase of the squared error (6,) of every channel without it."""
-    after = squares_by_channel(problem, found, values)
+def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:
+    """Return effect -> increase of the squared error (C,) of every channel without it."""
+    after = problem.squares_by_channel(values)
     rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-    return {name: squares_by_channel(problem, found, rest[name]) - after for name in values}
+    return {name: problem.squares_by_channel(rest[name]) - after for name in values}
 
 
-def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
+def _estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
+    problem = found.problem
     sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
@@ -197,8 +202,9 @@ def _estimates(problem: Problem, found: SetPosterior, values: Values) -> dict[st
     return result
 
 
-def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturbance]:
+def disturbances(problem: Problem) -> dict[str, Disturbance]:
     """Return channel -> measurement noise and disturbance level; yaw only where it was logged."""
+    noise_model = problem.noise_model
     noise = np.median([f.noise for f in problem.flights], axis=0) * noise_model.noise
     return {
         channel: Disturbance(
@@ -214,50 +220,26 @@ def disturbances(problem: Problem, noise_model: NoiseModel) -> dict[str, Disturb
     }
 
 
-def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
-    """Return the named contact effects with estimates, largest gain first."""
-    effects = []
-    for name, sized in found.sizes.items():
-        members = (name, *confounded_with(found, name))
-        if found.probability(*members) < thresholds.NAMED:
-            continue
-        (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
-        estimate = Estimate(
-            value=sized.value,
-            unit=p.unit,
-            ci95=sized.ends,
-            neutral=p.neutral,
-            bounds=p.bounds,
-            at_bound=bool(min(sized.value - low, high - sized.value) <= thresholds.AT_BOUND * (high - low)),
-            per_flight=tuple(map(float, sized.each)),
-            per_flight_error=tuple(map(float, sized.error)),
-            spread=dersimonian_laird(sized.each, sized.error),
-        )
-        probability, remedy = found.probability(*members), problem.library[name].remedy
-        effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
-    return tuple(sorted(effects, key=lambda e: -e.gain))
-
-
-def scored_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
+def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
     """Return the sets of a posterior with values and their standard errors."""
     result = []
     for scored in found.sets:
-        names = tuple(n for n in problem.library if n in scored.names)
+        names = tuple(n for n in found.problem.library if n in scored.names)
         values = {n: dict(scored.values[n]) for n in names}
         sized = found.local.estimates(values)
         standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
         for (name, parameter), known in sized.items():
             standard_errors[name][parameter] = known.error
         result.append(ScoredSet(names, scored.probability, values, standard_errors))
-    return result
+    return tuple(result)
 
 
-def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet]:
+def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
     """Return the most probable set extended by each effect that the flights do not excite.
 
     Such an effect keeps its prior odds and a plausible size.
     """
-    local, best = found.local, found.sets[0]
+    problem, local, best = found.problem, found.local, found.sets[0]
     share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
     scored = {one.names for one in found.sets}
     result = []
@@ -274,20 +256,42 @@ def unidentifiable_sets(problem: Problem, found: SetPosterior) -> list[ScoredSet
         ordered = tuple(n for n in problem.library if n in names)
         odds = best.probability * share / (1.0 - share)
         result.append(ScoredSet(ordered, odds, values, {name: width}))
-    return result
+    return tuple(result)
 
 
-def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:
-    """Return the product of the posteriors of free-flight and contact sets, most probable first."""
-    both = [
-        ScoredSet(
-            (*one.effects, *other.values),
-            one.probability * other.probability,
-            {**one.values, **other.values},
-            one.standard_errors,
-        )
-        for one in flown
-        for other in found.sets
-    ]
-    both.sort(key=lambda one: -one.probability)
-    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED)
+@dataclasses.dataclass(frozen=True)
+class Correction:
+    """Values of the effects that correct the vehicle: the named ones, or all of an identified vehicle.
+
+    All are estimated again where that predicts flights left out better.
+    """
+
+    vehicle: Vehicle  # with these
+    values: FittedValues
+    left_out: Sequence[Values]  # for every flight, fitted to the others
+    again: bool = False  # whether the errors of the identified vehicle were estimated again
+    half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
+
+
+def corrected(found: SetPosterior, values: FittedValues) -> Correction:
+    """Return the correction by the named effects at `values`."""
+    problem, names = found.problem, frozenset(values)
+    local = found.local.with_wide_slabs(names)
+    named = Correction(problem.corrected(values), values, leave_one_out(problem, local, names, values))
+    if not (problem.identified and values):
+        return named
+    again, local = fit_vehicle(problem, found.spread, values, names)
+    vehicle, moved = problem.corrected(again), vehicles_a_half_width_away(problem, local, names, again)
+    widths = field_half_widths(problem.vehicle, vehicle, moved)
+    whole = Correction(vehicle, again, leave_one_out_modes(problem, local, names), True, widths)
+    return min(named, whole, key=lambda one: _error_left_out(problem, one))
+
+
+def _error_left_out(problem: Problem, correction: Correction) -> float:
+    """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
+    try:
+        starts = rollout.RolloutWindows.of(problem.flights)
+    except UserError:
+        return math.inf
+    vehicles = [problem.corrected(values) for values in correction.left_out]
+    return float(rollout.errors_by_flight(starts, vehicles)[0][-1])

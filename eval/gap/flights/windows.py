@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.whitening import ErrorResponses, Whitening
+from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel, Whitening
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
@@ -43,7 +43,7 @@ YAW = 5  # channel
 REQUEST_SIGNS = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, -1.0, 1.0]])
 
 
-@dataclasses.dataclass(eq=False)
+@dataclasses.dataclass(frozen=True, eq=False)
 class MeasuredFlight:
     """One flight on an even time grid; the arrays that `prediction.predict` needs, and its windows."""
 
@@ -137,13 +137,16 @@ class MeasuredFlight:
             whitening=Whitening.of(responses, noise, self.acceleration_noise),
         )
 
-    def rewhiten(self, error_responses: ErrorResponses, noise_model) -> None:
-        """Whiten with a `NoiseModel`: measurement noise and disturbance."""
-        self.error_responses = error_responses
-        noise = self.noise * noise_model.noise
-        self.whitening = Whitening.of(
-            error_responses, noise, self.acceleration_noise, noise_model.size, noise_model.time
+    def whitened(self, error_responses: ErrorResponses, noise_model: NoiseModel) -> MeasuredFlight:
+        """Return the flight whitened with measurement noise and disturbance of a noise model."""
+        whitening = Whitening.of(
+            error_responses,
+            self.noise * noise_model.noise,
+            self.acceleration_noise,
+            noise_model.size,
+            noise_model.time,
         )
+        return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
     def without_tilt(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mid-step attitudes, their rotations, and the first attitude, with a tilt [rad] removed."""
@@ -276,8 +279,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         thrust_is_measured=log.thrust_is_measured,
         requests=requests,
     )
-    flight.regimes = _regimes(flight, vehicle, platform)
-    return flight
+    return dataclasses.replace(flight, regimes=_regimes(flight, vehicle, platform))
 
 
 def _usable_rows(log: FlightLog, gaps: np.ndarray, vehicle: Vehicle) -> np.ndarray:
@@ -299,15 +301,15 @@ def _resampled(log: FlightLog) -> FlightLog:
 
 
 def prepare_all(
-    logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool, notes: list[str]
-) -> list[MeasuredFlight]:
-    """Return the usable `logs`; the reasons for the others, and notes of the logs, are added to `notes`.
+    logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool
+) -> tuple[list[MeasuredFlight], tuple[str, ...]]:
+    """Return `logs` cut into windows, and notes: those of the logs, and why some were left out.
 
     Raises UserError when none can be used.
     """
     if not logs:
         raise UserError("no flight given")
-    flights, refused = [], []
+    flights, refused, notes = [], [], []
     for log in logs:
         try:
             flights.append(prepare(log, vehicle, platform=platform))
@@ -323,8 +325,7 @@ def prepare_all(
         )
     if any(f.requests is None for f in flights):
         flights = [f.without_requests() for f in flights]
-    notes += [f"left out: {reason}" for reason in refused]
-    return flights
+    return flights, (*notes, *(f"left out: {reason}" for reason in refused))
 
 
 def measurement_noise(values: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ CREDIBLE = 0.95  # probability of an interval
 COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class ContactEstimate:
     """Posterior mode and credible interval of a parameter, and its estimates in single landings."""
 
@@ -51,7 +51,7 @@ class ContactEstimate:
     error: np.ndarray  # (n,) their standard errors
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class ContactPosterior:
     """Posterior over sets of contact effects, with estimates of the most probable set."""
 
@@ -75,18 +75,18 @@ def contact_posterior(
     landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
 ) -> tuple[TouchdownProblem, ContactPosterior]:
     """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight."""
-    problem = TouchdownProblem(landings, vehicle, library)
+    problem = TouchdownProblem.of(landings, vehicle, library)
     engine = _ContactModel(problem)
     sets, chosen = engine.distribution()
     values = sets[0].values
-    p_value = common_residual_p_value(problem.flights, engine.residual(values), engine.inflation)
+    p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
     unexplained = p_value < thresholds.LANDING_RESIDUAL
     return problem, ContactPosterior(
         sets, engine.estimates(chosen), engine.gains(values), unexplained, p_value
     )
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _ErrorGrid:
     """White errors (m, n, 6, q) of the landings on a grid of sizes (m,) of one effect."""
 
@@ -105,7 +105,7 @@ class _ErrorGrid:
         return _ErrorGrid(np.insert(self.sizes, k, size), np.insert(self.errors, k, errors, axis=0))
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _Profile:
     """Log evidence of a set along a grid of one effect's sizes, the others marginalised."""
 
@@ -133,7 +133,7 @@ class _ContactModel:
         self.problem = problem
         self.names = list(problem.library)
         self.parameters = [problem.library[n].parameters[0] for n in self.names]
-        n = len(problem.flights)
+        n = len(problem.landings)
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
         self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]

@@ -1,18 +1,36 @@
-"""Nonlinear least squares (Levenberg-Marquardt) of effects through the simulator, within bounds."""
+"""Fits of effects through the simulator, within bounds: jointly with the noise, and of a vehicle."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from inclined_landing.eval.gap.model.columns import BASE, Column, FittedValues, Values
+from inclined_landing.eval.gap.flights.noise import estimate
+from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian, Spread
+from inclined_landing.eval.gap.model.columns import (
+    BASE,
+    BaseColumn,
+    Column,
+    FittedValues,
+    ParameterColumn,
+    Values,
+    slab_deviations,
+)
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem, solve
+from inclined_landing.models.vehicle import Vehicle
+
+MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
+ALTERNATIONS = 4  # rounds of fitting effects and noise model in turn
+LAGS = 4  # windows over which autocorrelations are summed
+ROUNDS = 8  # of Newton's method
+STEP_SHARES = (1.0, 0.5, 0.25, 0.1)  # of a Newton step, the first that decreases the deviance
+_NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
+DEVIANCE_TOLERANCE = 1.0  # decrease of the deviance that ends the iteration
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class LeastSquaresFit:
     """A least-squares fit and its linearisation."""
 
@@ -28,7 +46,6 @@ class LeastSquaresFit:
 def fit_least_squares(
     problem: Problem,
     values: Values,
-    inflation: np.ndarray,
     iterations: int = 8,
     tolerance: float = 0.05,
     prior: Callable[[Problem, Sequence[Column]], np.ndarray] | None = None,
@@ -41,23 +58,26 @@ def fit_least_squares(
     names = list(values)
     start = {name: problem.neutral(name) | dict(v) for name, v in values.items()}
     damping = 1e-3
-    columns = [
-        Column(name, p.name) for name in names if name != BASE for p in problem.library[name].parameters
+    columns: list[Column] = [
+        ParameterColumn(name, p.name)
+        for name in names
+        if name != BASE
+        for p in problem.library[name].parameters
     ]
     columns += problem.columns([BASE] if BASE in names else ())
-    fit = _linearised_fit(problem, start, columns, inflation)
+    fit = LeastSquaresFit(start, problem.linearise(start, columns))
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
     # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
     for _ in range(iterations if names else 0):
         improved = False
         while damping < 1e4:
             trial = _damped_step(problem, fit, damping, width)
-            gain = fit.squares - problem.squares(trial, inflation)
+            gain = fit.squares - problem.squares(trial)
             gain += _prior_penalty(problem, columns, fit.values, width) - _prior_penalty(
                 problem, columns, trial, width
             )
             if gain > 0.0:
-                fit, improved = _linearised_fit(problem, trial, columns, inflation), True
+                fit, improved = LeastSquaresFit(trial, problem.linearise(trial, columns)), True
                 damping = max(1e-9, damping / 10.0)
                 break
             if fit.squares - _predicted_squares(problem, fit, trial) < tolerance:
@@ -66,13 +86,6 @@ def fit_least_squares(
         if not improved or gain < tolerance:
             break
     return fit
-
-
-def _linearised_fit(
-    problem: Problem, values: FittedValues, columns: Sequence[Column], inflation: np.ndarray
-) -> LeastSquaresFit:
-    """Return the linearisation at `values`."""
-    return LeastSquaresFit(values, problem.linearise(values, columns, inflation))
 
 
 def _prior_penalty(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
@@ -85,16 +98,11 @@ def _damped_step(problem: Problem, fit: LeastSquaresFit, damping: float, width: 
     # (a + lambda diag a) d = b,  with the prior W = width^-2:  a = J'J + W,  b = J'e - W x
     a, b = fit.linear.a.sum(axis=0), fit.linear.b.sum(axis=0)
     a, b = a + np.diag(width**-2.0), b - problem.coordinates(fit.values, fit.linear.columns) * width**-2.0
-    at, bounds = at_and_bounds(problem, fit)
+    at = problem.coordinates(fit.values, fit.linear.columns)
+    parameters = [problem.parameter(c) for c in fit.linear.columns]
+    bounds = np.array([[p.coordinate(x) for x in p.possible] for p in parameters]).reshape(-1, 2).T
     step = active_set_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
     return _values_after(problem, fit, step)
-
-
-def at_and_bounds(problem: Problem, fit: LeastSquaresFit) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates (k,) and bounds (2, k) of all columns of a fit."""
-    parameters = [problem.parameter(c) for c in fit.linear.columns]
-    bounds = [[p.coordinate(x) for x in p.possible] for p in parameters]
-    return problem.coordinates(fit.values, fit.linear.columns), np.array(bounds).reshape(-1, 2).T
 
 
 def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
@@ -120,25 +128,171 @@ def _predicted_squares(problem: Problem, fit: LeastSquaresFit, trial: Values) ->
     return fit.linear.predicted_squares(there - here)
 
 
-def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
-    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
-    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
-    # S1 = sum w,  S2 = sum w^2
-    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
-    if good.sum() < 3:
-        return 0.0
-    w = 1.0 / error[good] ** 2
-    mean = (w * value[good]).sum() / w.sum()
-    q = (w * (value[good] - mean) ** 2).sum()
-    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
-    return math.sqrt(max(0.0, float(excess)))
-
-
 def _values_after(problem: Problem, fit: LeastSquaresFit, step: np.ndarray) -> FittedValues:
     """Return the values of a fit after a step of its columns, clipped to their bounds."""
     values = {name: dict(v) for name, v in fit.values.items()}
     for column, change in zip(fit.linear.columns, step):
-        p = problem.parameter(column)
-        at = p.value_at(p.coordinate(values[column.effect][column.parameter]) + change)
-        values[column.effect][column.parameter] = float(np.clip(at, *p.possible))
+        p, (name, parameter) = problem.parameter(column), column.key
+        at = p.value_at(p.coordinate(values[name][parameter]) + change)
+        values[name][parameter] = float(np.clip(at, *p.possible))
     return values
+
+
+def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
+    """Return the problem with its noise estimated, and the joint fit of all effects, found in alternation.
+
+    The noise: noise model, weights of the windows and their variance inflation.
+    """
+    values: FittedValues = {name: {} for name in (*problem.library, BASE)}
+    for _ in range(ALTERNATIONS):
+        before = problem.noise_model
+        values = fit_least_squares(
+            problem, values, iterations=3, tolerance=5.0, prior=_joint_fit_prior
+        ).values
+        predicted = problem.predicted(values)
+        errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
+        ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
+        noise_model = estimate(problem.flights, errors, np.split(problem.weight, ends))
+        problem = problem.whitened(noise_model, problem.corrected(values))
+        problem = dataclasses.replace(problem, weight=model_error_weights(problem, predicted, errors))
+        if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
+            break
+    return dataclasses.replace(problem, inflation=autocorrelation_inflation(problem, values)), values
+
+
+def _joint_fit_prior(problem: Problem, columns: Sequence[Column]) -> np.ndarray:
+    """Return the prior standard deviations (P,) of the joint fit; without a reference, tight model errors."""
+    width = slab_deviations(problem, columns)
+    if problem.identified:
+        return width
+    known = np.sqrt(problem.vehicle_prior(columns)[1].diagonal())
+    return np.where([isinstance(c, BaseColumn) for c in columns], known, width)
+
+
+def model_error_weights(
+    problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return the weights (w, C) of all windows: inverse variance by a multiplicative model error.
+
+    That is estimated by maximum likelihood. predicted, errors: (m, C) of every flight.
+    """
+
+    def mean_square(values: Sequence[np.ndarray]) -> np.ndarray:
+        white = [f.whitening(f.cut(v)) for f, v in zip(problem.flights, values)]
+        return np.concatenate([(x**2).mean(axis=2) for x in white])
+
+    # Heteroscedastic normal errors: in a window of q white numbers with predicted mean square E,
+    #   var = 1 + f^2 E,   -2 log p = sum_w q [log var + e^2 / var];   f of every channel minimises it.
+    signal, error = mean_square(predicted), mean_square(errors)  # (w, C)
+    variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
+    deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
+    best = np.argmin(deviance, axis=0)
+    return problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
+
+
+def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
+    """Return the variance inflation (C,) by the autocorrelation of successive windows."""
+    # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
+    # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x.
+    white = problem.white_errors_at(values)
+    inflation = np.ones(problem.channels)
+    for channel in range(problem.channels):
+        total, lagged = 0.0, np.zeros(LAGS)
+        for flight, errors in zip(problem.flights, white):
+            x = flight.whitening.amplitudes(errors)[:, channel] * np.sqrt(flight.whitening.power[channel])
+            total += float(x @ x)
+            lagged += [float(x[k:] @ x[:-k]) if len(x) > k else 0.0 for k in range(1, LAGS + 1)]
+        if total > 0.0:
+            inflation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
+    return inflation
+
+
+def fit_vehicle(
+    problem: Problem, spread: Spread, values: Values, names: EffectSet
+) -> tuple[FittedValues, LinearGaussian]:
+    """Return the posterior mode of the vehicle's effects, and the model linearised there.
+
+    Without a reference this identifies a vehicle: every effect has its slab. With one, the errors of the
+    identified vehicle are estimated again beside what changed: still air at 1 m/s says little of the drag in
+    a wind of 10. Model errors are left out, as no vehicle file has them.
+
+    values: where to begin. names: effects that may have changed since the reference's flights; without a
+    reference, all. Effects of the place (a wind) are left out unless among these. Random effects of the
+    flights stand beside it: pooled, a fresher battery would count as the slope of the thrust over its
+    command. Newton's method with step halving.
+    """
+    fitted = [n for n, e in problem.library.items() if n in names or not e.of_the_place]
+    columns = problem.columns(fitted)
+    at: FittedValues = {n: problem.neutral(n) | dict(values.get(n, {})) for n in fitted}
+
+    def linearised(here: Values) -> LinearGaussian:
+        return LinearGaussian.of(problem, spread, problem.linearise(here, columns), here)
+
+    local = linearised(at)
+    for _ in range(ROUNDS):
+        here = problem.coordinates(at, columns)
+        change = problem.coordinates(vehicle_mode(problem, local, names), columns) - here
+        for share in STEP_SHARES:
+            trial = problem.values_at(fitted, columns, here + share * change)
+            there = linearised(trial)
+            gain = _deviance(local, names) - _deviance(there, names)
+            if gain > 0.0:
+                at, local = trial, there
+                break
+        if gain < DEVIANCE_TOLERANCE:
+            break
+    return at, local
+
+
+def vehicle_mode(
+    problem: Problem, local: LinearGaussian, names: EffectSet, weights: np.ndarray | None = None
+) -> FittedValues:
+    """Return the posterior mode of the vehicle's effects within bounds, in a linearised model.
+
+    weights (g,): counts of the groups of windows, for flights left out.
+    """
+    change, covariance = local.posterior(names, weights)
+    every = np.arange(len(change))
+    at, _ = local.bounds.truncated_mode(local.at + change, covariance, every)
+    fitted = {column.effect for column in local.columns}
+    return problem.values_at(fitted, local.columns, at * local.unit)
+
+
+def leave_one_out_modes(problem: Problem, local: LinearGaussian, names: EffectSet) -> list[FittedValues]:
+    """Return for every flight the mode by the others (linearised); of a single flight its mode."""
+    return [vehicle_mode(problem, local, names, weights) for weights in problem.weights_without_each_flight()]
+
+
+def vehicles_a_half_width_away(
+    problem: Problem, local: LinearGaussian, names: EffectSet, values: Values
+) -> list[Vehicle]:
+    """Return vehicles at `values`, each with another coordinate moved by the half-width of its interval."""
+    _, covariance = local.posterior(names)
+    deviation = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) * local.unit
+    at = problem.coordinates(values, local.columns)
+    return [
+        problem.corrected(problem.values_at(values, local.columns, at + step))
+        for step in np.diag(_NORMAL * deviation)
+    ]
+
+
+def field_half_widths(
+    before: Vehicle, after: Vehicle, moved: Iterable[Vehicle]
+) -> dict[str, float | tuple[float, ...]]:
+    """Return the fields in which `after` differs, with half-widths of 95 % intervals, in their units.
+
+    moved: vehicles that differ from `after` by the half-width of one independent error each.
+    """
+    changed = [f.name for f in dataclasses.fields(after) if getattr(after, f.name) != getattr(before, f.name)]
+    width = {name: np.zeros(np.shape(getattr(after, name))) for name in changed}
+    for one in moved:
+        for name in changed:
+            width[name] = np.hypot(width[name], np.subtract(getattr(one, name), getattr(after, name)))
+    return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
+
+
+def _deviance(local: LinearGaussian, names: EffectSet) -> float:
+    """Return -2 log posterior at the linearisation point, random effects marginalised."""
+    # c + (x - m)' K^-1 (x - m),  N(m, K) the prior: of the identified vehicle's errors and of what changed
+    mean, covariance = local.prior(names)
+    return float(local.c.sum() + mean @ np.linalg.solve(covariance, mean))

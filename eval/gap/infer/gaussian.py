@@ -15,13 +15,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from inclined_landing.eval.gap.model.columns import (
     SHAPE_COVARIANCE,
+    Candidates,
+    Column,
+    ParameterColumn,
     Values,
+    at_an_end,
     slab_covariance,
     slab_deviations,
 )
@@ -38,66 +42,82 @@ ACTIVE_SET_ROUNDS = 4
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 
 EffectSet = frozenset[str]
+Key = tuple[str, str]
 
 
-def spike_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the spikes' standard deviations (P,)."""
-    # A share of the negligible size, what all flights of a day share, and the standard error of the mean over
-    # the n flights that excite a column:
-    #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
-    count = np.array([problem.excitation.get((c.effect, c.parameter), problem.groups) for c in columns])
-    shared = np.array([problem.parameter(c).placement if problem.requested else 0.0 for c in columns]) ** 2
-    each = np.maximum(between_flight_deviations(problem, columns) ** 2 - shared, 0.0)
-    spike = np.sqrt((SPIKE * _shared_negligible_sizes(problem, columns)) ** 2 + shared + each / count)
-    # The slab less the spike is a covariance: of two columns about a reference, whose smallest eigenvalue is
-    # 0.125 of the slab's variance, below sqrt(0.125) = 0.35 of the slab.
-    most = np.array([MOST_SPIKE_ABOUT if c.fixed else MOST_SPIKE for c in columns])
-    return np.minimum(spike, most * slab_deviations(problem, columns))
+@dataclasses.dataclass(frozen=True)
+class Spread:
+    """How far flights differ in every parameter, and what its information is shared among, by key."""
+
+    between: Mapping[Key, float]  # between-flight standard deviation
+    confounded: Mapping[Key, float]  # effective number of columns collinear with it, at least 1
+    excitation: Mapping[Key, float]  # effective number of flights that excite it, at least 1
+
+    @staticmethod
+    def of(problem: Problem, linear: Linearisation) -> Spread:
+        """Return the spread that the flights show, linearised at a joint fit of all effects."""
+        confounded = confounding(linear)
+        between = _between_by_em(problem, linear, _negligible_sizes(problem, linear.columns, confounded))
+        # A flight g counts as min(1, a_gkk between^2): the information of one that resolves the differences
+        # is 1.
+        known = Spread(between, confounded, {})
+        sd = known.between_deviations(problem, linear.columns)
+        share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * sd**2).sum(axis=0)
+        return Spread(between, confounded, {c.key: max(1.0, float(x)) for c, x in zip(linear.columns, share)})
+
+    @staticmethod
+    def unknown() -> Spread:
+        """Return the least spread, before the flights have shown any."""
+        return Spread({}, {}, {})
+
+    def between_deviations(self, problem: Problem, columns: Sequence[Column]) -> np.ndarray:
+        """Return the between-flight standard deviations (P,)."""
+        estimated = [self.between.get(c.key, 0.0) for c in columns]
+        return np.maximum(BETWEEN * _negligible_sizes(problem, columns, self.confounded), estimated)
+
+    def spike_deviations(self, problem: Problem, columns: Sequence[Column]) -> np.ndarray:
+        """Return the spikes' standard deviations (P,)."""
+        # A share of the negligible size, what all flights of a day share, and the standard error of the mean
+        # over the n flights that excite a column:
+        #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
+        count = np.array([self.excitation.get(c.key, problem.groups) for c in columns])
+        placement = [problem.parameter(c).placement if problem.requested else 0.0 for c in columns]
+        shared = np.square(placement)
+        each = np.maximum(self.between_deviations(problem, columns) ** 2 - shared, 0.0)
+        negligible = _negligible_sizes(problem, columns, self.confounded)
+        spike = np.sqrt((SPIKE * negligible) ** 2 + shared + each / count)
+        # The slab less the spike is a covariance: of two columns about a reference, whose smallest eigenvalue
+        # is 0.125 of the slab's variance, below sqrt(0.125) = 0.35 of the slab.
+        most = np.array([MOST_SPIKE_ABOUT if at_an_end(c) else MOST_SPIKE for c in columns])
+        return np.minimum(spike, most * slab_deviations(problem, columns))
 
 
-def between_flight_deviations(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the between-flight standard deviations (P,)."""
-    estimated = [problem.between.get((c.effect, c.parameter), 0.0) for c in columns]
-    return np.maximum(BETWEEN * _shared_negligible_sizes(problem, columns), estimated)
-
-
-def _shared_negligible_sizes(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
-    collinear = [
-        problem.confounded.get((c.effect, c.parameter), 1.0) * (2.0 if c.fixed else 1.0) for c in columns
-    ]
-    return np.array([problem.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
-
-
-def confounding(linear: Linearisation) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> effective number of columns collinear with it (>= 1)."""
+def confounding(linear: Linearisation) -> dict[Key, float]:
+    """Return the effective number of columns collinear with each (>= 1), by its key."""
     # n_j = sum_k cos^2(J_j, J_k),  cos = a_jk / sqrt(a_jj a_kk)
     a = linear.a.sum(axis=0)
     scale = np.sqrt(np.maximum(np.diag(a), 1e-300))
     squared = (a / np.outer(scale, scale)) ** 2
     count = np.maximum(1.0, squared.sum(axis=0))
-    return {(c.effect, c.parameter): float(x) for c, x in zip(linear.columns, count)}
+    return {c.key: float(x) for c, x in zip(linear.columns, count)}
 
 
-def excitation(problem: Problem, linear: Linearisation) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> effective number of flights (>= 1) that excite it."""
-    # A flight g counts as min(1, a_gkk between^2): the information of one that resolves the differences is 1.
-    spread = between_flight_deviations(problem, linear.columns)
-    share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * spread**2).sum(axis=0)
-    return {(c.effect, c.parameter): max(1.0, float(x)) for c, x in zip(linear.columns, share)}
+def _negligible_sizes(
+    candidates: Candidates, columns: Sequence[Column], confounded: Mapping[Key, float]
+) -> np.ndarray:
+    """Return the negligible sizes (P,), each divided by the root of the number of confounded columns."""
+    collinear = [confounded.get(c.key, 1.0) * (2.0 if at_an_end(c) else 1.0) for c in columns]
+    return np.array([candidates.parameter(c).negligible for c in columns]) / np.sqrt(collinear)
 
 
-def estimate_between_flight_deviations(
-    problem: Problem, linear: Linearisation
-) -> dict[tuple[str, str], float]:
-    """Return (effect, parameter) -> between-flight standard deviation, by expectation maximisation (EM).
+def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) -> dict[Key, float]:
+    """Return the between-flight standard deviations by expectation maximisation (EM), by key.
 
-    The prior counts as PRIOR_FLIGHTS flights.
+    The prior counts as PRIOR_FLIGHTS flights. unit (P,): negligible sizes.
     """
     # Random effects u_g ~ N(0, diag v) of every flight beside a common z with the slab prior (Laird and Ware
     # 1982).  E: mean m_g and covariance C_g of u_g at the current v.  M, with the prior variance v_0:
     #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
-    unit = _shared_negligible_sizes(problem, linear.columns)
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
     prior = (unit / slab_deviations(problem, linear.columns)) ** 2
     known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
@@ -117,7 +137,7 @@ def estimate_between_flight_deviations(
         second = mean**2 + np.diagonal(covariance, axis1=1, axis2=2)
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
-    return {(c.effect, c.parameter): float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
+    return {c.key: float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,12 +151,12 @@ class Bounds:
     pairs: tuple[tuple[int, int, tuple[float, float], tuple[float, float]], ...]
 
     @staticmethod
-    def of(problem: Problem, columns: Sequence, unit: np.ndarray) -> Bounds:
+    def of(problem: Problem, columns: Sequence[Column], unit: np.ndarray) -> Bounds:
         """Return the bounds in units (P,), from neutral."""
         low, high = np.full(len(columns), -np.inf), np.full(len(columns), np.inf)
         pairs: list[tuple[int, int, tuple[float, float], tuple[float, float]]] = []
         for k, column in enumerate(columns):
-            if column.form:
+            if not isinstance(column, ParameterColumn):
                 continue
             p = problem.parameter(column)
             least, most = (p.coordinate(x) / unit[k] for x in p.possible)
@@ -172,11 +192,11 @@ class Bounds:
         outside, result, log_ratio = np.zeros(len(at), bool), at, 0.0
         for _ in range(ACTIVE_SET_ROUNDS):
             clipped = self.clip(result)
-            off = np.zeros(len(at), bool)
-            off[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
-            if not off.any():
+            beyond = np.zeros(len(at), bool)
+            beyond[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
+            if not beyond.any():
                 break
-            outside |= off
+            outside |= beyond
             k = np.flatnonzero(outside)
             shift = clipped[k] - at[k]
             solved = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), shift)
@@ -185,7 +205,7 @@ class Bounds:
         return result, log_ratio
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class LinearGaussian:
     """Linear-Gaussian model of the flights at one linearisation point, coordinates in units of the spikes.
 
@@ -193,8 +213,8 @@ class LinearGaussian:
     flights marginalised.
     """
 
-    problem: Problem
-    columns: tuple
+    candidates: Candidates
+    columns: tuple[Column, ...]
     at: np.ndarray  # (P,) linearisation point, from neutral, in spikes
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
@@ -202,25 +222,24 @@ class LinearGaussian:
     unit: np.ndarray  # (P,) standard deviations of the spikes
     slab: np.ndarray  # (P, P) covariance of the slab, in spikes
     bounds: Bounds  # in spikes, from neutral
-    off: np.ndarray  # (P,) prior mean of theta
-    known: np.ndarray  # (P, P) prior covariance of theta
+    theta_mean: np.ndarray  # (P,) of its prior
+    theta_covariance: np.ndarray  # (P, P)
     between: np.ndarray  # (P,) between-flight variance
     flight_a: np.ndarray  # (f, P, P) of every flight, its random effect not marginalised
     flight_b: np.ndarray  # (f, P)
 
     @staticmethod
-    def of(problem: Problem, linear: Linearisation, values: Values) -> LinearGaussian:
+    def of(problem: Problem, spread: Spread, linear: Linearisation, values: Values) -> LinearGaussian:
         """Return the model linearised at `values`."""
         columns = linear.columns
-        unit = spike_deviations(problem, columns)
-        at = problem.coordinates(values, columns)
-        at = at / unit
+        unit = spread.spike_deviations(problem, columns)
+        at = problem.coordinates(values, columns) / unit
         a = linear.a * np.outer(unit, unit)
         b = linear.b * unit
         c = linear.c
         flight_a, flight_b = linear.by_flight()
         flight_a, flight_b = flight_a * np.outer(unit, unit), flight_b * unit
-        between = (between_flight_deviations(problem, columns) / unit) ** 2
+        between = (spread.between_deviations(problem, columns) / unit) ** 2
         # Marginal over the random effect u ~ N(0, B) of each flight, B diagonal, with M = (1 + a B)^-1:
         #   a -> M a,   b -> M b,   c -> c - b' B M b
         inner = np.linalg.inv(np.eye(len(columns)) + a * between)
@@ -228,12 +247,22 @@ class LinearGaussian:
         b = np.einsum("gpq,gq->gp", inner, b)
         a = inner @ a
         a = 0.5 * (a + a.swapaxes(1, 2))
-        off, known = problem.vehicle_prior(columns)
-        slab = slab_covariance(problem, columns) / np.outer(unit, unit)
-        off, known = off / unit, known / np.outer(unit, unit)
-        bounds = Bounds.of(problem, columns, unit)
+        mean, covariance = problem.vehicle_prior(columns)
         return LinearGaussian(
-            problem, columns, at, a, b, c, unit, slab, bounds, off, known, between, flight_a, flight_b
+            candidates=problem,
+            columns=columns,
+            at=at,
+            a=a,
+            b=b,
+            c=c,
+            unit=unit,
+            slab=slab_covariance(problem, columns) / np.outer(unit, unit),
+            bounds=Bounds.of(problem, columns, unit),
+            theta_mean=mean / unit,
+            theta_covariance=covariance / np.outer(unit, unit),
+            between=between,
+            flight_a=flight_a,
+            flight_b=flight_b,
         )
 
     def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
@@ -265,7 +294,7 @@ class LinearGaussian:
 
     def prior(self, names: EffectSet) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior mean (P,) of z, from the linearisation point, and its covariance (P, P)."""
-        return self.off - self.at, self.known + self.change_covariance(names)
+        return self.theta_mean - self.at, self.theta_covariance + self.change_covariance(names)
 
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
         """Return the log marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
@@ -317,11 +346,13 @@ class LinearGaussian:
         deviation = np.array([self.random_effect(k, change) for k in range(len(self.flight_a))])
         alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
-        fitted = [(c.effect, c.parameter) for c in self.columns if c.effect in names and not c.form]
+        fitted = [c.key for c in self.columns if c.effect in names and isinstance(c, ParameterColumn)]
         for name, parameter in dict.fromkeys(fitted):
-            k = [i for i, c in enumerate(self.columns) if (c.effect, c.parameter) == (name, parameter)]
+            k = [i for i, c in enumerate(self.columns) if c.key == (name, parameter)]
             square = variance[k[0]] if len(k) == 1 else covariance[np.ix_(k, k)].sum()
-            unit = self.unit[k[0]] * self.problem.parameter(self.columns[k[0]]).slope(values[name][parameter])
+            unit = self.unit[k[0]] * self.candidates.parameter(self.columns[k[0]]).slope(
+                values[name][parameter]
+            )
             result[name, parameter] = ParameterEstimate(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,
@@ -341,7 +372,7 @@ class ParameterEstimate:
     between: float  # between-flight standard deviation
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class Evidence:
     """Log marginal likelihood (model evidence) as a function of the set.
 
@@ -368,9 +399,9 @@ class Evidence:
         square = b @ covariance @ inner @ b
         _, log_det = np.linalg.slogdet(inner)
         after = inner @ a
-        own = {n: local.index([n]) for n in local.problem.library}
+        own = {n: local.index([n]) for n in local.candidates.library}
         empty = -0.5 * (c - square - log_det)
-        ends = [(n, k[:2]) for n, k in own.items() if len(k) and local.columns[k[0]].fixed]
+        ends = [(n, k[:2]) for n, k in own.items() if len(k) and at_an_end(local.columns[k[0]])]
         return Evidence(0.5 * (after + after.T), inner @ b, float(empty), own, local.slab, ends, local.bounds)
 
     def __call__(self, names: EffectSet) -> float:

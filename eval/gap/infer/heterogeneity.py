@@ -18,7 +18,7 @@ from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, confounding
-from inclined_landing.eval.gap.model.columns import Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import ParameterColumn, Values, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 
@@ -49,7 +49,7 @@ def summary_line(found: InconsistentFlights) -> str:
     return f"{', '.join(found.flights)} contradict{'' if several else 's'} the other flights in {names}"
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _FlightInformation:
     """Gram matrices of every flight in negligible sizes, small random effects marginalised."""
 
@@ -69,12 +69,12 @@ class _FlightInformation:
         # Random effects u ~ N(0, S) of every flight, S diagonal: BETWEEN^2 shared by collinear columns, and
         # the model error of the loops (`manoeuvre`).  Marginal:  a -> (1 + a S)^-1 a,  b -> (1 + a S)^-1 b
         confounded = confounding(linear)
-        small = BETWEEN**2 / np.array([confounded[c.effect, c.parameter] for c in columns])
+        small = BETWEEN**2 / np.array([confounded[c.key] for c in columns])
         small += (np.array([problem.parameter(c).manoeuvre for c in columns]) / unit) ** 2
         inner = np.linalg.inv(np.eye(len(unit)) + a * small)
         own: dict[str, list[int]] = {}
         for k, column in enumerate(columns):
-            if not (column.fixed or column.form):
+            if isinstance(column, ParameterColumn) and not column.fixed:
                 own.setdefault(column.effect, []).append(k)
         return _FlightInformation(
             inner @ a,
@@ -106,7 +106,7 @@ class _FlightInformation:
         return flights[np.linalg.eigvalsh(own).min(axis=-1) > 1.0 / thresholds.EXCITED**2]
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _GroupContrast:
     """Scores of n flights in d columns about their common fit, and what groups of them differ by."""
 
@@ -167,7 +167,7 @@ class _GroupContrast:
         return np.unique(members ^ flip[:, None], axis=0)
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _Split:
     """Two groups of flights and the effect in which they differ most significantly."""
 

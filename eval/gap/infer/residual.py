@@ -11,14 +11,16 @@ sign-flip permutation test over blocks of a few seconds, with the largest gain o
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.whitening import ErrorResponses
+from inclined_landing.eval.gap.flights.noise import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
+from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.columns import Values
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
@@ -38,30 +40,24 @@ HORIZON = 1.0  # s, over which a function displaces the vehicle
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 
-@dataclasses.dataclass(frozen=True)
-class Residual:
-    """White residuals of a fit, with its disturbance level and variance inflation."""
+def white_residuals(
+    problem: Problem, local: LinearGaussian, names: EffectSet, at: Values
+) -> list[np.ndarray]:
+    """Return the white residuals (w, C, q) of every flight at the posterior mean of all columns.
 
-    errors: list[np.ndarray]  # white (w, C, q) of every flight
-    size: np.ndarray  # (C,) of the disturbance [m/s2, rad/s2, 1]
-    inflation: np.ndarray  # (C,)
-
-    @staticmethod
-    def by(
-        problem: Problem, local: LinearGaussian, names: EffectSet, at: Values, size: np.ndarray, inflation
-    ) -> Residual:
-        """Return the residuals at the posterior mean of all columns, random effects of flights included."""
-        change, _ = local.posterior(names)
-        errors, slopes_of = [], problem.jacobian(at, local.columns)
-        for k, flight in enumerate(problem.flights):
-            step = (change + local.random_effect(k, change)) * local.unit  # z + u of this flight
-            here, *slopes = slopes_of(flight)
-            error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
-            errors.append(flight.whitening(flight.cut(error)))
-        return Residual(errors, size, inflation)
+    Random effects of the flights included. at: where `local` is linearised.
+    """
+    change, _ = local.posterior(names)
+    errors, slopes_of = [], problem.jacobian(at, local.columns)
+    for k, flight in enumerate(problem.flights):
+        step = (change + local.random_effect(k, change)) * local.unit  # z + u of this flight
+        here, *slopes = slopes_of(flight, problem.form_jacobians[k])
+        error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
+        errors.append(flight.whitening(flight.cut(error)))
+    return errors
 
 
-def reference_residual(problem: Problem, residual: Residual) -> ReferenceResidual:
+def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> ReferenceResidual:
     """Return the functions of all flights of `problem`, each shrunk by its cross-validated gain."""
     inputs = regressors(problem.flights)
     bases = {name: _basis(problem, *of) for name, of in inputs.items()}
@@ -70,7 +66,7 @@ def reference_residual(problem: Problem, residual: Residual) -> ReferenceResidua
     return ReferenceResidual(bases, {key: w for key, w in weights.items() if np.any(w)})
 
 
-def equivalent_sizes(problem: Problem, white: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def equivalent_sizes(problem: Problem, white: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return every window's error (w, C) as a constant acceleration or angle, and its variance."""
     value = np.concatenate([f.whitening.amplitudes(x) for f, x in zip(problem.flights, white)])
     variance = np.concatenate(
@@ -126,7 +122,7 @@ def _lag_names(times: Sequence[float]) -> list[str]:
     return [f" {t:g} s ago" for t in times]
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class _RidgeRegression:
     """Ridge regression of the residual along one target on the features of one group of inputs."""
 
@@ -174,10 +170,15 @@ class _RidgeRegression:
 
 
 def analyse_residual(
-    problem: Problem, residual: Residual, vehicle: Vehicle, seed: int = 0
+    found: SetPosterior, vehicle: Vehicle, error: float = math.nan, seed: int = 0
 ) -> ResidualAnalysis:
-    """Return the residual's size by channel and its significant functions; vehicle: the corrected one."""
-    value, variance = equivalent_sizes(problem, residual.errors)
+    """Return the residual's size by channel and its significant functions, beside the most probable set.
+
+    vehicle: the corrected one. error: its position error [m] one second ahead; NaN: not known.
+    """
+    problem = found.problem
+    residual = white_residuals(problem, found.local, found.names, found.at)
+    value, variance = equivalent_sizes(problem, residual)
     size = {}
     for k, channel in enumerate(channels_of(problem)):
         w = problem.logged[:, k] > 0.0
@@ -201,11 +202,11 @@ def analyse_residual(
             depends[f.target] = _dependence(
                 problem, f, bases[f.on], inputs[f.on], residual, vehicle, scores[k, 0]
             )
-    return ResidualAnalysis(p_value, size, tuple(depends.values()))
+    return ResidualAnalysis(p_value, size, tuple(depends.values()), error)
 
 
 def _functions(
-    problem: Problem, residual: Residual, inputs, bases, repeating: ReferenceResidual | None
+    problem: Problem, residual: Sequence[np.ndarray], inputs, bases, repeating: ReferenceResidual | None
 ) -> list[_RidgeRegression]:
     """Return one ridge regression for every group of inputs along every target."""
     block_of, result = _blocks(problem), []
@@ -219,7 +220,7 @@ def _functions(
 
 
 def _dependence(
-    problem, function: _RidgeRegression, basis: Basis, inputs, residual: Residual, vehicle, score
+    problem, function: _RidgeRegression, basis: Basis, inputs, residual: Sequence[np.ndarray], vehicle, score
 ) -> Dependence:
     """Return a function's size, by regime too, and its mean over the input that explains most of it."""
     names, arrays = inputs
@@ -236,9 +237,9 @@ def _dependence(
             input_name, best, curve = name, spread, (centres, means)
     unit = UNITS_OF.get(function.target, UNITS_OF["x"])
     channels = _channels(function.target)
-    weight = problem.weight / residual.inflation
+    weight = problem.weight / problem.inflation
     total = sum(
-        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in residual.errors]) * weight[:, c]).sum()
+        (np.concatenate([(e[:, c] ** 2).sum(axis=1) for e in residual]) * weight[:, c]).sum()
         for c in channels
     )
     share = float(np.clip(function.gain / max(total, 1e-9), 0.0, 1.0))
@@ -319,7 +320,9 @@ def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray
     return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
 
 
-def _fit(problem, residual: Residual, target: str, name: str, features, block_of, known) -> _RidgeRegression:
+def _fit(
+    problem: Problem, residual: Sequence[np.ndarray], target: str, name: str, features, block_of, known
+) -> _RidgeRegression:
     """Return a ridge regression of the residual on features: Gram matrices and cross-validated gains.
 
     known (D,): what the function is in the flights of the reference; None: nothing.
@@ -329,7 +332,7 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
     a, b = np.zeros((groups, width, width)), np.zeros((int(block_of.max()) + 1, width))
     ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
     of_flights = [np.split(x, ends) for x in (problem.group_of, block_of, problem.weight)]
-    for flight, errors, basis, g, k, weight in zip(problem.flights, residual.errors, features, *of_flights):
+    for flight, errors, basis, g, k, weight in zip(problem.flights, residual, features, *of_flights):
         for channel in channels:
             drive = basis
             if len(channels) == 2:
@@ -337,7 +340,7 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
                 across = channel == (target == "forward")
                 sign = -1.0 if target == "left" and channel == 0 else 1.0
                 drive = basis * (sign * np.sin(heading) if across else np.cos(heading))
-            scale = 1.0 / np.sqrt(residual.inflation[channel])
+            scale = 1.0 / np.sqrt(problem.inflation[channel])
             through = scale * flight.whitening.matrices[channel] @ flight.error_responses.impulse[channel]
             share = np.sqrt(weight[:, channel])[:, None]
             slopes = share[..., None] * np.matmul(through, drive)  # (w, q, D)
@@ -349,7 +352,9 @@ def _fit(problem, residual: Residual, target: str, name: str, features, block_of
                 error = error - slopes @ known
             np.add.at(b, k, np.einsum("wqd,wq->wd", slopes, error, optimize=True))
     # Prior of the weights N(0, size^2), size that of the disturbance:  ridge = 1 / size^2
-    expected = max(float(residual.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]])
+    expected = max(
+        float(problem.noise_model.size[list(channels)].max()), EXPECTED_SIZE[UNITS_OF[CHANNELS[channels[0]]]]
+    )
     ridge = 1.0 / expected**2
     fold_of = np.array([problem.group_of[np.argmax(block_of == k)] for k in range(len(b))])
     return _RidgeRegression(target, name, a, b, fold_of, ridge, gain_matrix(a, b, fold_of, ridge))

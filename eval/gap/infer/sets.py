@@ -11,24 +11,20 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.noise_model import NoiseModel, estimate
-from inclined_landing.eval.gap.infer.fit import LeastSquaresFit, fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import (
     EffectSet,
     Evidence,
     LinearGaussian,
-    confounding,
-    estimate_between_flight_deviations,
-    excitation,
+    Spread,
     flight_weights,
 )
-from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
 SAME_RATIO = frozenset(("mass", "thrust_scale"))
@@ -42,14 +38,11 @@ COMPARE_WITHIN = 7.0  # one this close is given a probability
 ROUGH_BEYOND = 20.0  # one further off gets a single Newton step
 NEWTON_STEPS = 3
 STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
-MODEL_ERRORS = np.array([0.0, *np.geomspace(0.002, 0.5, 30)])  # f, multiplicative model errors that are tried
-ALTERNATIONS = 4  # rounds of fitting effects and noise model in turn
 LINEARISATIONS = 3  # points whose log evidences are averaged
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
-LAGS = 4  # windows over which autocorrelations are summed
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class FittedSet:
     """A set of effects fitted through the simulator, and its linearisation."""
 
@@ -70,45 +63,36 @@ class SetProbability:
     values: FittedValues
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class SetPosterior:
-    """Posterior distribution over sets of effects, with the most probable one and the noise model."""
+    """Posterior distribution over sets of effects, with the most probable one."""
 
+    problem: Problem  # with its noise estimated
+    joint: FittedValues  # fit of all effects together
+    linear: Linearisation  # there
+    spread: Spread  # of the flights, by that
     names: EffectSet  # the most probable set, all that scales the thrust counted as one
     values: FittedValues  # its posterior mode
     at: FittedValues  # its linearisation point
     local: LinearGaussian  # the model linearised there
     sets: tuple[SetProbability, ...]  # most probable first
-    noise_model: NoiseModel
-    joint: FittedValues  # joint fit of all effects
-    linear: Linearisation  # at the joint fit
-    inflation: np.ndarray  # (6,) variance inflation by autocorrelation
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
         return sum(s.probability for s in self.sets if s.names & set(names))
 
 
-def search(problem: Problem) -> SetPosterior:
-    """Return the posterior over sets of effects; the noise model of `problem` is estimated on the way."""
-    joint, noise_model = fit_jointly(problem, list(problem.library))
-    inflation = autocorrelation_inflation(problem, joint.values)
-    columns = problem.columns([*problem.library, BASE])
-    linear = problem.linearise(joint.values, columns, inflation)
-    problem.confounded = confounding(linear)
-    problem.between = estimate_between_flight_deviations(problem, linear)
-    problem.excitation = excitation(problem, linear)
-    eliminated = backward_eliminate(problem, LinearGaussian.of(problem, linear, joint.values).evidence())
-    nodes = _greedy_search(problem, inflation, eliminated, joint.values)
+def search(problem: Problem, joint: FittedValues) -> SetPosterior:
+    """Return the posterior over sets of effects; joint: the fit of `estimate_noise`."""
+    linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
+    spread = Spread.of(problem, linear)
+    eliminated = backward_eliminate(problem, LinearGaussian.of(problem, spread, linear, joint).evidence())
+    nodes = _greedy_search(problem, spread, eliminated, joint)
     best = max(nodes.values(), key=lambda node: node.score)
-    scored = _bagged_posterior(problem, nodes, best, inflation)
+    scored, nodes = _bagged_posterior(problem, spread, nodes, best)
     names = _most_probable(problem, scored)
-    if names not in nodes:
-        nodes[names] = _fit_set(problem, names, _linear_estimate(problem, best, names), inflation)
-    chosen = nodes[names]
-    return SetPosterior(
-        names, chosen.values, chosen.at, chosen.local, scored, noise_model, joint.values, linear, inflation
-    )
+    chosen = nodes.get(names) or _fit_set(problem, spread, names, _linear_estimate(problem, best, names))
+    return SetPosterior(problem, joint, linear, spread, names, chosen.values, chosen.at, chosen.local, scored)
 
 
 def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> EffectSet:
@@ -125,76 +109,6 @@ def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> Effect
     return next(one.names for one in scored if merged(one.names) == most)
 
 
-def fit_jointly(problem: Problem, names: Sequence[str]) -> tuple[LeastSquaresFit, NoiseModel]:
-    """Return the joint fit of effects and the noise model, estimated in alternation."""
-    values: FittedValues = {name: {} for name in (*names, BASE)}
-    noise_model = NoiseModel.none(problem.channels)
-    for _ in range(ALTERNATIONS):
-        before = noise_model
-        fit = fit_least_squares(
-            problem, values, np.ones(problem.channels), iterations=3, tolerance=5.0, prior=_joint_fit_prior
-        )
-        values, vehicle = fit.values, problem.corrected(fit.values)
-        predicted = [problem.predicted(f, values) for f in problem.flights]
-        errors = [f.measured - p for f, p in zip(problem.flights, predicted)]
-        ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
-        noise_model = estimate(problem.flights, errors, np.split(problem.weight, ends))
-        problem.rewhiten(noise_model, vehicle)
-        if not problem.identified:
-            problem.compute_form_jacobians(vehicle)
-        model_error_weights(problem, predicted, errors)
-        if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
-            break
-    return fit, noise_model
-
-
-def _joint_fit_prior(problem: Problem, columns: Sequence) -> np.ndarray:
-    """Return the prior standard deviations (P,) of the joint fit; without a reference, tight model errors."""
-    width = slab_deviations(problem, columns)
-    if problem.identified:
-        return width
-    known = np.sqrt(problem.vehicle_prior(columns)[1].diagonal())
-    return np.where([c.effect == BASE for c in columns], known, width)
-
-
-def model_error_weights(
-    problem: Problem, predicted: Sequence[np.ndarray], errors: Sequence[np.ndarray]
-) -> None:
-    """Set every window's weight, the inverse variance by a multiplicative model error (maximum likelihood).
-
-    predicted, errors: (m, C) of every flight.
-    """
-
-    def mean_square(values: Sequence[np.ndarray]) -> np.ndarray:
-        white = [f.whitening(f.cut(v)) for f, v in zip(problem.flights, values)]
-        return np.concatenate([(x**2).mean(axis=2) for x in white])
-
-    # Heteroscedastic normal errors: in a window of q white numbers with predicted mean square E,
-    #   var = 1 + f^2 E,   -2 log p = sum_w q [log var + e^2 / var];   f of every channel minimises it.
-    signal, error = mean_square(predicted), mean_square(errors)  # (w, C)
-    variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
-    deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
-    best = np.argmin(deviance, axis=0)
-    problem.weight = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
-
-
-def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
-    """Return the variance inflation (C,) by the autocorrelation of successive windows."""
-    # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
-    # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x.
-    white = problem.white_errors_at(values)
-    inflation = np.ones(problem.channels)
-    for channel in range(problem.channels):
-        total, lagged = 0.0, np.zeros(LAGS)
-        for flight, errors in zip(problem.flights, white):
-            x = flight.whitening.amplitudes(errors)[:, channel] * np.sqrt(flight.whitening.power[channel])
-            total += float(x @ x)
-            lagged += [float(x[k:] @ x[:-k]) if len(x) > k else 0.0 for k in range(1, LAGS + 1)]
-        if total > 0.0:
-            inflation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
-    return inflation
-
-
 def log_prior(problem: Problem, names: EffectSet) -> float:
     """Return the log prior of a set, up to a constant: independent Bernoulli effects of equal odds.
 
@@ -207,7 +121,7 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
 
 
 def _fit_set(
-    problem: Problem, names: EffectSet, start: Values, inflation: np.ndarray, rough_below: float = -math.inf
+    problem: Problem, spread: Spread, names: EffectSet, start: Values, rough_below: float = -math.inf
 ) -> FittedSet:
     """Return the posterior mode of a set by Newton's method from `start`, with its linearisation.
 
@@ -216,9 +130,9 @@ def _fit_set(
     new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
     for _ in range(NEWTON_STEPS):
         values = new
-        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
-        linear = problem.linearise(values, columns, inflation)
-        local = LinearGaussian.of(problem, linear, values)
+        columns = problem.columns([*problem.library, BASE, BASE]) + problem.form_columns(values)
+        linear = problem.linearise(values, columns)
+        local = LinearGaussian.of(problem, spread, linear, values)
         new = posterior_mode(problem, local, names)
         step = problem.coordinates(new, columns) - problem.coordinates(values, columns)
         least = np.array([problem.parameter(c).negligible for c in columns])
@@ -288,10 +202,10 @@ def backward_eliminate(problem: Problem, evidence: Evidence) -> EffectSet:
 
 
 def _greedy_search(
-    problem: Problem, inflation: np.ndarray, eliminated: EffectSet, values: Values
+    problem: Problem, spread: Spread, eliminated: EffectSet, values: Values
 ) -> dict[EffectSet, FittedSet]:
     """Return the sets fitted by a greedy search from the empty set and from `eliminated`."""
-    nodes = {names: _fit_set(problem, names, values, inflation) for names in (frozenset[str](), eliminated)}
+    nodes = {names: _fit_set(problem, spread, names, values) for names in (frozenset[str](), eliminated)}
     predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
     expanded: set[EffectSet] = set()
     while len(nodes) < MOST_FITS:
@@ -308,14 +222,14 @@ def _greedy_search(
             break
         start = _linear_estimate(problem, predicted[names][1], names)
         if _all_nonzero(problem, names, start):
-            nodes[names] = _fit_set(problem, names, start, inflation, best.score - ROUGH_BEYOND)
+            nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
         else:  # its predicted probability comes from values beyond the bounds
             del predicted[names]
     best = max(nodes.values(), key=lambda node: node.score)
     for names in _exchange_candidates(problem, best, nodes):
         start = _linear_estimate(problem, best, names)
         if _all_nonzero(problem, names, start):
-            nodes[names] = _fit_set(problem, names, start, inflation, best.score - ROUGH_BEYOND)
+            nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
     return nodes
 
 
@@ -334,12 +248,14 @@ def _exchange_candidates(
 
 
 def _bagged_posterior(
-    problem: Problem, nodes: dict[EffectSet, FittedSet], best: FittedSet, inflation
-) -> tuple[SetProbability, ...]:
+    problem: Problem, spread: Spread, nodes: Mapping[EffectSet, FittedSet], best: FittedSet
+) -> tuple[tuple[SetProbability, ...], dict[EffectSet, FittedSet]]:
     """Return the bagged posterior (Huggins and Miller 2023) of fitted sets and neighbours of the best.
 
-    All sets are compared in the same linearisations: their error cancels in the differences.
+    All sets are compared in the same linearisations: their error cancels in the differences. Returned are
+    the fitted sets too, with probable ones that were fitted for their values.
     """
+    nodes = dict(nodes)
     weights = flight_weights(problem.groups)
     scores = {n: best.screen(n) + log_prior(problem, n) for n in _neighbours(problem, best) if n not in nodes}
     starts = {
@@ -369,10 +285,10 @@ def _bagged_posterior(
         else:
             values = starts.get(one) or _linear_estimate(problem, best, one)
             if probability[one] > REFIT_ABOVE or not result:  # so far from the linearisation alone
-                nodes[one] = _fit_set(problem, one, values, inflation)
+                nodes[one] = _fit_set(problem, spread, one, values)
                 values = nodes[one].values
         result.append(SetProbability(one, probability[one], values))
-    return tuple(result)
+    return tuple(result), nodes
 
 
 def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet) -> dict[EffectSet, float]:
@@ -385,7 +301,7 @@ def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet)
     for name in sorted(names):  # the order of sets differs from process to process
         within = 1.0
         for k in local.index([name]):
-            if not local.columns[k].form:
+            if isinstance(local.columns[k], ParameterColumn):
                 least = problem.parameter(local.columns[k]).negligible / local.unit[k]
                 within *= float(np.diff(ndtr((np.array([-least, least]) - at[k]) / errors[k]))[0])
         parts = result.items()

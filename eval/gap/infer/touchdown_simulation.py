@@ -9,6 +9,7 @@ stiffness and damping differ, counts most.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
@@ -29,30 +30,36 @@ from inclined_landing.models.vehicle import Vehicle
 STEP = 0.00125  # s, largest step of the engine: three times the damping is unstable at twice as much
 
 
+@dataclasses.dataclass(frozen=True)
 class TouchdownProblem(Candidates):
     """Landings and candidate contact effects: a nonlinear regression problem.
 
     Channels: along and across the slope, along its normal, roll, pitch, yaw.
     """
 
-    def __init__(self, landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]):
-        self.flights = list(landings)
-        self.vehicle = vehicle
-        self.library = {name: effect for name, effect in library.items() if effect.contact}
-        self.reach = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
-        self.samples = min(len(x.compared) for x in self.flights)
+    landings: tuple[Landing, ...]
+    reach: float  # m, of the feet below the centre of mass
+    samples: int  # compared of every landing
+
+    @staticmethod
+    def of(landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]) -> TouchdownProblem:
+        """Return the problem with the effects of contact of a library."""
+        contact = {name: effect for name, effect in library.items() if effect.contact}
+        reach = float(reach_below(shapes_of(compile_scene(vehicle)), part="feet"))
+        samples = min(len(x.compared) for x in landings)
+        return TouchdownProblem(vehicle, contact, tuple(landings), reach, samples)
 
     def errors(self, vehicle: Vehicle) -> np.ndarray:
         """Return the white errors (n, 6, samples), in standard deviations."""
-        simulated = simulate(self.flights, vehicle)
-        result = np.empty((len(self.flights), 6, self.samples))
+        simulated = simulate(self.landings, vehicle)
+        result = np.empty((len(self.landings), 6, self.samples))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
         # MuJoCo's contact has no static deflection: the difference to the nominal one is added, exponentially
         # settled after contact.
         lower, leaning = np.subtract(
             static_deflection(vehicle, self.reach), static_deflection(self.vehicle, self.reach)
         )
-        for k, landing in enumerate(self.flights):
+        for k, landing in enumerate(self.landings):
             error = (landing.measured - simulated[k][landing.compared])[: self.samples]
             if landing.on_platform:
                 x, z = error[:, 0].copy(), error[:, 2].copy()

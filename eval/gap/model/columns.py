@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,10 +13,10 @@ from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.vehicle import Vehicle
 
-Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
+Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value; BASE -> model error -> weight
 FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 
-BASE = ""  # in place of the name of an effect: the base model, which has model (form) errors only
+BASE = "base model"  # among values, beside the names of effects: the weights of its model (form) errors
 SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 SHAPE_COVARIANCE = np.array(
     [[0.3125, 0.1875], [0.1875, 0.3125]]
@@ -23,28 +24,64 @@ SHAPE_COVARIANCE = np.array(
 
 
 @dataclasses.dataclass(frozen=True)
-class Column:
-    """One column of the Jacobian: a parameter of an effect, or a model error."""
+class ParameterColumn:
+    """A column of the Jacobian: a parameter of an effect."""
 
     effect: str
     parameter: str
-    fixed: tuple[tuple[str, float], ...] = ()  # other parameters of the effect at which it is taken
-    form: str = ""  # name of a model error of the effect (`model.form`), in place of a parameter
+    fixed: tuple[tuple[str, float], ...] = ()  # the effect's reference, at the end at which it is taken
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return where its value stands among `Values`; the two ends of a reference share it."""
+        return self.effect, self.parameter
 
 
+@dataclasses.dataclass(frozen=True)
+class FormColumn:
+    """A column of the Jacobian: a model (form) error of an effect, see `Effect.forms`."""
+
+    effect: str
+    form: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return its name; no `Values` have its weight."""
+        return self.effect, self.form
+
+
+@dataclasses.dataclass(frozen=True)
+class BaseColumn:
+    """A column of the Jacobian: a model (form) error of the base model, see `form.DEVIATIONS`."""
+
+    form: str
+    effect: ClassVar[str] = BASE
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return where its weight stands among `Values`."""
+        return BASE, self.form
+
+
+Column = ParameterColumn | FormColumn | BaseColumn
+
+
+def at_an_end(column: Column) -> bool:
+    """Return whether a column is one of the two of an effect about a reference."""
+    return isinstance(column, ParameterColumn) and bool(column.fixed)
+
+
+@dataclasses.dataclass(frozen=True)
 class Candidates:
     """A nominal vehicle and the candidate effects of a library."""
 
     vehicle: Vehicle
-    library: dict[str, Effect]
+    library: Mapping[str, Effect]
 
     @staticmethod
-    def of(vehicle: Vehicle, library: Mapping[str, Effect]) -> Candidates:
-        """Return the effects of a library as candidates for a vehicle."""
-        candidates = Candidates()
-        candidates.vehicle = vehicle
-        candidates.library = {name: effect.sized_for(vehicle) for name, effect in library.items()}
-        return candidates
+    def for_vehicle(vehicle: Vehicle, library: Mapping[str, Effect]) -> Candidates:
+        """Return the effects of a library, of the sizes that apply to a vehicle, as its candidates."""
+        return Candidates(vehicle, {name: effect.sized_for(vehicle) for name, effect in library.items()})
 
     def corrected(self, values: Values) -> Vehicle:
         """Return the vehicle with effects at `values`, applied in the order of the library."""
@@ -56,12 +93,12 @@ class Candidates:
 
     def parameter(self, column: Column) -> Parameter:
         """Return the parameter of a column; of a model error, its weight."""
-        if column.effect == BASE:
-            sd = form.BASE[column.form]
+        if isinstance(column, BaseColumn):
+            sd = form.DEVIATIONS[column.form]
             return Parameter(
                 column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF, manoeuvre=0.5 * sd
             )
-        if column.form:
+        if isinstance(column, FormColumn):
             sd = self.library[column.effect].form
             return Parameter(
                 column.form, bounds=(-9.0, 9.0), plausible=0.0, negligible=sd / OFF, is_reference=True
@@ -70,7 +107,7 @@ class Candidates:
 
     def neutral(self, name: str) -> dict[str, float]:
         """Return the neutral values of an effect; for the base model, zero model errors."""
-        return dict.fromkeys(form.BASE, 0.0) if name == BASE else self.library[name].neutral
+        return dict.fromkeys(form.DEVIATIONS, 0.0) if name == BASE else self.library[name].neutral
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
         """Return the distance of every parameter of an effect from neutral."""
@@ -83,20 +120,20 @@ class Candidates:
         neutral. Such an effect has two columns, its first parameter with the reference at either end: it is
         linear in these two.
         """
-        result = []
+        result: list[Column] = []
         for name in names:
             if name == BASE:
-                result += [Column(BASE, f, form=f) for f in form.BASE]
+                result += map(BaseColumn, form.DEVIATIONS)
                 continue
             effect = self.library[name]
             if (about := effect.reference) is not None:
                 first = effect.parameters[0].name
-                result += [Column(name, first, ((about.name, end),)) for end in about.either_side()]
+                result += [ParameterColumn(name, first, ((about.name, end),)) for end in about.either_side()]
             else:
-                result += [Column(name, p.name) for p in effect.parameters]
+                result += [ParameterColumn(name, p.name) for p in effect.parameters]
         return result
 
-    def one_sided_difference(self, values: Values, column: Column) -> tuple[Vehicle, float]:
+    def one_sided_difference(self, values: Values, column: ParameterColumn) -> tuple[Vehicle, float]:
         """Return the vehicle of a one-sided finite difference along a column at `values`, and the step."""
         p = self.parameter(column)
         step = p.step or p.negligible
@@ -113,9 +150,9 @@ class Candidates:
         result = np.zeros(len(columns))
         for k, column in enumerate(columns):
             at = values.get(column.effect)
-            if column.effect == BASE:
-                result[k] = values.get(BASE, {}).get(column.form, 0.0)
-            elif at and not column.form:
+            if at and isinstance(column, BaseColumn):
+                result[k] = at.get(column.form, 0.0)
+            elif at and isinstance(column, ParameterColumn):
                 p, effect = self.parameter(column), self.library[column.effect]
                 result[k] = p.coordinate(at.get(p.name, p.neutral))
                 if column.fixed and (about := effect.reference) is not None:
@@ -129,26 +166,26 @@ class Candidates:
         for name, effect in self.library.items():
             if name not in names:
                 continue
-            indices = [k for k, c in enumerate(columns) if c.effect == name and not c.form]
-            found = {columns[k].parameter: self.parameter(columns[k]).value_at(at[k]) for k in indices}
+            own = {k: c for k, c in enumerate(columns) if isinstance(c, ParameterColumn) and c.effect == name}
+            found = {c.parameter: self.parameter(c).value_at(at[k]) for k, c in own.items()}
             if effect.reference:
                 first = effect.parameters[0]
-                size, about = effect.from_ends(*at[indices])
+                size, about = effect.from_ends(*at[list(own)])
                 found = {first.name: first.neutral + size, effect.reference.name: about}
             result[name] = {
                 p.name: float(np.clip(found.get(p.name, p.neutral), *p.possible)) for p in effect.parameters
             }
         return result
 
-    def central_difference(self, values: Values, column: Column, times: float) -> tuple[list[Vehicle], float]:
-        """Return the two vehicles of a central difference along a column, and their distance.
+    def central_difference(self, values: Values, column: ParameterColumn) -> tuple[list[Vehicle], float]:
+        """Return the vehicles a negligible size to either side along a column, and their distance.
 
-        times: half the distance in negligible sizes, where the bounds allow it.
+        They are closer where the bounds are.
         """
         p = self.parameter(column)
         at = {**self.library[column.effect].neutral, **values.get(column.effect, {}), **dict(column.fixed)}
-        low = max(p.bounds[0], at[p.name] - times * p.negligible)
-        high = min(p.bounds[1], at[p.name] + times * p.negligible)
+        low = max(p.bounds[0], at[p.name] - p.negligible)
+        high = min(p.bounds[1], at[p.name] + p.negligible)
         ends = [self.corrected({**values, column.effect: {**at, p.name: x}}) for x in (low, high)]
         return ends, high - low
 
@@ -170,6 +207,6 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
     shape = np.eye(len(columns))
     for i, one in enumerate(columns):
         for j, other in enumerate(columns):
-            if one.fixed and (one.effect, one.parameter) == (other.effect, other.parameter):
+            if at_an_end(one) and one.key == other.key:
                 shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
     return shape * np.outer(width, width)

@@ -20,8 +20,8 @@ _LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s,
 _ANGLE, _TURN = 0.2, 1.0  # rad, rad/s
 _MOTOR = 0.065  # s, lag of the load
 _HOVER = load_vehicle().hover_pwm  # the same for all vehicles and flights, so that weights mean the same
-# Of the base model, with the standard deviations of their weights: from development families.
-BASE = {
+# Errors of the base model, with the standard deviations of their weights: from development families.
+DEVIATIONS = {
     **{f"thrust {what}": 0.02 for what in ("load", "speed", "climb", "time")},
     **{f"drag {what}": 0.1 for what in ("load", "speed", "climb", "x")},
     **{f"attitude {what}": 0.05 for what in ("angle", "load", "time", "roll")},

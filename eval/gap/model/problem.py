@@ -1,4 +1,4 @@
-"""Whitened prediction errors of a vehicle over short windows, and their linearisation in all effects.
+"""The regression of measured flights on candidate effects, and its linearisation.
 
 With white errors e and the Jacobian J of the prediction, e(x + d) = e - J d; everything after a linearisation
 works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'e,  c = e'e.
@@ -9,14 +9,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.noise_model import NoiseModel
-from inclined_landing.eval.gap.flights.whitening import ErrorResponses
+from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model import form
-from inclined_landing.eval.gap.model.columns import BASE, Candidates, Column, Values
+from inclined_landing.eval.gap.model.columns import (
+    BASE,
+    BaseColumn,
+    Candidates,
+    Column,
+    FormColumn,
+    ParameterColumn,
+    Values,
+)
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, translated
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.models.effects import Effect
@@ -24,6 +32,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 LEAST_GROUPS = 8  # of windows: fewer flights are split into this many in all
 _RIDGE = 1e-9  # on the unit diagonal of a scaled Gram matrix
+_POOL = ThreadPoolExecutor(2)  # flights are predicted side by side
 
 
 # Channels of effects -> channels of a flight.
@@ -35,48 +44,110 @@ CHANNEL_GROUPS = {
 }
 
 
+@dataclasses.dataclass(frozen=True)
 class Problem(Candidates):
-    """Flights cut into windows, candidate effects and a noise model: a nonlinear regression problem."""
+    """Flights cut into windows, candidate effects and a noise model: a nonlinear regression problem.
 
-    def __init__(
-        self,
+    Windows: w in all, of C channels; they fall into g groups, flights or parts of them.
+    """
+
+    flights: tuple[MeasuredFlight, ...]  # whitened by the noise model
+    reference: VehiclePosterior | None  # of the vehicle's identification; None: its constants are exact
+    model_errors: float  # standard deviation of model errors without a reference, over the full one
+    noise_model: NoiseModel
+    weight: np.ndarray  # (w, C) inverse variance by model errors; 0 in channels that were not logged
+    inflation: np.ndarray  # (C,) variance inflation by the autocorrelation of windows
+    form_jacobians: tuple[np.ndarray, ...]  # (F, m, C) of every flight, in the base model's errors
+
+    @staticmethod
+    def of(
         flights: Sequence[MeasuredFlight],
         vehicle: Vehicle,
         library: Mapping[str, Effect],
         reference: VehiclePosterior | None = None,
-    ):
-        self.flights = list(flights)
-        self.vehicle = vehicle
-        self.reference = reference  # posterior of the vehicle's identification; None: its constants are exact
-        self.wide_model_errors = False  # whether model errors have their full prior width without a reference
-        self.channels = self.flights[0].channels  # C: 6 of the pose, and 3 of motor requests where logged
-        logged = np.array([f.logged for f in self.flights])
+        model_errors: float = form.ALONE,
+    ) -> Problem:
+        """Return the problem before its noise is estimated: measurement noise alone, windows of equal weight.
+
+        Effects of which these flights have no channel are left out of the library.
+        """
+        channels = flights[0].channels  # C: 6 of the pose, and 3 of motor requests where logged
+        logged = np.array([f.logged for f in flights])
         ignored = {"touchdown"} | {name for name, of in CHANNEL_GROUPS.items() if not logged[:, of].any()}
-        self.library = {
+        kept = {
             name: effect.sized_for(vehicle)
             for name, effect in library.items()
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
         }
-        self.requested = self.channels > len(CHANNELS)  # were the motors' requests logged
-        if self.requested:
-            self.library = {name: effect.seen_in_requests() for name, effect in self.library.items()}
-        self.flight_of = np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
-        self.group_of = _groups(self.flights)
-        self.groups = int(self.group_of.max()) + 1
-        self.rows = np.array([f.rows - 2 for f in self.flights])[self.flight_of]  # white numbers of a channel
-        # Weights (w, C), zero for channels that were not logged.
-        self.logged = logged[self.flight_of].astype(float)
-        self.weight = self.logged.copy()
-        # By (effect, parameter): between-flight standard deviation, number of collinear columns, number of
-        # flights that excite it.
-        self.between: dict[tuple[str, str], float] = {}
-        self.confounded: dict[tuple[str, str], float] = {}
-        self.excitation: dict[tuple[str, str], float] = {}
-        # Whether the vehicle's model errors were identified from flights.
-        self.identified = reference is not None and reference.from_flights
-        self._form_jacobians: list[np.ndarray] | None = None
-        self._pool = ThreadPoolExecutor(2)
+        if channels > len(CHANNELS):
+            kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
+        windows = np.concatenate([np.tile(f.logged, (len(f.starts), 1)) for f in flights])
+        return Problem(
+            vehicle=vehicle,
+            library=kept,
+            flights=tuple(flights),
+            reference=reference,
+            model_errors=model_errors,
+            noise_model=NoiseModel.none(channels),
+            weight=windows.astype(float),
+            inflation=np.ones(channels),
+            form_jacobians=_form_jacobians(flights, vehicle),
+        )
+
+    def whitened(self, noise_model: NoiseModel, vehicle: Vehicle) -> Problem:
+        """Return the problem with flights whitened by a noise model and the attitude loops of `vehicle`.
+
+        Where no flights of a reference have shown model errors, these are taken along its motion.
+        """
+        flights = []
+        for f in self.flights:
+            responses = ErrorResponses.of(f.rows, f.dt, vehicle, f.requests is not None)
+            flights.append(f.whitened(responses, noise_model))
+        jacobians = self.form_jacobians if self.identified else _form_jacobians(flights, vehicle)
+        return dataclasses.replace(
+            self, flights=tuple(flights), noise_model=noise_model, form_jacobians=jacobians
+        )
+
+    @property
+    def channels(self) -> int:
+        """Return the number of channels C."""
+        return self.flights[0].channels
+
+    @property
+    def requested(self) -> bool:
+        """Return whether the motors' requests were logged."""
+        return self.channels > len(CHANNELS)
+
+    @property
+    def identified(self) -> bool:
+        """Return whether the vehicle's model errors were identified from flights."""
+        return self.reference is not None and self.reference.from_flights
+
+    @cached_property
+    def flight_of(self) -> np.ndarray:
+        """Return the flight (w,) of every window."""
+        return np.concatenate([np.full(len(f.starts), k) for k, f in enumerate(self.flights)])
+
+    @cached_property
+    def group_of(self) -> np.ndarray:
+        """Return the group (w,) of every window."""
+        return _groups(self.flights)
+
+    @cached_property
+    def groups(self) -> int:
+        """Return the number g of groups."""
+        return int(self.group_of.max()) + 1
+
+    @cached_property
+    def logged(self) -> np.ndarray:
+        """Return 1 for the channels of windows (w, C) that were logged, else 0."""
+        return np.array([f.logged for f in self.flights])[self.flight_of].astype(float)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Return the white numbers (w,) of every window and channel."""
+        return np.array([f.rows - 2 for f in self.flights])[self.flight_of]
 
     def weights_without_each_flight(self) -> list[np.ndarray]:
         """Return for every flight the weights (g,) of the groups without it; of a single one, all 1."""
@@ -85,103 +156,89 @@ class Problem(Candidates):
             weights[np.unique(self.group_of[self.flight_of == k])] = 0.0
         return result
 
-    def rewhiten(self, noise_model: NoiseModel, vehicle: Vehicle) -> None:
-        """Whiten with the estimated noise and disturbance; the attitude loops are those of `vehicle`."""
-        for flight in self.flights:
-            requests = flight.requests is not None
-            flight.rewhiten(ErrorResponses.of(flight.rows, flight.dt, vehicle, requests), noise_model)
-
     def vehicle_prior(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the prior of the vehicle's errors theta along `columns`: mean (P,), covariance (P, P).
 
-        Without a reference only the base model has (form) errors, small ones unless `wide_model_errors`.
+        Without a reference only the base model has (form) errors, of `model_errors` times their full size.
         """
         if self.reference is not None:
             return self.reference.along(columns)
-        share = 1.0 if self.wide_model_errors else form.ALONE
-        sd = [share * form.BASE[c.form] if c.effect == BASE else 0.0 for c in columns]
+        sd = [
+            self.model_errors * form.DEVIATIONS[c.form] if isinstance(c, BaseColumn) else 0.0 for c in columns
+        ]
         return np.zeros(len(columns)), np.diag(np.square(sd))
 
     def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight, each with its vehicle."""
-        return list(self._pool.map(self.white_errors_of, range(len(self.flights)), vehicles))
+
+        def of(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
+            return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
+
+        return list(_POOL.map(of, self.flights, vehicles))
 
     def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight with effects at `values`."""
-        if any(values.get(BASE, {}).values()):
-            self.form_jacobian(self.flights[0])
+        vehicle = self.corrected(values)
 
-        def of(flight: MeasuredFlight) -> np.ndarray:
-            return flight.whitening(flight.cut(flight.measured - self.predicted(flight, values)))
+        def of(flight: MeasuredFlight, jacobian: np.ndarray) -> np.ndarray:
+            predicted = _with_model_errors(predict(flight, vehicle), jacobian, values)
+            return flight.whitening(flight.cut(flight.measured - predicted))
 
-        return list(self._pool.map(of, self.flights))
+        return list(_POOL.map(of, self.flights, self.form_jacobians))
 
-    def predicted(self, flight: MeasuredFlight, values: Values) -> np.ndarray:
-        """Return the prediction (m, C) of a flight with effects and model errors at `values`."""
-        return self._with_model_errors(flight, predict(flight, self.corrected(values)), values)
+    def predicted(self, values: Values) -> list[np.ndarray]:
+        """Return the prediction (m, C) of every flight with effects and model errors at `values`."""
+        vehicle = self.corrected(values)
 
-    def compute_form_jacobians(self, vehicle: Vehicle) -> None:
-        """Compute the Jacobians in the base model's errors along the prediction of `vehicle`."""
+        def of(flight: MeasuredFlight, jacobian: np.ndarray) -> np.ndarray:
+            return _with_model_errors(predict(flight, vehicle), jacobian, values)
 
-        def of(flight: MeasuredFlight) -> np.ndarray:
-            gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
-            return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.BASE])
+        return list(_POOL.map(of, self.flights, self.form_jacobians))
 
-        self._form_jacobians = list(self._pool.map(of, self.flights))
-
-    def form_jacobian(self, flight: MeasuredFlight) -> np.ndarray:
-        """Return the Jacobian (F, m, C) of a flight's prediction in the base model's errors."""
-        if self._form_jacobians is None:
-            self.compute_form_jacobians(self.vehicle)
-        assert self._form_jacobians is not None
-        return self._form_jacobians[self.flights.index(flight)]
-
-    def _with_model_errors(self, flight: MeasuredFlight, predicted: np.ndarray, values: Values) -> np.ndarray:
-        """Return a prediction (m, C) with the base model's errors at their weights in `values`."""
-        weights = values.get(BASE, {})
-        if not any(weights.values()):
-            return predicted
-        return predicted + np.tensordot([weights[f] for f in form.BASE], self.form_jacobian(flight), axes=1)
-
-    def white_errors_of(self, k: int, vehicle: Vehicle) -> np.ndarray:
-        """Return the white errors (w, C, q) of one vehicle on the flight k."""
-        flight = self.flights[k]
-        return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
-
-    def squares(self, values: Values, inflation: np.ndarray) -> float:
+    def squares(self, values: Values) -> float:
         """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
-        squares_by_channel = np.concatenate(
-            [np.einsum("wcq,wcq->wc", x, x) for x in self.white_errors_at(values)]
-        )
-        return float((self.weight / inflation * squares_by_channel).sum())
+        return float(self._weighted_squares(values).sum())
+
+    def squares_by_channel(self, values: Values) -> np.ndarray:
+        """Return the weighted sum of squared white errors (C,) of every channel with effects at `values`."""
+        return self._weighted_squares(values).sum(axis=0)
+
+    def _weighted_squares(self, values: Values) -> np.ndarray:
+        squares = [np.einsum("wcq,wcq->wc", x, x) for x in self.white_errors_at(values)]
+        return self.weight / self.inflation * np.concatenate(squares)
 
     def form_columns(self, values: Values) -> list[Column]:
-        """Return the model error columns of the base and of the effects that are not neutral in `values`."""
-        return self.columns([BASE]) + [
-            Column(name, "", form=f)
+        """Return the model error columns of the effects that are not neutral in `values`."""
+        return [
+            FormColumn(name, f)
             for name in values
-            if name != BASE and np.any(self.sizes(name, values))
+            if np.any(self.sizes(name, values))
             for f in self.library[name].forms
         ]
 
     def jacobian(
         self, values: Values, columns: Sequence[Column]
-    ) -> Callable[[MeasuredFlight], list[np.ndarray]]:
-        """Return a function of a flight: prediction (m, C) at `values`, then the Jacobian's columns."""
-        vehicle, order = self.corrected(values), list(form.BASE)
-        differences = {c: self.one_sided_difference(values, c) for c in columns if not c.form}
-        with_errors = {c.effect for c in columns if c.form} - {BASE}
+    ) -> Callable[[MeasuredFlight, np.ndarray], list[np.ndarray]]:
+        """Return a function of a flight and its Jacobian in the base model's errors.
+
+        It returns the flight's prediction (m, C) at `values`, then its Jacobian's columns.
+        """
+        vehicle, order = self.corrected(values), list(form.DEVIATIONS)
+        differences = {
+            c: self.one_sided_difference(values, c) for c in columns if isinstance(c, ParameterColumn)
+        }
+        with_errors = {c.effect for c in columns if isinstance(c, FormColumn)}
         rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in with_errors}
 
-        def of(flight: MeasuredFlight) -> list[np.ndarray]:
+        def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> list[np.ndarray]:
             translation = translated(flight, vehicle)
             here = predict(flight, vehicle, translation)
             contribution = {name: here - predict(flight, other) for name, other in rest.items()}
-            result = [self._with_model_errors(flight, here, values)]
+            result = [_with_model_errors(here, form_jacobian, values)]
             for column in columns:
-                if column.effect == BASE:
-                    result.append(self.form_jacobian(flight)[order.index(column.form)])
-                elif column.form:
+                if isinstance(column, BaseColumn):
+                    result.append(form_jacobian[order.index(column.form)])
+                elif isinstance(column, FormColumn):
                     result.append(form.column(column.form, contribution[column.effect], flight))
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
                     moved, step = differences[column]
@@ -191,22 +248,16 @@ class Problem(Candidates):
 
         return of
 
-    def linearise(self, values: Values, columns: Sequence[Column], inflation: np.ndarray) -> Linearisation:
-        """Return the Gram matrices of white errors and Jacobian at `values`.
-
-        inflation (C,): variance inflation of every channel.
-        """
-        share = np.sqrt(self.weight / inflation)  # (w, C) weighted least squares
+    def linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
+        """Return the Gram matrices of white errors and Jacobian at `values`."""
+        share = np.sqrt(self.weight / self.inflation)  # (w, C) weighted least squares
         a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
         c = np.zeros(self.groups)
-
-        if any(column.effect == BASE for column in columns):
-            self.form_jacobian(self.flights[0])
         jacobian_of = self.jacobian(values, columns)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
-            here, *jacobian = jacobian_of(flight)
+            here, *jacobian = jacobian_of(flight, self.form_jacobians[k])
             stack = np.stack([flight.measured - here, *jacobian])  # (1 + P, m, C): [e, J]
             groups = self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):
@@ -222,8 +273,27 @@ class Problem(Candidates):
                         b[g, at] += gram[0, 1:]
                         a[np.ix_([g], at, at)] += gram[None, 1:, 1:]
 
-        list(self._pool.map(of, range(len(self.flights))))
-        return Linearisation(tuple(columns), a, b, c, self)
+        list(_POOL.map(of, range(len(self.flights))))
+        flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
+        return Linearisation(tuple(columns), a, b, c, flight_of)
+
+
+def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tuple[np.ndarray, ...]:
+    """Return the Jacobians (F, m, C) in the base model's errors along the prediction of `vehicle`."""
+
+    def of(flight: MeasuredFlight) -> np.ndarray:
+        gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
+        return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.DEVIATIONS])
+
+    return tuple(_POOL.map(of, flights))
+
+
+def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values: Values) -> np.ndarray:
+    """Return a prediction (m, C) with the base model's errors at their weights in `values`."""
+    weights = values.get(BASE, {})
+    if not any(weights.values()):
+        return predicted
+    return predicted + np.tensordot([weights[f] for f in form.DEVIATIONS], form_jacobian, axes=1)
 
 
 def _groups(flights: Sequence[MeasuredFlight]) -> np.ndarray:
@@ -273,7 +343,7 @@ def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFl
     return f"the {channel} logged is constant" if constant else ""
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class Linearisation:
     """Linearised least squares: Gram matrices of every group of windows (normal equations)."""
 
@@ -281,15 +351,14 @@ class Linearisation:
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,) squared errors
-    problem: Problem
+    flight_of: np.ndarray  # (g,) flight of every group
 
     def by_flight(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a (f, P, P) and b (f, P) summed over the groups of every flight."""
-        flights = len(self.problem.flights)
-        of = np.array([self.problem.flight_of[self.problem.group_of == g][0] for g in range(len(self.c))])
+        flights = int(self.flight_of.max()) + 1
         a, b = np.zeros((flights, *self.a.shape[1:])), np.zeros((flights, self.b.shape[1]))
-        np.add.at(a, of, self.a)
-        np.add.at(b, of, self.b)
+        np.add.at(a, self.flight_of, self.a)
+        np.add.at(b, self.flight_of, self.b)
         return a, b
 
     def predicted_squares(self, change: np.ndarray) -> float:
@@ -297,40 +366,12 @@ class Linearisation:
         # |e - J d|^2 = c - 2 b'd + d'a d
         return float(self.c.sum() - 2.0 * self.b.sum(axis=0) @ change + change @ self.a.sum(axis=0) @ change)
 
-    def covariance(self) -> np.ndarray:
-        """Return the cluster-robust covariance (P, P) of the least-squares fit (sandwich estimator)."""
-        # A^-1 [n/(n-1) sum_g s_g s_g'] A^-1,  s_g = b_g - a_g x the score of group g at the solution x (Liang
-        # and Zeger 1986).
-        inverse, n = invert(self.a.sum(axis=0)), len(self.c)
-        with np.errstate(invalid="ignore"):  # columns without any excitation are NaN
-            scores = self.b - self.a @ (inverse @ self.b.sum(axis=0))
-            meat = scores.T @ scores * n / max(1, n - 1)
-            clustered = inverse @ meat @ inverse
-        # At least the variance by the windows' noise, A^-1.
-        floor = np.diag(inverse)
-        scale = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(clustered), 1e-300)))
-        return clustered * np.outer(scale, scale)
-
 
 def solve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Solve a x = b for a positive semidefinite matrix; columns of zeros get zero."""
-    live, s, scaled = _scaled(a)
-    x = np.zeros_like(b)
-    x[live] = np.linalg.solve(scaled, b[live] / s) / s
-    return x
-
-
-def invert(a: np.ndarray) -> np.ndarray:
-    """Invert a positive semidefinite matrix; columns of zeros get infinite variance."""
-    live, s, scaled = _scaled(a)
-    result = np.diag(np.where(live, 0.0, np.inf))
-    result[np.ix_(live, live)] = np.linalg.inv(scaled) / np.outer(s, s)
-    return result
-
-
-def _scaled(a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return non-zero columns, their scales, and their matrix scaled to a unit diagonal, with a ridge."""
-    scale = np.sqrt(np.diag(a))
+    scale, x = np.sqrt(np.diag(a)), np.zeros_like(b)
     live = scale > 0.0
     s = scale[live]
-    return live, s, a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
+    scaled = a[np.ix_(live, live)] / np.outer(s, s) + _RIDGE * np.eye(int(live.sum()))
+    x[live] = np.linalg.solve(scaled, b[live] / s) / s
+    return x

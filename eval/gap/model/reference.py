@@ -14,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap.model import form
-from inclined_landing.eval.gap.model.columns import BASE, Candidates, Column, slab_covariance
+from inclined_landing.eval.gap.model.columns import (
+    BASE,
+    BaseColumn,
+    Candidates,
+    Column,
+    FormColumn,
+    ParameterColumn,
+    slab_covariance,
+)
 from inclined_landing.eval.gap.model.prediction import CHANNELS
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -96,7 +104,9 @@ class VehiclePosterior:
 
     def with_new_effects(self, vehicle: Vehicle) -> VehiclePosterior:
         """Return the posterior with the slab priors of the effects that its identification did not know."""
-        new = Candidates.of(vehicle, {n: e for n, e in free_effects().items() if n not in self.library})
+        new = Candidates.for_vehicle(
+            vehicle, {n: e for n, e in free_effects().items() if n not in self.library}
+        )
         columns = new.columns(new.library)
         if not columns:
             return self
@@ -115,7 +125,7 @@ class VehiclePosterior:
     @staticmethod
     def of_file(path: Path | None, vehicle: Vehicle) -> VehiclePosterior:
         """Return the diagonal covariance of the uncertainties given in a vehicle file."""
-        problem = Candidates.of(vehicle, free_effects())
+        problem = Candidates.for_vehicle(vehicle, free_effects())
         columns = problem.columns([*problem.library, BASE])
         known = {c.field: c for c in constants(path)}
         deviation = [_deviation(problem, c, known) for c in columns]
@@ -135,7 +145,7 @@ class VehiclePosterior:
             "version": VERSION,
             "vehicle": digest(vehicle),
             "library": sorted(self.library),
-            "columns": [[c.effect, c.parameter, [list(x) for x in c.fixed], c.form] for c in self.columns],
+            "columns": [_row(c) for c in self.columns],
             "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(),
             "quantities": {
@@ -154,10 +164,7 @@ class VehiclePosterior:
         """Return the posterior of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
         if table["version"] != VERSION:
             raise ValueError(f"version {table['version']!r}")
-        columns = tuple(
-            Column(str(e), str(p), tuple((str(n), float(x)) for n, x in fixed), str(form))
-            for e, p, fixed, form in table["columns"]
-        )
+        columns = tuple(_column(*row) for row in table["columns"])
         mean, covariance = _numbers(table["mean"], 1), _numbers(table["covariance"], 2)
         if mean.shape != (len(columns),) or covariance.shape != (len(columns),) * 2:
             raise ValueError("as many numbers as columns")
@@ -231,6 +238,22 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
     )
 
 
+def _row(column: Column) -> list:
+    """Return a column as [effect, parameter, fixed parameters, model error]."""
+    if isinstance(column, BaseColumn):
+        return ["", column.form, [], column.form]
+    if isinstance(column, FormColumn):
+        return [column.effect, "", [], column.form]
+    return [column.effect, column.parameter, [list(x) for x in column.fixed], ""]
+
+
+def _column(effect: str, parameter: str, fixed, error: str) -> Column:
+    """Return the column of `_row`."""
+    if not error:
+        return ParameterColumn(str(effect), str(parameter), tuple((str(n), float(x)) for n, x in fixed))
+    return FormColumn(str(effect), str(error)) if effect else BaseColumn(str(error))
+
+
 def _numbers(values, dimensions: int) -> np.ndarray:
     """Return nested lists as an array; raises ValueError where they are not finite numbers."""
     result = np.array(values, float)
@@ -243,9 +266,10 @@ def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Cons
     """Return the prior standard deviation of a column, from the uncertainties of the constants it changes."""
     # Linear propagation: a constant c with the 95 % half-width h gives sigma = h / (1.96 |dc/dx|); the
     # smallest of all that the column changes.
-    if column.form or column.fixed:
-        # Without flights, model errors and effects are confounded: the former stay small.
-        return form.ALONE * problem.parameter(column).plausible if column.form else 0.0
+    if not isinstance(column, ParameterColumn):  # without flights confounded with effects: they stay small
+        return form.ALONE * problem.parameter(column).plausible
+    if column.fixed:
+        return 0.0
     moved, step = problem.one_sided_difference({}, column)
     widths = []
     for f in dataclasses.fields(moved):

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.whitening import Whitening
+from inclined_landing.eval.gap.flights.noise import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
 from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.model.columns import Candidates, Column, Values
+from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
-from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
@@ -54,10 +53,11 @@ class NoiseLevels:
         return dataclasses.replace(vehicle, **fields)
 
     @staticmethod
-    def of(problem: Problem, found: SetPosterior) -> NoiseLevels:
+    def of(found: SetPosterior) -> NoiseLevels:
         """Return the levels of the flights of a posterior."""
-        noise = np.median([f.noise for f in problem.flights], axis=0) * found.noise_model.noise
-        levels = noise, found.noise_model.size, found.noise_model.time, found.inflation
+        problem = found.problem
+        noise = np.median([f.noise for f in problem.flights], axis=0) * problem.noise_model.noise
+        levels = noise, problem.noise_model.size, problem.noise_model.time, problem.inflation
         return NoiseLevels(*(of[: len(CHANNELS)] for of in levels))
 
     @staticmethod
@@ -67,7 +67,7 @@ class NoiseLevels:
         return NoiseLevels(np.array(noise), np.array(disturbance), np.full(6, 0.3), np.ones(6))
 
 
-class ModelDiscrimination(Candidates):
+class ModelDiscrimination:
     """Bayesian discrimination between sets of effects (Box and Hill 1967), in a linear-Gaussian model.
 
     The P directions of a prediction are the K sets, each at its values, then free parameters: negligible
@@ -94,16 +94,17 @@ class ModelDiscrimination(Candidates):
             for n, e in library.items()
             if not e.contact and (n in proposed or "requests" not in e.channels or not e.requires)
         }
-        self.vehicles = [self.corrected(h.values) for h in self.hypotheses]
+        self._candidates = Candidates(vehicle, self.library)
+        self.vehicles = [self._candidates.corrected(h.values) for h in self.hypotheses]
         best = max(self.hypotheses, key=lambda h: h.probability)
-        self.base = self.corrected(best.values)
+        self.base = self._candidates.corrected(best.values)
         self._pairs: list[tuple[Vehicle, Vehicle, float]] = []
-        columns: list[Column] = []
+        columns: list[ParameterColumn] = []
         negligible: list[float] = []
         for name, effect in self.library.items():
             for p in effect.parameters:
                 if not p.is_reference:
-                    columns.append(Column(name, p.name))
+                    columns.append(ParameterColumn(name, p.name))
                     self._add(best.values, columns[-1])
                     negligible.append(math.hypot(SPIKE, BETWEEN) * p.negligible)
         # What the vehicle's identification left uncertain comes on top, in all sets alike. The directions are
@@ -119,7 +120,7 @@ class ModelDiscrimination(Candidates):
         for k, h in enumerate(self.hypotheses):
             for name in h.effects:
                 for p in self.library[name].parameters:
-                    self._add(h.values, Column(name, p.name))
+                    self._add(h.values, ParameterColumn(name, p.name))
                     own = np.zeros(len(self))
                     own[k] = self._deviation(h, name, p)
                     standard_errors.append(own)
@@ -135,9 +136,9 @@ class ModelDiscrimination(Candidates):
         """Return the prior probabilities (K,) of the sets, before the flight."""
         return np.array([h.probability for h in self.hypotheses])
 
-    def _add(self, values: Values, column: Column) -> None:
+    def _add(self, values: Values, column: ParameterColumn) -> None:
         """Add a direction: the central difference along a column."""
-        (low, high), step = self.central_difference(values, column, 1.0)
+        (low, high), step = self._candidates.central_difference(values, column)
         self._pairs.append((low, high, step))
 
     @staticmethod

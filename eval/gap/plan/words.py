@@ -10,7 +10,6 @@ from scipy.sparse.csgraph import connected_components
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import scored_sets
 from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, most_informative_piece, probable_sets
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
 from inclined_landing.eval.gap.plan.pieces import Space
@@ -19,14 +18,14 @@ from inclined_landing.models.effects import LIBRARY
 SHOWN_ABOVE = 0.02  # probability of a set that is mentioned
 
 
-def discriminating_manoeuvre(problem: Problem, found: SetPosterior, platform: bool) -> str:
+def discriminating_manoeuvre(found: SetPosterior, platform: bool) -> str:
     """Return sentences on the manoeuvre that discriminates between the probable sets of a posterior."""
     discrimination = ModelDiscrimination(
-        probable_sets(scored_sets(problem, found)),
-        problem.vehicle,
-        NoiseLevels.of(problem, found),
-        problem.library,
-        problem.reference,
+        probable_sets(scored_sets(found)),
+        found.problem.vehicle,
+        NoiseLevels.of(found),
+        found.problem.library,
+        found.problem.reference,
     )
     return discrimination_text(discrimination, platform)
 

@@ -111,6 +111,7 @@ def page(
         identifiable_heads=IDENTIFIABLE,
         identifiability=figures.svg(identifiability(found)),
         inconsistent_flights=found.inconsistent_flights,
+        set_aside=found.set_aside,
         percent=_percent,
         paper=PAPER["fit"],
         colours=(BEFORE, AFTER),
@@ -149,7 +150,7 @@ def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None 
         constants.add_row(*row)
     lines = (*sentences(found), changes(found))
     answer = headline(found) + ("" if vehicle is None else f" It is {vehicle}.")
-    print_answer(answer, lines, constants, (*found.notes, *notes), found.inconsistent_flights)
+    print_answer(answer, lines, constants, (*found.notes, *notes), found)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

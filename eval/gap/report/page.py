@@ -40,6 +40,7 @@ def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[s
         lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
         d=d,
         inconsistent_flights=d.inconsistent_flights,
+        set_aside=d.set_aside,
         words=words,
         rows=rows,
         answer=words.answer_rows(d),

@@ -8,8 +8,9 @@ from pathlib import Path
 from rich.table import Table
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
+from inclined_landing.eval.gap.answer.identify import Identification
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.result import Diagnosis, InconsistentFlights
+from inclined_landing.eval.gap.result import Diagnosis
 
 
 def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:
@@ -30,7 +31,7 @@ def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) ->
         headline += f" The report is {report / 'report.html'}."
         following = words.plan_command(d, report)
     notes = (*d.notes, *notes)
-    print_answer(headline, lines, rows, notes, d.inconsistent_flights, answer, following)
+    print_answer(headline, lines, rows, notes, d, answer, following)
 
 
 def print_answer(
@@ -38,7 +39,7 @@ def print_answer(
     sentences: Sequence[str],
     rows: Table,
     notes: Sequence[str],
-    inconsistent_flights: Sequence[InconsistentFlights],
+    found: Diagnosis | Identification,
     answer: Table | None = None,
     following: str = "",
 ) -> None:
@@ -49,7 +50,9 @@ def print_answer(
     say(*sentences)
     if answer is not None and answer.row_count:
         show_table(answer)
-    for one in inconsistent_flights:
+    for aside in found.set_aside:
+        say(f"{aside.flight} is set aside, and nothing is computed with it: {aside.reason}", style="bold")
+    for one in found.inconsistent_flights:
         who, *more = words.inconsistency(one)
         say(who, style="bold")
         say(*more)

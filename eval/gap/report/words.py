@@ -238,8 +238,6 @@ def possible_sentence(d: Diagnosis) -> str:
 def inconsistency(c: InconsistentFlights) -> list[str]:
     """Return sentences on inconsistent flights: which, in which effects, and a remedy."""
     these, n = listed(c.flights), len(c.others)
-    if c.sensor:
-        return [f"{these} contradicts the other {n} flights and is left out of the fit: {c.sensor}"]
     if len(c.flights) == n:
         subject = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
         apart = "diagnose the two groups apart"

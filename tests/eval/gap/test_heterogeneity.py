@@ -1,15 +1,15 @@
 """Flights that contradict the others are found, and said before anything else."""
 
+import dataclasses
 import types
 
 import numpy as np
 import pytest
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.infer.fit import autocorrelation_inflation, fit_least_squares
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights
-from inclined_landing.eval.gap.infer.sets import autocorrelation_inflation
-from inclined_landing.eval.gap.model.columns import BASE, Column, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, ParameterColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
@@ -38,14 +38,14 @@ def found(flown, kinds):
     """What contradicts in ten flights of these kinds."""
     vehicle = load_vehicle()
     flights = [prepare(flown[kind][k], vehicle) for k, kind in enumerate(kinds)]
-    problem = Problem(flights, vehicle, {name: LIBRARY[name] for name in NAMES})
+    problem = Problem.of(flights, vehicle, {name: LIBRARY[name] for name in NAMES})
     names = (*NAMES, BASE)
     fit = fit_least_squares(
-        problem, {name: {} for name in names}, np.ones(6), iterations=3, tolerance=5.0, prior=slab_deviations
+        problem, {name: {} for name in names}, iterations=3, tolerance=5.0, prior=slab_deviations
     )
-    near = problem.linearise(
-        fit.values, problem.columns(names), autocorrelation_inflation(problem, fit.values)
-    )
+    inflation = autocorrelation_inflation(problem, fit.values)
+    problem = dataclasses.replace(problem, inflation=inflation)
+    near = problem.linearise(fit.values, problem.columns(names))
     return inconsistent_flights(problem, near, {name: fit.values[name] for name in NAMES})
 
 
@@ -89,13 +89,11 @@ def test_another_calibration_has_its_tilt(flown):
 def test_false_alarms_are_as_rare_as_stated():
     """400 sets of eight flights that scatter as the noise says: 1 % are 4; chance exceeds 10 in 0.3 %."""
     rng = np.random.default_rng(0)
-    columns = tuple(Column(name, p.name) for name in NAMES for p in LIBRARY[name].parameters)
+    columns = tuple(ParameterColumn(name, p.name) for name in NAMES for p in LIBRARY[name].parameters)
     unit = np.array([LIBRARY[c.effect].parameter(c.parameter).negligible for c in columns])
     flights = [types.SimpleNamespace(name=str(k)) for k in range(8)]
     problem = types.SimpleNamespace(
         flights=flights,
-        flight_of=np.arange(8),
-        group_of=np.arange(8),
         library=LIBRARY,
         parameter=lambda c: LIBRARY[c.effect].parameter(c.parameter),
     )
@@ -104,7 +102,7 @@ def test_false_alarms_are_as_rare_as_stated():
         slopes = rng.standard_normal((8, 40, len(columns))) / (0.2 * unit)
         noise = rng.standard_normal((8, 40))
         a, b = slopes.swapaxes(1, 2) @ slopes, np.einsum("fnp,fn->fp", slopes, noise)
-        near = Linearisation(columns, a, b, np.zeros(8), problem)
+        near = Linearisation(columns, a, b, np.zeros(8), np.arange(8))
         alarms += bool(inconsistent_flights(problem, near, {}))
     assert alarms <= 10
 

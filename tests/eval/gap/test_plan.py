@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.gap.model.columns import Column
+from inclined_landing.eval.gap.model.columns import ParameterColumn
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
@@ -125,7 +125,7 @@ def test_more_noise_tells_less():
 
 def test_a_badly_known_vehicle_leaves_more_in_doubt():
     """What the identification left uncertain is in all sets alike: it can pass for the drag."""
-    columns = tuple(Column("rotor_drag", name) for name in ("lateral", "axial"))
+    columns = tuple(ParameterColumn("rotor_drag", name) for name in ("lateral", "axial"))
     unknown = VehiclePosterior(
         columns, np.zeros(2), np.diag([1.0, 1.0]), ReferenceResidual({}, {}), frozenset()
     )

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose, thresholds
-from inclined_landing.eval.gap.answer.named import confounded_with, contact_effects, joint_sets
+from inclined_landing.eval.gap.answer.named import confounded_with
+from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
 from inclined_landing.eval.gap.infer.contact import (
     ContactEstimate,

@@ -30,18 +30,32 @@ TUNED = tuple(
 
 def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> set[str]:
     """Return which of TUNED are off: the 95 % interval leaves out nominal, by more than is negligible."""
-    problem = Problem(prepare_all(flights, vehicle, False, []), vehicle, LIBRARY)
+    problem = Problem.of(prepare_all(flights, vehicle, False)[0], vehicle, LIBRARY)
     names = [name for name in TUNED if name in problem.library]
-    fit = fit_least_squares(problem, {name: {} for name in names}, np.ones(problem.channels), iterations=15)
-    error = np.sqrt(np.diag(fit.linear.covariance()))
+    fit = fit_least_squares(problem, {name: {} for name in names}, iterations=15)
+    error = _standard_errors(fit.linear.a, fit.linear.b)
     quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     found = set()
     for column, e in zip(fit.linear.columns, error):
         p = problem.parameter(column)
-        value = fit.values[column.effect][column.parameter]
+        name, parameter = column.key
+        value = fit.values[name][parameter]
         if abs(value - p.neutral) > max(quantile * e, p.negligible):
             found.add(column.effect)
     return found
+
+
+def _standard_errors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cluster-robust standard errors (P,) of a fit (sandwich estimator), a (g, P, P), b (g, P)."""
+    # A^-1 [n/(n-1) sum_g s_g s_g'] A^-1,  s_g = b_g - a_g x the score of group g at the solution x (Liang and
+    # Zeger 1986), in units of the diagonal of A; at least by the windows' noise, A^-1.
+    total, n = a.sum(axis=0), len(a)
+    unit = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    inverse = np.linalg.inv(total / np.outer(unit, unit) + 1e-9 * np.eye(len(unit)))
+    scores = b / unit - a / np.outer(unit, unit) @ (inverse @ (b.sum(axis=0) / unit))
+    clustered = inverse @ (scores.T @ scores * n / max(1, n - 1)) @ inverse
+    error = np.sqrt(np.maximum(np.diag(clustered), np.diag(inverse))) / unit
+    return np.where(np.diag(total) > 0.0, error, np.inf)
 
 
 def thrust(reference: Sequence[FlightLog], flights: Sequence[FlightLog]) -> float | None:

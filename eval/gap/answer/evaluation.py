@@ -1,22 +1,42 @@
-"""Errors with and without the effects: by regime, open loop, in the plants, after contact."""
+"""Errors with and without the effects, on flights not fitted: by regime, open loop, in the plants."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE
-from inclined_landing.eval.gap.flights.windows import REGIMES
-from inclined_landing.eval.gap.infer import residual, touchdown_simulation
+from inclined_landing.eval.gap.answer.named import Correction
+from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.infer import residual
+from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError, WindowCurves
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Flights that errors are measured on, each with a corrected vehicle that was not fitted to it."""
+
+    problem: Problem
+    vehicles: list[Vehicle]
+    left_out: bool  # the flights fitted, each left out in turn
+
+    @staticmethod
+    def of(found: SetPosterior, correction: Correction, heldout: Sequence[MeasuredFlight]) -> Evaluation:
+        """Return the evaluation on held-out flights; without any, on those fitted."""
+        problem = found.problem
+        if not heldout:
+            return Evaluation(problem, [problem.corrected(v) for v in correction.left_out], True)
+        test = Problem.of(heldout, problem.vehicle, {})
+        test = test.whitened(problem.noise_model, correction.vehicle)
+        return Evaluation(test, [correction.vehicle] * len(heldout), False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,46 +48,42 @@ class OpenLoopErrors:
     horizon: tuple[HorizonCurve, ...] = ()
     windows: tuple[WindowCurves, ...] = ()
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant
+    notes: tuple[str, ...] = ()
 
 
 def open_loop_errors(
-    problem: Problem,
-    test: Problem,
-    after: list[Vehicle],
+    found: SetPosterior,
+    correction: Correction,
+    evaluation: Evaluation,
     effects: tuple[NamedEffect, ...],
-    corrected: Vehicle,
-    has_new_constants: bool,
     plants: Sequence[str],
     curves: bool,
-    notes: list[str],
-    clock: Callable[[str], None],
 ) -> OpenLoopErrors:
-    """Return the predictions of the flights of `test`, each with its vehicle of `after`."""
-    starts = _starts(test, notes)
-    if starts is None:
-        return OpenLoopErrors(effects)
-    vehicle = problem.vehicle
-    floor = rollout.noise_floor(starts, corrected)
+    """Return the open-loop predictions of the flights evaluated, each with its vehicle."""
+    problem, after = found.problem, evaluation.vehicles
+    try:
+        starts = rollout.RolloutWindows.of(evaluation.problem.flights)
+    except UserError as why:
+        return OpenLoopErrors(effects, notes=(f"the gap after one second was not measured: {why}",))
+    floor = rollout.noise_floor(starts, correction.vehicle)
     error = float(rollout.errors_by_flight(starts, after)[0][-1])
     effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
     horizon: tuple[HorizonCurve, ...] = ()
     windows: tuple[WindowCurves, ...] = ()
     if curves:
-        horizon = _horizon(problem, starts, effects, after, floor, has_new_constants)
-        windows = _window_curves(starts, vehicle, corrected)
-    clock("show")
-    gap = {}
-    for plant in plants:
-        vehicles = after if test is problem else corrected
-        gap[plant] = rollout.plant_gap(starts, vehicle, vehicles, plant, floor)
-        clock(f"gap {plant}")
+        horizon = _horizon(problem, starts, effects, after, floor, correction.again)
+        windows = _window_curves(starts, problem.vehicle, correction.vehicle)
+    vehicles = after if evaluation.left_out else correction.vehicle
+    gap = {plant: rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor) for plant in plants}
     return OpenLoopErrors(effects, error, horizon, windows, gap)
 
 
-def regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
-    """Return the root mean square errors by regime and channel, from white errors before and after."""
+def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, before and after."""
+    problem, after = evaluation.problem, evaluation.vehicles
+    before = problem.white_errors([problem.vehicle] * len(after))
     first, variance = residual.equivalent_sizes(problem, before)
-    second, _ = residual.equivalent_sizes(problem, after)
+    second, _ = residual.equivalent_sizes(problem, problem.white_errors(after))
     regimes = np.concatenate([f.regimes for f in problem.flights])
     rows = []
     for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
@@ -79,36 +95,6 @@ def regime_errors(problem: Problem, before, after) -> tuple[RegimeError, ...]:
                 unit = residual.UNITS[channel]
                 rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
     return tuple(rows)
-
-
-def touchdown_errors(landings, before: Vehicle, after: Vehicle) -> tuple[RegimeError, ...]:
-    """Return the position error after the touch, as a table row."""
-    worse, better = (
-        float(np.sqrt((touchdown_simulation.position_errors(landings, v) ** 2).mean()))
-        for v in (before, after)
-    )
-    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in landings])))
-    return (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(landings)),)
-
-
-def landing_gap(landings, before: Vehicle, after: Vehicle) -> PlantGap:
-    """Return the gap of logs with landings only: error at the end of the motion after the touch."""
-    worse, better = (
-        float(np.sqrt((touchdown_simulation.position_errors(landings, v)[:, -1] ** 2).mean()))
-        for v in (before, after)
-    )
-    floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in landings])))
-    nan = float("nan")
-    return PlantGap(worse, better, floor, nan, nan, len(landings), BEFORE + AFTER)
-
-
-def _starts(problem: Problem, notes: list[str]) -> rollout.RolloutWindows | None:
-    """Return the windows for open-loop prediction; None, with a note, where there are none."""
-    try:
-        return rollout.RolloutWindows.of(problem.flights)
-    except UserError as error:
-        notes.append(f"the gap after one second was not measured: {error}")
-        return None
 
 
 def _horizon(problem, starts, effects, after, floor, has_new_constants: bool) -> tuple[HorizonCurve, ...]:

@@ -1,0 +1,136 @@
+"""The answer of the landings: effects of contact, and errors after the touch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.answer.named import confounded_with
+from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
+from inclined_landing.eval.gap.flights.usable import UsableFlights
+from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
+from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
+from inclined_landing.eval.gap.result import (
+    Estimate,
+    NamedEffect,
+    PlantGap,
+    RegimeError,
+    ScoredSet,
+    Touchdowns,
+)
+from inclined_landing.models.effects import Effect
+from inclined_landing.models.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactAnswer:
+    """What the landings show; without a posterior where there are too few."""
+
+    vehicle: Vehicle  # corrected for contact too
+    landings: tuple[Landing, ...] = ()  # those judged on
+    effects: tuple[NamedEffect, ...] = ()
+    where: tuple[RegimeError, ...] = ()
+    posterior: ContactPosterior | None = None
+    touchdowns: Touchdowns | None = None
+    notes: tuple[str, ...] = ()
+
+    def sets(self, flown: tuple[ScoredSet, ...]) -> tuple[ScoredSet, ...]:
+        """Return the joint sets of free flight and contact."""
+        return joint_sets(flown, self.posterior) if self.posterior else flown
+
+    def gap(self, before: Vehicle, plants: Sequence[str]) -> dict[str, PlantGap]:
+        """Return the gap of logs with landings only: error at the end of the motion after the touch."""
+        if not self.landings or "mujoco" not in plants:
+            return {}
+        worse, better = (_root_mean_square(self.landings, v, slice(-1, None)) for v in (before, self.vehicle))
+        floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in self.landings])))
+        gap = PlantGap(worse, better, floor, math.nan, math.nan, len(self.landings), BEFORE + AFTER)
+        return {"mujoco": gap}
+
+
+def contact_answer(
+    use: UsableFlights, vehicle: Vehicle, corrected: Vehicle, library: Mapping[str, Effect]
+) -> ContactAnswer:
+    """Return the effects of contact that the landings of the flights show.
+
+    vehicle: the one diagnosed; corrected: for free flight.
+    """
+    landings = landings_of(use.logs, corrected)
+    if len(landings) < thresholds.LEAST_LANDINGS or not any(e.contact for e in library.values()):
+        few = f"{len(landings)} touchdown{'s' * (len(landings) > 1)} only"
+        note = f"{few}: contact effects need {thresholds.LEAST_LANDINGS}"
+        return ContactAnswer(corrected, notes=(note,) if landings else ())
+    problem, found = contact_posterior(landings, corrected, library)
+    effects = contact_effects(problem, found)
+    after = problem.corrected({e.name: e.values() for e in effects})
+    repeats = "something in the motion after the touch repeats that no effect explains"
+    notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
+    test = tuple(landings_of(use.heldout, corrected) or landings)
+    worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))
+    floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in test])))
+    where = (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(test)),)
+    touchdowns = Touchdowns(len(landings), found.unexplained, found.p_value)
+    return ContactAnswer(after, test, effects, where, found, touchdowns, notes)
+
+
+def _root_mean_square(landings: Sequence[Landing], vehicle: Vehicle, moments: slice) -> float:
+    """Return the position error [m] after the touch at some of the compared moments."""
+    return float(np.sqrt((position_errors(landings, vehicle)[:, moments] ** 2).mean()))
+
+
+def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
+    """Return the named contact effects with estimates, largest gain first."""
+    effects = []
+    for name, sized in found.sizes.items():
+        members = (name, *confounded_with(found, name))
+        if found.probability(*members) < thresholds.NAMED:
+            continue
+        (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
+        estimate = Estimate(
+            value=sized.value,
+            unit=p.unit,
+            ci95=sized.ends,
+            neutral=p.neutral,
+            bounds=p.bounds,
+            at_bound=bool(min(sized.value - low, high - sized.value) <= thresholds.AT_BOUND * (high - low)),
+            per_flight=tuple(map(float, sized.each)),
+            per_flight_error=tuple(map(float, sized.error)),
+            spread=dersimonian_laird(sized.each, sized.error),
+        )
+        probability, remedy = found.probability(*members), problem.library[name].remedy
+        effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
+    return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:
+    """Return the product of the posteriors of free-flight and contact sets, most probable first."""
+    both = [
+        ScoredSet(
+            (*one.effects, *other.values),
+            one.probability * other.probability,
+            {**one.values, **other.values},
+            one.standard_errors,
+        )
+        for one in flown
+        for other in found.sets
+    ]
+    both.sort(key=lambda one: -one.probability)
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED)
+
+
+def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
+    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
+    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
+    # S1 = sum w,  S2 = sum w^2
+    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
+    if good.sum() < 3:
+        return 0.0
+    w = 1.0 / error[good] ** 2
+    mean = (w * value[good]).sum() / w.sum()
+    q = (w * (value[good] - mean) ** 2).sum()
+    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
+    return math.sqrt(max(0.0, float(excess)))

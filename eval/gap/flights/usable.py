@@ -1,0 +1,123 @@
+"""The flights that can be used, cut into windows; others are set aside by name.
+
+Set aside are crashes, touches of what no model has, and failed sensors: nothing is computed with them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.flights.windows import IDLE, MeasuredFlight, prepare_all
+from inclined_landing.eval.gap.result import SetAside
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import as_logs
+from inclined_landing.eval.logs.values import failed_speed_sensors
+from inclined_landing.models.errors import UserError, first_of
+from inclined_landing.models.vehicle import Vehicle
+
+MOMENT = 0.1  # s: a vehicle that hits something stops within
+AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
+
+
+@dataclasses.dataclass(frozen=True)
+class UsableFlights:
+    """Flights to fit and flights to judge on, as logs and cut into windows, and those that cannot be used."""
+
+    logs: list[FlightLog]
+    heldout: list[FlightLog]
+    fitted: list[MeasuredFlight]  # of `logs`, but those too short
+    judged: list[MeasuredFlight]  # of `heldout`
+    set_aside: tuple[SetAside, ...]
+    notes: tuple[str, ...]
+
+    def without_angle_commands(self, vehicle: Vehicle, platform: bool) -> UsableFlights:
+        """Return the flights as if their attitude commands were not known."""
+        unknown = [1.0, np.nan, np.nan, 1.0]
+        logs, heldout = (
+            [dataclasses.replace(log, command=log.command * unknown) for log in some]
+            for some in (self.logs, self.heldout)
+        )
+        fitted, _ = prepare_all(logs, vehicle, platform)
+        judged, _ = prepare_all(heldout, vehicle, platform) if heldout else ([], ())
+        return dataclasses.replace(self, fitted=fitted, judged=judged)
+
+
+def usable_flights(
+    flights: Sequence[FlightLog], heldout: Sequence[FlightLog], vehicle: Vehicle, platform: bool
+) -> UsableFlights:
+    """Return the flights that can be used, and the others, each with the reason why not.
+
+    platform: the slab of the vehicle file stands in the arena.
+    Raises UserError when none can be used, of those to fit or of those held out.
+    """
+    logs, aside = set_aside(as_logs(flights), vehicle, platform)
+    kept, kept_aside = set_aside(as_logs(heldout), vehicle, platform)
+    fitted, notes = prepare_all(logs, vehicle, platform)
+    judged, kept_notes = prepare_all(kept, vehicle, platform) if kept else ([], ())
+    return UsableFlights(logs, kept, fitted, judged, (*aside, *kept_aside), (*notes, *kept_notes))
+
+
+def set_aside(
+    logs: Sequence[FlightLog], vehicle: Vehicle, platform: bool
+) -> tuple[list[FlightLog], tuple[SetAside, ...]]:
+    """Return the flights that can be used, and the others, each with the reason why not.
+
+    platform: the slab of the vehicle file stands in the arena.
+    Raises UserError when there are flights and none can be used.
+    """
+    why = [_why(log, vehicle, platform) for log in logs]
+    aside = tuple(SetAside(log.name, reason) for log, reason in zip(logs, why) if reason)
+    if aside and len(aside) == len(logs):
+        raise UserError(first_of([f"{one.flight}: {one.reason}" for one in aside]))
+    return [log for log, reason in zip(logs, why) if not reason], aside
+
+
+def _why(log: FlightLog, vehicle: Vehicle, platform: bool) -> str:
+    """Return why a flight cannot be used, a sentence; empty if it can."""
+    if log.thrust_is_measured and (failed := failed_speed_sensors(log)):
+        return " ".join(failed.values())
+    return _crash(log, vehicle) or _strange_touch(log, vehicle, platform)
+
+
+def _crash(log: FlightLog, vehicle: Vehicle) -> str:
+    """Return where a vehicle turns over or hits something, a sentence; empty where it does neither."""
+    step = float(np.median(np.diff(log.t)))
+    flown = np.flatnonzero(log.command[:, 0] >= IDLE * vehicle.hover_pwm)
+    if not len(flown):
+        return ""
+    live = slice(int(flown[0]), int(flown[-1]) + 1 + round(AFTER_THRUST / step))
+    t, position = log.t[live], log.position[live]
+    upright = np.cos(log.attitude[live, 0]) * np.cos(log.attitude[live, 1])  # of the thrust's direction
+    over = np.flatnonzero(upright < np.cos(thresholds.TURNED_OVER))  # NaN: not logged
+    if len(over) * step >= 0.5 * MOMENT:
+        return f"it turns over after {t[over[0]] - log.t[0]:.1f} s."
+    rows = max(1, round(MOMENT / step))
+    if len(t) > 2 * rows:
+        speed = np.linalg.norm(position[rows:] - position[:-rows], axis=1) / (t[rows:] - t[:-rows])
+        lost = speed[:-rows] - speed[rows:]
+        if np.any(lost > thresholds.CRASH_SPEED):
+            k = int(np.nanargmax(lost))
+            return f"it hits something at {speed[k]:.1f} m/s after {t[k + rows] - log.t[0]:.1f} s."
+    return ""
+
+
+def _strange_touch(log: FlightLog, vehicle: Vehicle, platform: bool) -> str:
+    """Return how far from every surface of the model a vehicle touches something; empty where it is none."""
+    if log.contact is None:
+        return ""
+    for k in np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1:
+        x, y, z = log.position[k]
+        away = z
+        if platform:
+            tilt = vehicle.platform_inclination
+            above = (z - vehicle.platform_surface_height) * np.cos(tilt) + x * np.sin(tilt)
+            beside = abs(x) - 0.5 * vehicle.platform_width, abs(y) - 0.5 * vehicle.platform_depth
+            away = min(away, float(np.linalg.norm(np.maximum([above, *beside], 0.0))))
+        if away > thresholds.STRANGE_TOUCH + 2.0 * vehicle.rotor_arm:
+            where = "slab and floor" if platform else "the floor"
+            return f"it touches something {away:.1f} m from {where} after {log.t[k] - log.t[0]:.1f} s."
+    return ""
