@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from inclined_landing.envs.policy import load_policy, tensors
-from inclined_landing.envs.randomise import POOL, locate
+from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
@@ -25,6 +25,15 @@ from tests.training import assert_same_policy, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
         "evaluate_every": 0, "checkpoint_every": 2}  # fmt: skip
+
+
+FEW = 16
+
+
+@pytest.fixture(autouse=True)
+def few_vehicles(monkeypatch):
+    """Runs on drawn vehicles draw fewer: each costs time, and how many there are plays no part here."""
+    monkeypatch.setattr(ppo.drawn, "__defaults__", (FEW,))
 
 
 def config(out, **options) -> TrainConfig:
@@ -287,7 +296,7 @@ def test_a_randomised_run_is_resumed_bit_for_bit_with_its_copy(tmp_path):
     train(config(out, **options, max_seconds=0.5))
     ranges.unlink()  # the run has its own
     resumed = Run(TrainConfig(out=out, resume=True))
-    assert resumed.env.env.nominal == 0.2 and len(resumed.env.env.plant.pool) == POOL
+    assert resumed.env.env.nominal == 0.2 and len(resumed.env.env.plant.pool) == FEW
     resumed.execute()
     assert_same_policy(whole / "final.zip", out / "final.zip")
     assert load_policy(out / "final.zip").metadata["ranges"]["body"] == {"mass": [0.03, 0.04]}
@@ -616,7 +625,7 @@ def test_an_interruption_says_how_to_go_on(tmp_path, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Run, "execute", interrupt)
-    assert cli.main(["--out", str(tmp_path / "a"), "--environments", "2"]) == 130
+    assert cli.main(["--out", str(tmp_path / "a"), "--nominal", "--environments", "2"]) == 130
     assert "--resume" in capsys.readouterr().err
 
 
