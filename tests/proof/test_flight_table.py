@@ -157,13 +157,6 @@ def test_a_landing_through_the_whole_chain_is_what_the_pilot_reports(plan):
     assert flown.faults == ()
 
 
-@pytest.mark.parametrize("name", ["pilot-killed"])
-def test_faults_end_in_motors_off_in_time(plan, name):
-    case = next(case for case in faults.CASES if case.name == name)
-    flown = faults.fly_case(case, plan, Setting(), 52)  # which begins early in the flight
-    assert flown.faults and faults.is_safe(case, flown), flown
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("case", faults.CASES, ids=[case.name for case in faults.CASES])
 @pytest.mark.parametrize("seed", range(101, 105))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
+from inclined_landing.envs.policy import Policy
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
@@ -23,6 +25,10 @@ REST_SPEED = 0.03  # m/s over the last quarter of a second
 UPRIGHT = 0.9  # cosine of the angle between the vehicle's z and the surface's normal
 _TRIES = 5  # of the checks before a flight, which a hole in the motion capture fails: one looks again
 _PATIENCE = 60.0  # s of real time that the pilot's watchdog gives a control step: the time is simulated
+
+
+# The landing policy, the set-point policy, the starts x, z [m].
+Loaded: TypeAlias = tuple[Policy, Policy, list[tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,3 +140,22 @@ def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
         outside=float(max(0.0, (low - positions).max(), (positions - high).max())),
         last=tuple(positions[-1].tolist()),
     )
+
+
+def flight_record(flown: Flown) -> dict:
+    """Return one flight in plain values."""
+    report = flown.report
+    return {
+        "seed": flown.seed,
+        "outcome": report.outcome,
+        "retreat": report.retreat.name if report.retreat else None,
+        "error": report.error,
+        "landing_time": report.landing_time,
+        "faults": [list(fault) for fault in flown.faults],
+        "truth": dataclasses.asdict(flown.truth),
+    }
+
+
+def seeds_of(seed: int, starts: int, flights: int) -> np.ndarray:
+    """Return seeds (starts, flights)."""
+    return np.random.SeedSequence(seed).generate_state(starts * flights).reshape(starts, flights)

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.shared import tables
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.interfaces import FlightClock
 from inclined_landing.eval.flying.pilot import Pilot
@@ -18,8 +17,7 @@ from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
 from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
 from inclined_landing.eval.flying.simulated.world import Setting
-from tests.proof.flight_table.chain import Flown, fly_once
-from tests.proof.flight_table.table import Loaded, flight_record
+from tests.proof.flight_table.chain import Flown, Loaded, flight_record, fly_once, seeds_of
 
 APPROACH, LANDING = (1.0, 7.0), (0.0, 1.0)  # s after lift-off, and after the hand-over, that faults begin in
 # s on top of every limit: a control period, the radio, the supervisor's period, and the pilot's own steps.
@@ -130,9 +128,8 @@ def fly_cases(
 ) -> list[dict]:
     """Every case, so many flights each, from the paper's starts in turn; see `record`."""
     landing, hover, starts = policy
-    numbers = np.random.SeedSequence(seed).generate_state(len(CASES) * flights).reshape(len(CASES), flights)
     records = []
-    for case, own in zip(CASES, numbers):
+    for case, own in zip(CASES, seeds_of(seed, len(CASES), flights)):
         flown = []
         for k, number in enumerate(own):
             plan = FlightPlan(landing, hover, starts[k // 2 % len(starts)])
@@ -160,7 +157,6 @@ def record(case: Case, flown: list[Flown]) -> dict:
         "safe": sum(is_safe(case, f) for f in met),
         "off": max(late, default=None),
         "outside": max((f.truth.outside for f in met), default=None),
-        "at_rest": {place: sum(f.truth.rests == place for f in met) for place in ("platform", "floor", "")},
         "outcomes": outcomes,
         "each": [flight_record(f) for f in flown],
     }
@@ -172,16 +168,14 @@ def is_safe(case: Case, flown: Flown) -> bool:
     return bool(late <= case.limit and flown.truth.rests and flown.truth.outside <= case.outside)
 
 
-def on_pose(records: list[dict]):
-    """The table for the terminal."""
-    table = tables.new_table(
-        "Faults, one at a time",
-        *("fault", "how it ended", "safe", "motors off after [s]", "at most", "outside [m]", "at most"),
-        left=2,
-    )
-    for row in records:
-        ends = ", ".join(f"{name} {count}" for name, count in sorted(row["outcomes"].items()))
-        values = (row[key] for key in ("off", "limit", "outside", "outside_limit"))
-        cells = ("-" if value is None else f"{value:.2f}" for value in values)
-        table.add_row(row["case"], ends, f"{row['safe']} of {row['met']}", *cells)
-    return table
+def shown(row: dict) -> dict:
+    """Return a line of the table."""
+    return {
+        "fault": row["case"],
+        "how it ended": ", ".join(f"{name} {count}" for name, count in sorted(row["outcomes"].items())),
+        "safe": f"{row['safe']} of {row['met']}",
+        "motors off after [s]": row["off"],
+        "at most [s]": row["limit"],
+        "outside [m]": row["outside"],
+        "at most [m]": row["outside_limit"],
+    }

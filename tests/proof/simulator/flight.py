@@ -266,15 +266,13 @@ def fly(
     rng: np.random.Generator,
     reality: Reality | None = None,
     *,
-    noise: float = 1.0,
     warm_up: float = WARM_UP,
-    physics_rate: int = PHYSICS_RATE,
 ) -> Recording:
     """Fly one path and return its log.
 
     path (k, REF_SIZE) at 50 Hz (see `control.py`), flown from its first row, after `warm_up` seconds
-    on that row; reality: None is the reference; noise scales the motion capture's; rng gives all noise and
-    gusts. Raises ValueError for a delay that is not a whole number of control periods.
+    on that row; reality: None is the reference; rng gives all noise and gusts.
+    Raises ValueError for a delay that is not a whole number of control periods.
     """
     reality = reference() if reality is None else reality
     c, b = reality.constants, reality.build
@@ -291,12 +289,12 @@ def fly(
     samples = -(-ticks // per_log)
     gyro = c.gyro_noise * rng.standard_normal((ticks, 3))
     scale = np.array([c.position_noise] * 3 + [c.attitude_noise] * 3)
-    mocap = noise * scale * rng.standard_normal((ticks, 6))
+    mocap = scale * rng.standard_normal((ticks, 6))
     volts = c.voltage_noise * rng.standard_normal(samples)
     level = _wandering(rng, (ticks, 2), b.wander, _LEVEL_TIME)
     log, truth = np.zeros((samples, 12)), np.zeros((samples, 16))
     s = initial_state(rows[0, :3], rows[0, control.REF_YAW], c, world)
-    substeps = physics_rate // CONTROL_RATE
+    substeps = PHYSICS_RATE // CONTROL_RATE
     air, heard = _air(rng, ticks, b, world), _heard(rng, ticks, world.command_jitter)
     _fly(s, rows, air, gyro, mocap, level, heard, warm_up, substeps, *map(record, (c, b, world)), log, truth)
     log, truth = log[first:], truth[first:]
