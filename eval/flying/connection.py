@@ -13,7 +13,7 @@ import numpy as np
 from inclined_landing.eval.flying import positions, safety
 from inclined_landing.eval.flying.interfaces import FlightClock, MotionCapture, RealClock
 from inclined_landing.eval.flying.pilot import Pilot
-from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight
+from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.flying.vehicle import Radio
@@ -27,41 +27,12 @@ Connected = tuple[Radio, FlightClock, MotionCapture]
 
 
 @dataclasses.dataclass(frozen=True)
-class OnboardPositioning:
-    """The vehicle's own position in the place of motion capture."""
-
-    at: tuple[float, float] | None  # x, y where it stands, m; None: unknown
-    stated: bool  # by somebody: where it stands, or its heading
-
-    def start(self, radio: Radio, plan: FlightPlan) -> MotionCapture:
-        """Return what the connected vehicle says. Raises UserError where it cannot, or not on this flight."""
-        deck = positions.find_deck(radio.crazyflie.param.get_value)
-        if deck != positions.FLOW and self.stated:
-            raise UserError(
-                "a Lighthouse knows where the vehicle stands: --at and --heading are of a Flow deck"
-            )
-        free = isinstance(plan.landing, PlannedFlight) and not plan.landing.present
-        if deck == positions.FLOW and not free:
-            raise UserError(
-                "a Flow deck measures the height above what is below it and takes the platform for the "
-                "floor: it can fly --plan with --no-platform, and no landing"
-            )
-        if deck == positions.FLOW and self.at is None:
-            raise UserError("a Flow deck does not know where the vehicle stands: say it, --at X,Y in metres")
-        floor = plan.stand + plan.surroundings.standing_height
-        position = positions.OnboardPosition(deck, self.at or (0.0, 0.0), plan.heading, floor)
-        radio.log_position(position)
-        return position
-
-
-@dataclasses.dataclass(frozen=True)
 class SimulatedConnection:
     """Simulated Crazyflies in virtual time, a new one with its own seed for every flight."""
 
     setting: Setting
     faults: tuple[Fault, ...]
     seed: int
-    onboard: OnboardPositioning | None = None
     hang_limit: float = VIRTUAL_PATIENCE  # s of real time that a control step may take
     confirms: bool = False  # must somebody type a word before the motors turn
 
@@ -73,7 +44,8 @@ class SimulatedConnection:
         flight = fly_simulated(self.setting, seed=seed, faults=self.faults)
         radio = Radio(flight.crazyflie, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(flight.uri)
-        return radio, flight.clock, _positions(self.onboard, radio, plan, flight.motion_capture)
+        capture = None if self.setting.lighthouse else flight.motion_capture
+        return radio, flight.clock, _positions(radio, capture)
 
     def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
         """Return a context that does nothing."""
@@ -81,18 +53,16 @@ class SimulatedConnection:
 
 
 class RealConnection:
-    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s], or None with `onboard`."""
+    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]; None: by the vehicle's own deck."""
 
     hang_limit = safety.HANG_LIMIT
 
-    def __init__(
-        self, uri: str, mocap: str | None, latency: float, onboard: OnboardPositioning | None, confirms: bool
-    ):
+    def __init__(self, uri: str, mocap: str | None, latency: float, confirms: bool):
         try:
             import cflib.crtp
         except ModuleNotFoundError as error:
             raise UserError(not_installed(error)) from error
-        self.uri, self.onboard, self.confirms = uri, onboard, confirms
+        self.uri, self.confirms = uri, confirms
         self._clock = RealClock()
         self._capture = None if mocap is None else positions.open_capture(mocap, self._clock, latency)
         cflib.crtp.init_drivers()
@@ -107,7 +77,7 @@ class RealConnection:
                 raise UserError("nobody is there to put the vehicle back")
         radio = Radio(Crazyflie(), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
-        return radio, self._clock, _positions(self.onboard, radio, plan, self._capture)
+        return radio, self._clock, _positions(radio, self._capture)
 
     def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
         """Return the context in which another process stops the motors should this one die."""
@@ -117,15 +87,12 @@ class RealConnection:
 Connection = SimulatedConnection | RealConnection
 
 
-def _positions(
-    onboard: OnboardPositioning | None, radio: Radio, plan: FlightPlan, capture: MotionCapture | None
-) -> MotionCapture:
-    """Return where positions come from; closes the link of a vehicle that cannot say its own."""
-    if onboard is None:
-        assert capture is not None
+def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
+    """Return the motion capture or the vehicle's own position; closes the link of one that cannot say it."""
+    if capture is not None:
         return capture
     try:
-        return onboard.start(radio, plan)
+        return radio.onboard_position()
     except UserError:
         radio.close()
         raise

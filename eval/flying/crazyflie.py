@@ -10,11 +10,10 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Degrees, Seed
+from inclined_landing.eval.base.options import Degrees, Flag, Seed
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.storage import check_file, made
 
-DeckName = Annotated[str | None, tyro.conf.arg(metavar="{lighthouse,flow}")]
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
 
 
@@ -25,7 +24,7 @@ def command(
     vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE")] = "nominal",
     start: Annotated[str, tyro.conf.arg(metavar="X,Y")] = "1,0",
     inclination: Degrees = None,
-    deck: DeckName = None,
+    lighthouse: Flag = False,
     fault: FaultNames = (),
     seconds: Annotated[Annotated[float, Meta(gt=0.0, lt=1e6)] | None, tyro.conf.arg(metavar="S")] = None,
     seed: Seed = 0,
@@ -42,7 +41,7 @@ def command(
         vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
         start: where it stands on the floor, m.
         inclination: of the platform in degrees, where it differs from the vehicle file's.
-        deck: positioning deck on the vehicle: lighthouse or flow.
+        lighthouse: the vehicle has a Lighthouse deck, and positions itself by it.
         fault: what goes wrong, and when; repeat the option for more.
         seconds: end after this time.
         seed: of noise, delays and dropouts.
@@ -56,7 +55,7 @@ def command(
 
     address, faults = resolved(poses), [Fault.parse(text) for text in fault]
     angle = None if inclination is None else math.radians(inclination)
-    setting = Setting(named_vehicle(vehicle), parse_start(start), inclination=angle, deck=deck)
+    setting = Setting(named_vehicle(vehicle), _parse_start(start), inclination=angle, lighthouse=lighthouse)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
             raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
@@ -79,10 +78,9 @@ def command(
     return 0
 
 
-def parse_start(text: str, option: str = "--start") -> tuple[float, float]:
-    """Return x, y [m] from the text X,Y of an option. Raises UserError."""
+def _parse_start(text: str) -> tuple[float, float]:
     try:
         x, y = (float(number) for number in text.split(","))
     except ValueError:
-        raise UserError(f"{option} must be X,Y in metres, like 1,0, not {shown(repr(text), 60)}") from None
+        raise UserError(f"--start must be X,Y in metres, like 1,0, not {shown(repr(text), 60)}") from None
     return x, y

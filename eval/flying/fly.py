@@ -29,12 +29,11 @@ from inclined_landing.eval.base.options import (
 )
 from inclined_landing.eval.flying.connection import (
     Connection,
-    OnboardPositioning,
     RealConnection,
     SimulatedConnection,
     checked_pilot,
 )
-from inclined_landing.eval.flying.crazyflie import DeckName, FaultNames, parse_start
+from inclined_landing.eval.flying.crazyflie import FaultNames
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
 from inclined_landing.eval.flying.report import describe, summary
 from inclined_landing.eval.flying.simulated.body import named_vehicle
@@ -117,11 +116,9 @@ class VehicleOptions:
         mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
             poses:HOST:PORT, datagrams that are sent there.
         mocap_latency: latency of that system from exposure to arrival, in seconds; 0 by default.
-        position: where positions come from: motion capture, or the vehicle's own Lighthouse or Flow deck.
-        at: where the vehicle stands, in metres, for a Flow deck; its heading is --heading.
+        position: where positions come from: motion capture, or the vehicle's own Lighthouse deck.
         stand: height of what the vehicle stands on, in metres; 0 by default.
-        heading: direction of its nose, in degrees from x, where motion capture shows no attitude, or for a
-            Flow deck.
+        heading: direction of its nose, in degrees from x, where motion capture shows no attitude.
         yes: no confirmation; for simulated vehicles alone.
     """
 
@@ -129,7 +126,6 @@ class VehicleOptions:
     mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None
     mocap_latency: Annotated[Annotated[float, Meta(ge=0, le=0.1)] | None, tyro.conf.arg(metavar="S")] = None
     position: Annotated[str, tyro.conf.arg(metavar="{mocap,onboard}")] = "mocap"
-    at: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
     stand: Annotated[Annotated[float, Meta(ge=0.0, le=2.0)] | None, tyro.conf.arg(metavar="M")] = None
     heading: Annotated[Annotated[float, Meta(ge=-360, le=360)] | None, tyro.conf.arg(metavar="DEG")] = None
     yes: Flag = False
@@ -138,20 +134,9 @@ class VehicleOptions:
         """Raise UserError for options that do not go together."""
         if self.position not in ("mocap", "onboard"):
             raise UserError(f"--position must be mocap or onboard, not {shown(repr(self.position), 40)}")
-        if self.position == "mocap":
-            _reject("of --position onboard", at=self.at)
-        else:
-            latency = self.mocap_latency
-            _reject(
-                "of motion capture and not of --position onboard", mocap=self.mocap, mocap_latency=latency
-            )
-
-    def onboard(self, at: tuple[float, float] | None = None) -> OnboardPositioning | None:
-        """Return how the vehicle positions itself, at a place by default; None with motion capture."""
-        if self.position == "mocap":
-            return None
-        place = at if self.at is None else parse_start(self.at, "--at")
-        return OnboardPositioning(place, self.at is not None or self.heading is not None)
+        if self.position == "onboard":
+            options = {"mocap": self.mocap, "mocap_latency": self.mocap_latency, "heading": self.heading}
+            _reject("of motion capture and not of --position onboard", **options)
 
     def connection(self) -> Connection:
         """Return the way to the vehicle. Raises UserError where there is none."""
@@ -163,9 +148,7 @@ class VehicleOptions:
         check_uri(self.uri)
         if self.yes and not self.uri.startswith("udp://"):
             raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
-        return RealConnection(
-            self.uri, self.mocap, self.mocap_latency or 0.0, self.onboard(), confirms=not self.yes
-        )
+        return RealConnection(self.uri, self.mocap, self.mocap_latency or 0.0, confirms=not self.yes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,33 +158,28 @@ class SimulationOptions:
     Args:
         simulated: fly a simulated Crazyflie, in virtual time.
         vehicle: simulated vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
-        deck: of the simulated vehicle, that it positions itself by: lighthouse or flow.
         fault: fault of the simulated vehicle, NAME@EVENT+SECONDS, as in eval/flying/README.md.
         seed: seed of the simulated vehicle.
     """
 
     simulated: Flag = False
     vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None
-    deck: DeckName = None
     fault: FaultNames = ()
     seed: Annotated[Seed | None, tyro.conf.arg(metavar="SEED")] = None
 
     def check(self) -> None:
         """Raise UserError for options without --simulated."""
         if not self.simulated:
-            options = {"vehicle": self.vehicle, "deck": self.deck, "fault": self.fault or None}
-            _reject("of the simulated Crazyflie and needs --simulated", **options, seed=self.seed)
+            options = {"vehicle": self.vehicle, "fault": self.fault or None, "seed": self.seed}
+            _reject("of the simulated Crazyflie and needs --simulated", **options)
 
     def connection(self, flight: FlightOptions, real: VehicleOptions) -> Connection:
         """Return the way to simulated vehicles, each beside the platform of its flight."""
         stated = {"uri": real.uri, "mocap": real.mocap, "mocap_latency": real.mocap_latency}
-        mocap = real.position == "mocap"
-        heading = real.heading if mocap else None
-        _reject("of a real vehicle", **stated, stand=real.stand, heading=heading)
-        if mocap:
-            _reject("of --position onboard", deck=self.deck)
-        for text in () if mocap else self.fault:
-            if text.startswith(("mocap-", "marker-", "attitude-turned")):
+        _reject("of a real vehicle", **stated, stand=real.stand, heading=real.heading)
+        lighthouse = real.position == "onboard"
+        for text in self.fault:
+            if lighthouse and text.startswith(("mocap-", "marker-", "attitude-turned")):
                 raise UserError(
                     f"the fault {shown(text, 40)} is of motion capture, which --position onboard has not"
                 )
@@ -210,10 +188,10 @@ class SimulationOptions:
             named_vehicle(self.vehicle or "nominal"),
             inclination=angle,
             platform=not flight.no_platform,
-            deck=self.deck,
+            lighthouse=lighthouse,
         )
         faults = tuple(Fault.parse(text) for text in self.fault)
-        return SimulatedConnection(setting, faults, self.seed or 0, real.onboard(setting.start))
+        return SimulatedConnection(setting, faults, self.seed or 0)
 
 
 def command(

@@ -35,7 +35,7 @@ from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTracking
 from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
-from inclined_landing.eval.flying.positions import LIGHTHOUSE, NOISE, OnboardPosition
+from inclined_landing.eval.flying.positions import NOISE, OnboardPosition
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
@@ -76,9 +76,10 @@ class Pilot:
         self.home: np.ndarray | None = None
         self._print, self._hang_limit = say, hang_limit
         self._log: FlightLogWriter | None = None
-        self._deck = mocap.deck if isinstance(mocap, OnboardPosition) else None
-        noise = FilterNoise.of(self.vehicle, NOISE) if self._deck else FilterNoise.of(self.vehicle)
-        self._estimator = Estimator(noise, None if self._deck == LIGHTHOUSE else plan.heading)
+        onboard = isinstance(mocap, OnboardPosition)
+        self._source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
+        noise = FilterNoise.of(self.vehicle, NOISE) if onboard else FilterNoise.of(self.vehicle)
+        self._estimator = Estimator(noise, None if onboard else plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)
@@ -112,8 +113,9 @@ class Pilot:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
-        source = f"onboard position ({self._deck} deck)" if self._deck else "motion capture"
-        data = PreflightData(self._poses, self._attitudes, self._voltage, self._locked, estimate, source)
+        data = PreflightData(
+            self._poses, self._attitudes, self._voltage, self._locked, estimate, self._source
+        )
         found = preflight_checks(data, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)

@@ -1,4 +1,4 @@
-"""Where positions come from: motion capture systems, poses as UDP datagrams, the vehicle's own decks.
+"""Where positions come from: motion capture systems, poses as UDP datagrams, a Lighthouse deck.
 
 Motion capture is reached by the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
 Every system needs its axes set up as the arena's: x along the slope's way, z up, metres, and the rigid body's
@@ -11,8 +11,8 @@ JSON object:
 
 Metres; a unit quaternion, or null where only a point is seen; how many seconds before sending it was taken.
 
-A vehicle with a Lighthouse or a Flow deck says its own position: the firmware's Kalman filter runs on board,
-and its estimate comes by a log block. It is believed while the filter itself says that it knows the velocity.
+A vehicle with a Lighthouse deck says its own position: the firmware's Kalman filter runs on board, and its
+estimate comes by a log block. It is believed while the filter itself says that it knows the velocity.
 """
 
 from __future__ import annotations
@@ -24,12 +24,10 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
 from inclined_landing.models.errors import UserError, not_installed, shown
 from inclined_landing.models.storage import reason
@@ -39,8 +37,7 @@ _FIRST = 5.0  # s that its first frame may take
 _PROBE = "import sys, motioncapture; motioncapture.connect(sys.argv[1], {'hostname': sys.argv[2]})"
 LARGEST = 1024  # bytes of a datagram
 OLDEST = 1.0  # s that a pose may be old when it is sent
-LIGHTHOUSE, FLOW = "Lighthouse", "Flow"
-PARAMETERS = {LIGHTHOUSE: "deck.bcLighthouse4", FLOW: "deck.bcFlow2"}  # 1 where the deck is there
+LIGHTHOUSE = "deck.bcLighthouse4"  # parameter, 1 where the deck is there
 POSITION = ("stateEstimate.x", "stateEstimate.y", "stateEstimate.z")
 VARIANCE = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")  # of the velocity, m2/s2 (`estimator_kalman.c`)
 NOISE = 0.003  # m, standard deviation that the pilot gives such a position: it wanders by millimetres
@@ -221,39 +218,12 @@ class PoseStream:
                 self._pose = pose
 
 
-def find_deck(value: Callable[[str], Any]) -> str:
-    """Return the deck that a vehicle positions itself by, the Lighthouse first.
-
-    value: of a parameter by name; raises KeyError for one that the firmware does not have. Raises UserError
-    where there is neither.
-    """
-    for deck, parameter in PARAMETERS.items():
-        try:
-            if int(float(value(parameter))):
-                return deck
-        except KeyError:
-            continue
-    raise UserError(
-        "the vehicle has no deck to know its position by: neither a Lighthouse deck (deck.bcLighthouse4) "
-        "nor a Flow deck (deck.bcFlow2) is found"
-    )
-
-
 class OnboardPosition:
-    """A `MotionCapture` of what the vehicle says.
+    """A `MotionCapture` of what a vehicle with a Lighthouse deck says; its frame is the arena's."""
 
-    deck: the one it positions itself by. at: x, y [m] where the vehicle stands and the heading [rad] of its
-    nose, for a Flow deck, which knows neither; a Lighthouse's frame is the arena's. floor: height [m] of the
-    centre of mass where it stands.
-    """
-
-    def __init__(self, deck: str, at: tuple[float, float], heading: float, floor: float):
-        self.deck = deck
+    def __init__(self):
         self._pose: MeasuredPose | None = None
         self._believed = False
-        self._at = np.array([*at, floor])
-        self._turn = frames.about_z(heading) if deck == FLOW else np.eye(3)
-        self._origin: np.ndarray | None = None if deck == FLOW else np.zeros(3)
 
     def latest(self) -> MeasuredPose | None:
         """Return the newest pose; None before the first one."""
@@ -261,12 +231,8 @@ class OnboardPosition:
 
     def add_position(self, time: float, position: np.ndarray) -> None:
         """Add a position (3,) [m] of the vehicle's estimate that it had at `time` [s]."""
-        if not (self._believed and np.isfinite(position).all()):
-            return
-        if self._origin is None:  # what a Flow deck shows where the vehicle stands
-            self._origin = position.copy()
-        placed = self._turn @ (position - self._origin) + (self._at if self.deck == FLOW else 0.0)
-        self._pose = MeasuredPose(time, placed)
+        if self._believed and np.isfinite(position).all():
+            self._pose = MeasuredPose(time, position)
 
     def add_variance(self, variance: np.ndarray) -> None:
         """Add what the vehicle's filter says of its velocity, (3,) [m2/s2]."""

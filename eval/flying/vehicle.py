@@ -105,8 +105,18 @@ class Radio:
         except KeyError:  # older firmware
             self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
-    def log_position(self, to: positions.OnboardPosition) -> None:
-        """Start the logs of the vehicle's own position, and hand it on as it comes."""
+    def onboard_position(self) -> positions.OnboardPosition:
+        """Return the position that the vehicle logs. Raises UserError without a Lighthouse deck."""
+        try:
+            found = int(float(self.crazyflie.param.get_value(positions.LIGHTHOUSE)))
+        except KeyError:  # older firmware
+            found = 0
+        if not found:
+            raise UserError(
+                "the vehicle has no deck to know its position by: no Lighthouse deck is found "
+                f"({positions.LIGHTHOUSE})"
+            )
+        to = positions.OnboardPosition()
 
         def position(stamp: int, data: dict[str, float], _) -> None:
             time = self._dates.date(stamp, self.clock.now())
@@ -117,6 +127,7 @@ class Radio:
 
         self._log("variance", VARIANCE_PERIOD, positions.VARIANCE, variance)
         self._log("position", ATTITUDE_PERIOD, positions.POSITION, position)
+        return to
 
     def received(self) -> list[Attitude | Status]:
         """Return what has arrived since the last call, in order."""

@@ -124,13 +124,6 @@ class Body:
         seen = _between(self._shown_before, self._shown, (time - self.time) / self.step_length + 1.0)
         return seen[:3], np.array(quaternion(*seen[ROLL : YAW + 1]))
 
-    def ground_below(self, position: np.ndarray) -> float:
-        """Return the height [m] of what a range sensor at a position (3,) [m] sees below: slab or floor."""
-        v, (x, y, z) = self.vehicle, position
-        over = abs(x) < v.slab_half_length and abs(y) < 0.5 * v.platform_depth
-        surface = v.platform_surface_height - x * math.tan(float(self.plant.inclination[0]))
-        return surface if self.plant.present[0] and over and surface < z else 0.0
-
     def estimate_at(self, time: float) -> np.ndarray:
         """Return roll, pitch, yaw (3,) [rad] of the onboard estimate, with the vehicle file's errors."""
         state = self.state_at(time)

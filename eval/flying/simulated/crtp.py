@@ -50,12 +50,7 @@ LOGGED = {
     "supervisor.info": ("uint16_t", "bits, see cflib's Supervisor"),
 }
 # Parameters, one byte each; their values are those of firmware.Parameters.
-PARAMETERS = (
-    "stabilizer.stop",
-    "supervisor.tmblChckEn",
-    "deck.bcLighthouse4",
-    "deck.bcFlow2",
-)
+PARAMETERS = ("stabilizer.stop", "supervisor.tmblChckEn", "deck.bcLighthouse4")
 _BYTE_PARAMETER = 8
 _MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
 

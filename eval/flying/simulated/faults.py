@@ -54,7 +54,7 @@ FAULTS = {
     ),
     "attitude-turned": _set("the pose shows the vehicle turned by half a turn", "view", turned=True),
     "deck-blind": _set(
-        "the Lighthouse or Flow deck sees nothing any more: the onboard position is added up",
+        "the Lighthouse deck sees nothing any more: the onboard position is added up",
         "deck",
         blind=True,
     ),

@@ -137,7 +137,6 @@ class Parameters:
     stabilizer_stop: int = 0  # not 0: emergency stop
     supervisor_tmblChckEn: int = 1
     deck_bcLighthouse4: int = 0  # 1 where the deck is there
-    deck_bcFlow2: int = 0
 
 
 class Firmware:

@@ -23,13 +23,7 @@ from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.crtp import Packet, Services
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
-from inclined_landing.eval.flying.simulated.sensors import (
-    DECKS,
-    FLOW,
-    LIGHTHOUSE,
-    OnboardSensors,
-    PositioningDeck,
-)
+from inclined_landing.eval.flying.simulated.sensors import Lighthouse, OnboardSensors
 from inclined_landing.eval.flying.simulated.transport import (
     CameraQuality,
     LinkDirection,
@@ -38,7 +32,7 @@ from inclined_landing.eval.flying.simulated.transport import (
 )
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, YAW, X, Z
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -61,13 +55,9 @@ class Setting:
     heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     platform: bool = True  # does it stand there
-    deck: str | None = None  # that it positions itself by, of sensors.DECKS
+    lighthouse: bool = False  # does it position itself by a Lighthouse deck
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
-
-    def __post_init__(self):
-        if self.deck not in (None, *DECKS):
-            raise UserError(f"unknown deck {shown(self.deck, 40)}; known are {', '.join(DECKS)}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +101,7 @@ class World:
         seeds = np.random.SeedSequence(seed).spawn(7)
         generators = (np.random.default_rng(s) for s in seeds)
         up, down, seen, specific_force, self.random, start, positions = generators
-        if setting.deck is None and any(fault.name == "deck-blind" for fault in faults):
+        if not setting.lighthouse and any(fault.name == "deck-blind" for fault in faults):
             raise UserError("the fault deck-blind needs a deck")
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
@@ -126,9 +116,7 @@ class World:
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
         self._switch_on()
-        self.deck = (
-            None if setting.deck is None else PositioningDeck(setting.deck, self.body, heading, positions)
-        )
+        self.deck = Lighthouse(self.body, positions) if setting.lighthouse else None
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
         self.on_packet: Callable[[Packet], None] = lambda packet: None
@@ -149,8 +137,7 @@ class World:
 
     def _switch_on(self) -> None:
         self.firmware = Firmware(self._print)
-        self.firmware.parameters.deck_bcLighthouse4 = int(self.setting.deck == LIGHTHOUSE)
-        self.firmware.parameters.deck_bcFlow2 = int(self.setting.deck == FLOW)
+        self.firmware.parameters.deck_bcLighthouse4 = int(self.setting.lighthouse)
         self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:
