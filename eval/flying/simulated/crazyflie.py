@@ -21,7 +21,7 @@ import time as real_time
 from collections.abc import Callable, Sequence
 
 from inclined_landing.eval.flying.interfaces import MotionCapture
-from inclined_landing.eval.flying.simulated.crtp import PARAM, Packet, port_of
+from inclined_landing.eval.flying.simulated.crtp import Packet, Port, port_of
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models.errors import optional
@@ -60,7 +60,7 @@ class _WorldLink(CRTPDriver):
         except queue.Empty:
             self._owner.incoming.stop()
             return None
-        self.parameters_answered += port_of(head)[0] == PARAM
+        self.parameters_answered += port_of(head)[0] == Port.PARAM
         return CRTPPacket(head, list(data))
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ emergency stops. There are no memories and no high-level commander; decks are th
 from __future__ import annotations
 
 import dataclasses
+import enum
 import errno
 import struct
 import zlib
@@ -18,40 +19,38 @@ from inclined_landing.eval.flying.simulated.firmware import Firmware
 
 Packet = tuple[int, bytes]
 
-CONSOLE, PARAM, COMMANDER, MEM, LOG, LOCALIZATION, GENERIC, SUPERVISOR = 0, 2, 3, 4, 5, 6, 7, 9
-PLATFORM, LINK = 13, 15
+
+class Port(enum.IntEnum):
+    """The ports that something answers on."""
+
+    CONSOLE = 0
+    PARAM = 2
+    COMMANDER = 3
+    MEM = 4
+    LOG = 5
+    LOCALIZATION = 6
+    GENERIC = 7
+    SUPERVISOR = 9
+    PLATFORM = 13
+    LINK = 15
+
+
 PROTOCOL_VERSION = 12
 LARGEST = 30  # bytes of data
 
-TYPES = {"uint16_t": 2, "float": 7}
+_UINT16, _FLOAT, _BYTE = 2, 7, 8  # types, as tables of contents have them
 _FETCHED = {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}
-# Log variables of the table of contents: type, and what it is.
-LOGGED = {
-    "stateEstimate.roll": ("float", "deg"),
-    "stateEstimate.pitch": ("float", "deg, inverted"),
-    "stateEstimate.yaw": ("float", "deg"),
-    "stateEstimate.x": ("float", "m"),
-    "stateEstimate.y": ("float", "m"),
-    "stateEstimate.z": ("float", "m"),
-    "kalman.varPX": ("float", "m2/s2, of the velocity"),
-    "kalman.varPY": ("float", "m2/s2, of the velocity"),
-    "kalman.varPZ": ("float", "m2/s2, of the velocity"),
-    "stabilizer.roll": ("float", "deg"),
-    "stabilizer.pitch": ("float", "deg, inverted"),
-    "stabilizer.yaw": ("float", "deg"),
-    "stabilizer.thrust": ("float", "thrust of the set-point in force, 0 to 60000"),
-    "gyro.x": ("float", "deg/s"),
-    "gyro.y": ("float", "deg/s"),
-    "gyro.z": ("float", "deg/s"),
-    "acc.x": ("float", "g"),
-    "acc.y": ("float", "g"),
-    "acc.z": ("float", "g"),
-    "pm.vbat": ("float", "V"),
-    "supervisor.info": ("uint16_t", "bits, see cflib's Supervisor"),
-}
+# Log variables. Angles in deg, pitch inverted; position in m, the filter's variance of the velocity in m2/s2;
+# rates in deg/s, specific force in g, thrust of the set-point in force 0 to 60000, voltage in V.
+LOGGED = (
+    *(f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw", "x", "y", "z")),
+    *(f"kalman.{name}" for name in ("varPX", "varPY", "varPZ")),
+    *(f"stabilizer.{name}" for name in ("roll", "pitch", "yaw", "thrust")),
+    *(f"{sensor}.{axis}" for sensor in ("gyro", "acc") for axis in "xyz"),
+    *("pm.vbat", "supervisor.info"),  # the last one: bits, see cflib's Supervisor
+)
 # Parameters, one byte each; their values are those of firmware.Parameters.
 PARAMETERS = ("stabilizer.stop", "supervisor.tmblChckEn", "deck.bcLighthouse4")
-_BYTE_PARAMETER = 8
 _MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
 
 
@@ -84,32 +83,18 @@ class Services:
         self.firmware = firmware
         self._values = values
         self._blocks: dict[int, _Block] = {}
-        self._answers = {
-            LINK: self._link,
-            PLATFORM: self._platform,
-            SUPERVISOR: self._supervisor,
-            LOG: self._log,
-            PARAM: self._param,
-            MEM: self._mem,
-            COMMANDER: self._commander,
-            GENERIC: self._generic,
-            LOCALIZATION: self._localization,
-        }
 
     def answer(self, time: float, packet: Packet) -> list[Packet]:
         """Return the answers to a packet that arrives at `time` [s]; none for a malformed one."""
         head, data = packet
         port, channel = port_of(head)
-        known = self._answers.get(port)
-        if known is None or len(data) > LARGEST:
+        if len(data) > LARGEST:
             return []
         try:
-            replies = list(known(time, channel, bytes(data)))
-        except (struct.error, IndexError, ValueError):  # too short, or text that is none
+            replies = list(self._replies(time, port, channel, bytes(data)))
+        except (struct.error, IndexError):  # too short
             return []
         return [(header(port, c), bytes(d)) for c, d in replies]
-
-    # --- what is sent unasked --------------------------------------------------------------------
 
     @property
     def next_log(self) -> float:
@@ -124,7 +109,7 @@ class Services:
                 values = self._values(block.next)
                 stamp = int(block.next * 1000.0).to_bytes(4, "little")[:3]
                 data = b"".join(_packed(form, values[v]) for v, form in block.variables)
-                packets.append((header(LOG, 2), bytes([name]) + stamp + data))
+                packets.append((header(Port.LOG, 2), bytes([name]) + stamp + data))
                 block.next += block.period
         return packets
 
@@ -132,86 +117,59 @@ class Services:
     def console(line: str) -> list[Packet]:
         """Return the packets of a line that the firmware prints."""
         text = (line + "\n").encode()
-        return [(header(CONSOLE, 0), text[k : k + LARGEST]) for k in range(0, len(text), LARGEST)]
+        return [(header(Port.CONSOLE, 0), text[k : k + LARGEST]) for k in range(0, len(text), LARGEST)]
 
-    # --- the ports -------------------------------------------------------------------------------
+    def _replies(self, time: float, port: int, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Act on a packet; yield channel and data of the answers."""
+        fly, command = self.firmware, data[0] if data else None
+        match port, channel, command:
+            case Port.LINK, 0, _:
+                yield 0, data
+            case Port.LINK, 1, _:
+                yield 1, b"Bitcraze Crazyflie".ljust(LARGEST, b"\0")
+            case Port.PLATFORM, 1, 0:
+                yield 1, struct.pack("<BI", 0, PROTOCOL_VERSION)
+            case Port.PLATFORM, 1, 1:
+                yield 1, b"\x01simulated"
+            case Port.PLATFORM, 1, 2:
+                yield 1, b"\x02CF21"
+            case Port.SUPERVISOR, 0, 0x0C:
+                yield 0, struct.pack("<BH", 0x8C, fly.info)
+            case Port.SUPERVISOR, 1, 1:
+                yield 1, bytes([0x81, fly.request_arming(bool(data[1])), fly.armed])
+            case Port.SUPERVISOR, 1, 2:
+                yield 1, bytes([0x82, fly.request_recovery(), not fly.crashed])
+            case ((Port.SUPERVISOR | Port.LOCALIZATION), 1, 3):
+                fly.stop_now()
+            case ((Port.SUPERVISOR | Port.LOCALIZATION), 1, 4):
+                fly.notice(time)
+            case Port.COMMANDER, 0, _:
+                fly.receive_rpyt(time, *struct.unpack("<fffH", data))
+            case Port.GENERIC, 0, 0:
+                fly.receive_stop(time)
+            case Port.MEM, 0, 1:
+                yield 0, bytes([1, 0])
+            case Port.PARAM, 0, _:
+                yield from _contents(data, [(name, _BYTE) for name in PARAMETERS], b"")
+            case Port.PARAM, (1 | 2), _:
+                yield channel, self._parameter(channel, data)
+            case Port.LOG, 0, _:
+                kinds = [(name, _UINT16 if name == "supervisor.info" else _FLOAT) for name in LOGGED]
+                yield from _contents(data, kinds, bytes([_MOST_BLOCKS, _MOST_VARIABLES]))
+            case Port.LOG, 1, int():
+                block = data[1] if len(data) > 1 else 0
+                yield 1, bytes([command, block, self._set_up(time, command, block, data[2:])])
 
-    def _link(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0:
-            yield 0, data
-        elif channel == 1:
-            yield 1, b"Bitcraze Crazyflie".ljust(LARGEST, b"\0")
-
-    def _platform(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        command = data[0]
-        if channel == 1 and command == 0:
-            yield 1, struct.pack("<BI", 0, PROTOCOL_VERSION)
-        elif channel == 1 and command == 1:
-            yield 1, b"\x01simulated"
-        elif channel == 1 and command == 2:
-            yield 1, b"\x02CF21"
-
-    def _supervisor(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        command, fly = data[0], self.firmware
-        if channel == 0 and command == 0x0C:
-            yield 0, struct.pack("<BH", 0x8C, fly.info)
-        elif channel == 1 and command == 1:
-            yield 1, bytes([0x81, fly.request_arming(bool(data[1])), fly.armed])
-        elif channel == 1 and command == 2:
-            yield 1, bytes([0x82, fly.request_recovery(), not fly.crashed])
-        elif channel == 1 and command == 3:
-            fly.stop_now()
-        elif channel == 1 and command == 4:
-            fly.notice(time)
-
-    def _localization(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 1 and data[0] == 3:
-            self.firmware.stop_now()
-        elif channel == 1 and data[0] == 4:
-            self.firmware.notice(time)
-        yield from ()
-
-    def _commander(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0:
-            roll, pitch, yaw_rate, thrust = struct.unpack("<fffH", data)
-            self.firmware.receive_rpyt(time, roll, pitch, yaw_rate, thrust)
-        yield from ()
-
-    def _generic(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0 and data[0] == 0:
-            self.firmware.receive_stop(time)
-        yield from ()
-
-    def _mem(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0 and data[0] == 1:
-            yield 0, bytes([1, 0])
-
-    def _param(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0:
-            yield from _contents(data, [(name, _BYTE_PARAMETER) for name in PARAMETERS], b"")
-            return
-        if channel == 3:
-            return
+    def _parameter(self, channel: int, data: bytes) -> bytes:
+        """Return the answer to reading (channel 1) or writing (2) a parameter."""
         number = struct.unpack("<H", data[:2])[0]
         if number >= len(PARAMETERS):
-            yield channel, data[:2] + bytes([errno.ENOENT])
-        elif channel == 2:
-            setattr(self.firmware.parameters, PARAMETERS[number].replace(".", "_"), data[2])
-            yield 2, data
-        elif channel == 1:
-            yield 1, data[:2] + bytes([0, self._parameter(PARAMETERS[number])])
-
-    def _parameter(self, name: str) -> int:
-        return getattr(self.firmware.parameters, name.replace(".", "_"))
-
-    def _log(self, time: float, channel: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        if channel == 0:
-            contents = [(name, TYPES[kind]) for name, (kind, _) in LOGGED.items()]
-            yield from _contents(data, contents, bytes([_MOST_BLOCKS, _MOST_VARIABLES]))
-        elif channel == 1:
-            command = data[0]
-            block = data[1] if len(data) > 1 else 0
-            yield 1, bytes([command, block, self._set_up(time, command, block, data[2:])])
+            return data[:2] + bytes([errno.ENOENT])
+        name = PARAMETERS[number].replace(".", "_")
+        if channel == 2:
+            setattr(self.firmware.parameters, name, data[2])
+            return data
+        return data[:2] + bytes([0, getattr(self.firmware.parameters, name)])
 
     def _set_up(self, time: float, command: int, name: int, data: bytes) -> int:
         """Return the result of a log block command: 0 or an error number."""
@@ -241,11 +199,11 @@ class Services:
             return errno.ENOMEM
         if not new and name not in self._blocks:
             return errno.ENOENT
-        names, added = list(LOGGED), []
+        added = []
         for kind, number in struct.iter_unpack("<BH", data[: len(data) // 3 * 3]):
-            if number >= len(names) or kind & 15 not in _FETCHED:
+            if number >= len(LOGGED) or kind & 15 not in _FETCHED:
                 return errno.ENOENT
-            added.append((names[number], _FETCHED[kind & 15]))
+            added.append((LOGGED[number], _FETCHED[kind & 15]))
         variables = (self._blocks[name].variables if not new else []) + added
         if sum(struct.calcsize(form) for _, form in variables) > _LOG_BYTES:
             return errno.E2BIG

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.flying.interfaces import MeasuredPose
-from inclined_landing.eval.flying.simulated import crtp
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
-from inclined_landing.eval.flying.simulated.crtp import Packet, Services
+from inclined_landing.eval.flying.simulated.crtp import Packet, Port, Services, port_of
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
 from inclined_landing.eval.flying.simulated.sensors import Lighthouse, OnboardSensors
@@ -40,9 +39,9 @@ BOOT = 1.0  # s from switching on until somebody connects
 _NEAR, _LOW = 0.5, 0.3  # m, of the events that faults wait for
 # Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
 _ANSWERED_AT_ONCE = {
-    *((crtp.LINK, 0), (crtp.LINK, 1), (crtp.PLATFORM, 1), (crtp.SUPERVISOR, 0), (crtp.MEM, 0)),
-    *((crtp.PARAM, channel) for channel in range(4)),
-    *((crtp.LOG, 0), (crtp.LOG, 1)),
+    *((Port.LINK, 0), (Port.LINK, 1), (Port.PLATFORM, 1), (Port.SUPERVISOR, 0), (Port.MEM, 0)),
+    *((Port.PARAM, channel) for channel in range(4)),
+    *((Port.LOG, 0), (Port.LOG, 1)),
 }
 
 
@@ -154,7 +153,7 @@ class World:
 
     def send(self, packet: Packet) -> None:
         """Send a packet of the pilot, now."""
-        if crtp.port_of(packet[0]) in _ANSWERED_AT_ONCE:
+        if port_of(packet[0]) in _ANSWERED_AT_ONCE:
             if self.link_up:
                 for answer in self.services.answer(self.time, packet):
                     self.on_packet(answer)

@@ -272,7 +272,7 @@ def test_setpoints_that_are_no_numbers_stay_finite(roll, yaw_rate):
 @hypothesis.given(st.integers(0, 255), st.binary(max_size=40))
 def test_no_packet_upsets_the_services(head, data):
     services = crtp.Services(Firmware(), lambda time: dict.fromkeys(crtp.LOGGED, 0.0))
-    services.answer(0.0, (crtp.header(crtp.LOG, 1), bytes([6, 1, 7, 0, 0])))
+    services.answer(0.0, (crtp.header(crtp.Port.LOG, 1), bytes([6, 1, 7, 0, 0])))
     for packet in services.answer(0.0, (head, data)) + services.logged(1.0):
         assert 0 <= packet[0] < 256 and len(packet[1]) <= crtp.LARGEST
 
@@ -475,10 +475,10 @@ def test_the_process_answers_packets_and_streams_poses():
         thread.start()
         pilot.send(b"\xff")
         assert pilot.recv(64) == b"\xff"
-        pilot.send(bytes([crtp.header(crtp.LINK, 1), 0]))
+        pilot.send(bytes([crtp.header(crtp.Port.LINK, 1), 0]))
         assert pilot.recv(64)[1:19] == b"Bitcraze Crazyflie"
-        pilot.send(bytes([crtp.header(crtp.SUPERVISOR, 1), 1, 1]))
-        assert pilot.recv(64) == bytes([crtp.header(crtp.SUPERVISOR, 1), 0x81, 1, 1])
+        pilot.send(bytes([crtp.header(crtp.Port.SUPERVISOR, 1), 1, 1]))
+        assert pilot.recv(64) == bytes([crtp.header(crtp.Port.SUPERVISOR, 1), 0x81, 1, 1])
         pilot.send(b"")
         pilot.send(b"x" * 2000)
         thread.join()
