@@ -1,6 +1,6 @@
 """What ends a flight early, and how: every cause with its reaction and its limit, and where that comes from.
 
-`table` writes the causes down as the documentation has them.
+docs/flying.md has the causes as a table, with the reason for each reaction.
 """
 
 from __future__ import annotations
@@ -80,7 +80,6 @@ class Cause:
     name: str
     when: str
     reaction: Reaction
-    why: str
     holds: Callable[[SafetyMonitor, FlightStatus], bool] | None = None  # None: the pilot itself meets it
     lasting: float = 0.0  # s that it must last
 
@@ -150,69 +149,42 @@ class SafetyMonitor:
 
 _OFF, _LAND = Reaction.OFF, Reaction.LAND
 _STRICT = (Phase.LANDING, Phase.PLAN)
-INTERRUPTED = Cause(
-    "interrupted",
-    "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed",
-    _OFF,
-    "whoever interrupts wants it to stop now",
-)
-ERROR = Cause(
-    "error", "any exception, also while printing or writing the log", _OFF, "nobody knows what still works"
-)
-HANG = Cause(
-    "hang",
-    f"the control loop gives no sign for {HANG_LIMIT:g} s",
-    _OFF,
-    "a thread of its own notices; the last command would be held",
-)
-BAD_SETPOINT = Cause(
-    "bad set-point action", "the set-point policy gives NaN or infinity", _OFF, "nothing to fly by"
-)
-BAD_ACTION = Cause(
-    "bad action", "the landing policy gives NaN or infinity", _LAND, "the set-point policy still flies"
-)
+INTERRUPTED = Cause("interrupted", "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed", _OFF)
+ERROR = Cause("error", "any exception, also while printing or writing the log", _OFF)
+HANG = Cause("hang", f"the control loop gives no sign for {HANG_LIMIT:g} s", _OFF)
+BAD_SETPOINT = Cause("bad set-point action", "the set-point policy gives NaN or infinity", _OFF)
+BAD_ACTION = Cause("bad action", "the landing policy gives NaN or infinity", _LAND)
 CAUSES = (  # in the order in which they are asked
     *(INTERRUPTED, ERROR, HANG, BAD_SETPOINT, BAD_ACTION),
-    Cause(
-        "link lost",
-        "cflib reports the connection lost",
-        _OFF,
-        "sent as often as it may help",
-        lambda _, now: not now.linked,
-    ),
+    Cause("link lost", "cflib reports the connection lost", _OFF, lambda _, now: not now.linked),
     Cause(
         "no attitude",
         f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
         _OFF,
-        "the link is gone in one direction",
         lambda _, now: now.estimate.attitude_age > ATTITUDE_LIMIT,
     ),
     Cause(
         "no position",
         f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
         _OFF,
-        "predicted positions are 6 cm unsure by then",
         lambda _, now: now.estimate.pose_age > POSE_LIMIT,
     ),
     Cause(
         "bad state",
         "position, velocity or attitude is NaN or infinite",
         _OFF,
-        "nothing to fly by",
         lambda _, now: not np.isfinite(now.estimate.state).all(),
     ),
     Cause(
         "supervisor",
         "the vehicle says that it is tumbled, locked or crashed",
         _OFF,
-        "it has stopped already",
         lambda _, now: now.locked,
     ),
     Cause(
         "tilt",
         f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
         _OFF,
-        "out of control; the firmware says the same at 60 deg",
         lambda _, now: now.estimate.tilt > TILT_LIMIT,
     ),
     Cause(
@@ -220,7 +192,6 @@ CAUSES = (  # in the order in which they are asked
         f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
         f"{DISAGREEMENT_TIME:g} s",
         _OFF,
-        "a wrong sign, or markers taken for others: every command would be wrong",
         lambda _, now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT,
         DISAGREEMENT_TIME,
     ),
@@ -228,29 +199,25 @@ CAUSES = (  # in the order in which they are asked
         "wrong position",
         f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
         _OFF,
-        "a marker left behind: positions are fresh, and not the vehicle's",
         lambda _, now: now.velocity_mismatch > MISMATCH_LIMIT,
     ),
-    Cause("outside", "outside the arena", _OFF, "falls within the nets", SafetyMonitor.is_outside),
+    Cause("outside", "outside the arena", _OFF, SafetyMonitor.is_outside),
     Cause(
         "no room",
         "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
         _OFF,
-        "falls inside the arena instead of leaving it",
         SafetyMonitor.cannot_stop,
     ),
     Cause(
         "touched",
         "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
         _OFF,
-        "it lies somewhere: no more thrust",
         lambda _, now: now.phase in _STRICT and now.resting_time >= RESTING_LIMIT,
     ),
     Cause(
         "retreat takes too long",
         f"not down {RETREAT_LIMIT:g} s after it began",
         _OFF,
-        "the way down is blocked or lost",
         lambda _, now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT,
     ),
     Cause(
@@ -258,42 +225,33 @@ CAUSES = (  # in the order in which they are asked
         "closer to a wall or the ceiling than the distance it needs to stop, plus "
         f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
         _LAND,
-        "there is still room to brake",
         SafetyMonitor.is_beyond_fence,
     ),
     Cause(
         "poor link",
         f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
         _LAND,
-        "it may fly on under one command for as long: the set-point policy's are gentle",
         lambda _, now: now.phase in _STRICT and now.estimate.attitude_age > SILENCE_LIMIT,
     ),
     Cause(
-        "speed",
-        f"faster than {SPEED_LIMIT:g} m/s",
-        _LAND,
-        "no landing needs it",
-        lambda _, now: now.estimate.speed > SPEED_LIMIT,
+        "speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, lambda _, now: now.estimate.speed > SPEED_LIMIT
     ),
     Cause(
         "heading",
         f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
         _LAND,
-        "yaw is not under control",
         lambda _, now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT,
     ),
     Cause(
         "astray",
         f"more than {ASTRAY_LIMIT:g} m off a planned flight",
         _LAND,
-        "no candidate flies so in the plan's simulations, which end at 0.4 m",
         lambda _, now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT,
     ),
     Cause(
         "battery",
         f"below {LOWEST_VOLTAGE:g} V for {BATTERY_TIME:g} s",
         _LAND,
-        "the firmware's critical level: seconds of thrust are left",
         lambda _, now: now.voltage < LOWEST_VOLTAGE,
         BATTERY_TIME,
     ),
@@ -301,24 +259,12 @@ CAUSES = (  # in the order in which they are asked
         "approach takes too long",
         f"the start is not reached after {APPROACH_LIMIT:g} s",
         _LAND,
-        "something differs from what the policy knows",
         lambda _, now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT,
     ),
     Cause(
         "landing takes too long",
         "longer than an episode of the task (6 s)",
         _LAND,
-        "as an episode ends",
         lambda _, now: now.phase is Phase.LANDING and now.since > now.landing_limit,
     ),
 )
-
-
-def table() -> str:
-    """Return all causes as the Markdown table of the documentation."""
-    rows = (f"| {cause.name} | {cause.when} | {cause.reaction.value} | {cause.why} |" for cause in CAUSES)
-    return "\n".join(["| cause | when | reaction | why |", "|---|---|---|---|", *rows])
-
-
-if __name__ == "__main__":
-    print(table())
