@@ -20,12 +20,7 @@ from inclined_landing.eval.logs.log import (
     FlightLog,
     repeated_share,
 )
-from inclined_landing.eval.logs.units import (
-    COMMANDED_QUATERNION,
-    QUATERNION,
-    REQUESTS,
-    ROTOR_SPEEDS,
-)
+from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
 from inclined_landing.models.errors import UserError
 
 _POSITION = ("x", "y", "z")

@@ -72,10 +72,7 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | N
         notes.append(f"the clock {shown(name)} starts again where it is full ({wraps}): continued")
     key = here or next(iter(wanted), "t")
     return dataclasses.replace(
-        record,
-        columns={**record.columns, key: values},
-        units={**record.units, key: unit},
-        notes=tuple(notes),
+        record, columns={**record.columns, key: values}, units={**record.units, key: unit}, notes=tuple(notes)
     )
 
 

@@ -196,10 +196,7 @@ def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
 
 
 # Names of a quaternion's numbers, what they may be instead, and where w, x, y, z lie in what was read then.
-_ORDERS = (
-    ("qw, qx, qy, qz", "x, y, z, w", (3, 0, 1, 2)),
-    ("qx, qy, qz, qw", "w, x, y, z", (1, 2, 3, 0)),
-)
+_ORDERS = (("qw, qx, qy, qz", "x, y, z, w", (3, 0, 1, 2)), ("qx, qy, qz, qw", "w, x, y, z", (1, 2, 3, 0)))
 
 
 def _check_quaternion(parts: list[Motion]) -> Iterator[Finding]:

@@ -54,9 +54,7 @@ FAULTS = {
     ),
     "attitude-turned": _set("the pose shows the vehicle turned by half a turn", "view", turned=True),
     "deck-blind": _set(
-        "the Lighthouse deck sees nothing any more: the onboard position is added up",
-        "deck",
-        blind=True,
+        "the Lighthouse deck sees nothing any more: the onboard position is added up", "deck", blind=True
     ),
     "attitude-wrong": _set("the onboard roll and pitch have the wrong sign", "sensors", sign=-1.0),
     "low-battery": _set(

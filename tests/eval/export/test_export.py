@@ -26,13 +26,7 @@ from inclined_landing.envs.policy import Policy, load_policy, locate, write_meta
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.export import (
-    c_source,
-    contract,
-    numpy_file,
-    onnx_file,
-    vectors,
-)
+from inclined_landing.eval.export import c_source, contract, numpy_file, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import LONGEST

@@ -30,11 +30,7 @@ from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
 from inclined_landing.eval.flying.simulated.firmware import Firmware, FirmwareSetpoint, State
 from inclined_landing.eval.flying.simulated.server import SimulatorServer
-from inclined_landing.eval.flying.simulated.transport import (
-    CameraQuality,
-    LinkDirection,
-    LinkQuality,
-)
+from inclined_landing.eval.flying.simulated.transport import CameraQuality, LinkDirection, LinkQuality
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, X, Z, rotation
