@@ -36,7 +36,7 @@ from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, M
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTracking
 from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
 from inclined_landing.eval.flying.positions import NOISE, OnboardPosition
-from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, PreflightData, preflight_checks
+from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, preflight_checks
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
 from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE, MovingTarget
@@ -113,10 +113,9 @@ class Pilot:
             self.clock.wait_until(self.clock.now() + self._period / TICKS)
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
-        data = PreflightData(
-            self._poses, self._attitudes, self._voltage, self._locked, estimate, self._source
-        )
-        found = preflight_checks(data, self.surroundings, self.plan.stand)
+        status = self._voltage, self._locked
+        measured = (self._source, self._poses, self._attitudes, status, estimate)
+        found = preflight_checks(*measured, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)
             way = self.surroundings.path_to(self.home, self.plan.start_point)

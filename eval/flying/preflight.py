@@ -30,23 +30,23 @@ class Check:
     found: str
 
 
-@dataclasses.dataclass(frozen=True)
-class PreflightData:
-    """Measurements of RECORDING_TIME seconds at rest."""
+def preflight_checks(
+    source: str,
+    poses: list[MeasuredPose],
+    attitudes: int,
+    status: tuple[float, bool],
+    estimate: StateEstimate,
+    surroundings: Surroundings,
+    stand: float,
+) -> list[Check]:
+    """Return all preflight checks from RECORDING_TIME seconds of measurements at rest.
 
-    poses: list[MeasuredPose]
-    attitudes: int
-    voltage: float  # V, NaN where none came
-    locked: bool
-    estimate: StateEstimate
-    source: str = "motion capture"  # of the poses
-
-
-def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: float) -> list[Check]:
-    """Return all preflight checks; stand [m]: height of what the vehicle stands on."""
-    v, estimate = surroundings.vehicle, data.estimate
-    positions = np.array([pose.position for pose in data.poses]).reshape(-1, 3)
-    times = np.array([pose.time for pose in data.poses])
+    source: of the poses; attitudes: how many came; status: voltage [V], NaN where none came, and whether the
+    vehicle is locked; stand: height of what it stands on [m].
+    """
+    (voltage, locked), v = status, surroundings.vehicle
+    positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
+    times = np.array([pose.time for pose in poses])
     gap = float(np.diff(times).max()) if len(times) > 1 else math.inf
     spread = float(positions.std(axis=0).max()) if len(positions) > 1 else math.inf
     moved = len(np.unique(positions, axis=0)) > 1
@@ -59,19 +59,19 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
     tilt = estimate.tilt if known else math.nan
     degrees, mismatch = math.degrees(tilt), math.degrees(estimate.attitude_mismatch)
     # Only motion capture shows an attitude that the vehicle's own can be held against.
-    seen = any(pose.attitude is not None for pose in data.poses)
+    seen = any(pose.attitude is not None for pose in poses)
     other = f", {mismatch:.1f} deg from what motion capture shows" if seen else ""
     frozen = "" if moved or len(times) < 2 else ", all the same: frozen"
     checks = {
         "battery": (
-            data.voltage >= LEAST_VOLTAGE,
-            f"{data.voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
+            voltage >= LEAST_VOLTAGE,
+            f"{voltage:.2f} V; at least {LEAST_VOLTAGE:g} V at rest",
         ),
         "supervisor": (
-            not data.locked,
-            "locked, crashed or tumbled: switch it off and on" if data.locked else "not locked",
+            not locked,
+            "locked, crashed or tumbled: switch it off and on" if locked else "not locked",
         ),
-        data.source: (
+        source: (
             len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
             f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms{frozen}"
             f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",
@@ -81,8 +81,8 @@ def preflight_checks(data: PreflightData, surroundings: Surroundings, stand: flo
             f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
         ),
         "attitude log": (
-            data.attitudes >= ATTITUDE_RATE * RECORDING_TIME,
-            f"{data.attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
+            attitudes >= ATTITUDE_RATE * RECORDING_TIME,
+            f"{attitudes / RECORDING_TIME:.0f} per second; at least {ATTITUDE_RATE:g}",
         ),
         "level": (
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,

@@ -58,9 +58,8 @@ class Surroundings:
             points = [np.array([*home[:2], height]), np.array([*start[:2], height]), np.asarray(start, float)]
             if self._clear([home, *points]):
                 return points
-        raise UserError(
-            f"there is no clear way over or beside the platform from {_point(home)} to {_point(start)} m"
-        )
+        a, b = (", ".join(f"{value:.2f}" for value in point) for point in (home, start))
+        raise UserError(f"there is no clear way over or beside the platform from {a} to {b} m")
 
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
         """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
@@ -119,7 +118,3 @@ class MovingTarget:
                 return self.position
             self.position, remaining = self._way.pop(0), remaining - distance
         return self.position
-
-
-def _point(point: np.ndarray) -> str:
-    return ", ".join(f"{value:.2f}" for value in point)

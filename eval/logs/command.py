@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Flat, LogSource
@@ -28,13 +29,14 @@ def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     usable = [(log, found) for log, found in reports if log is not None and not _refused(found)]
     fleet = check_fleet([without_bad_data(log, found) for log, found in usable])
     flights = [_flight_json(file, *report) for file, report in zip(source.files, reports)]
+    together = [_finding_json(finding) for finding in fleet]
     if json:
-        print(storage.to_json({"flights": flights, "together": [_finding_json(f) for f in fleet]}))
+        print(storage.to_json({"flights": flights, "together": together}))
     else:
-        for file, flight, (_, findings) in zip(source.files, flights, reports):
-            say(*_describe(file, flight, findings))
-        if fleet:
-            say("together", *(_finding_line(finding) for finding in fleet))
+        for file, flight in zip(source.files, flights):
+            say(*_describe(file, flight))
+        if together:
+            say("together", *map(_finding_line, together))
         say(_answer([findings for _, findings in reports], fleet))
     refused = [
         findings[0].text if log is None else f"{shown(file, 250)}: {findings[0].text}"
@@ -85,32 +87,30 @@ def _check_file(
     return log, tuple(sorted(findings, key=lambda finding: finding.decision != "refuse"))
 
 
-def _describe(file: str, flight: Mapping, findings: Sequence[Finding]) -> list[str]:
-    lines = [shown(file, 250)]
+def _describe(file: str, flight: Mapping) -> Iterator[str]:
+    """Yield the lines about a flight."""
+    yield shown(file, 250)
     if "rows" in flight:
         rows = f"{flight['rows']} rows, {flight['seconds']:.1f} s, {flight['rate']:.0f} rows per second"
-        lines += [f"  {rows}", f"  logged: {', '.join(flight['logged'])}"]
-    return lines + [_finding_line(finding) for finding in findings]
+        yield from (f"  {rows}", f"  logged: {', '.join(flight['logged'])}")
+    yield from map(_finding_line, flight["findings"])
 
 
-def _finding_line(finding: Finding) -> str:
-    label = {"refuse": "refused", "limit": "limit", "info": "note"}[finding.decision]
-    return f"  {label}: {finding.text}"
+def _finding_line(finding: Mapping[str, str]) -> str:
+    label = {"refuse": "refused", "limit": "limit", "info": "note"}[finding["decision"]]
+    return f"  {label}: {finding['text']}"
 
 
-def _logged_columns(log: FlightLog) -> list[str]:
-    names = [name for name in MEASURED + COMMANDS if name not in log.missing]
-    names += ["vx", "vy", "vz"] if log.velocity is not None else []
-    names += ["vbat"] if log.voltage is not None else []
-    return names + (["contact"] if log.contact is not None else [])
-
-
-def _flight_json(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict:
+def _flight_json(file: str, log: FlightLog | None, findings: Sequence[Finding]) -> dict[str, Any]:
     read = {}
     if log is not None:
-        read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": _logged_columns(log)}
+        logged = [name for name in MEASURED + COMMANDS if name not in log.missing]
+        logged += [name for name in ("vx", "vy", "vz") if log.velocity is not None]
+        logged += ["vbat"] if log.voltage is not None else []
+        logged += ["contact"] if log.contact is not None else []
+        read = {"rows": len(log), "seconds": log.duration, "rate": log.rate, "logged": logged}
     return {"file": str(Path(file)), **read, "findings": [_finding_json(finding) for finding in findings]}
 
 
-def _finding_json(finding: Finding) -> dict:
+def _finding_json(finding: Finding) -> dict[str, str]:
     return {"decision": finding.decision, "column": finding.channel, "text": finding.text}

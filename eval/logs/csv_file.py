@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs.limits import LARGEST_VALUE, MOST_COLUMNS, check_file, read_table
+from inclined_landing.eval.logs.limits import MOST_COLUMNS, read_table
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
 
-_FEWEST_ROWS = 100  # of a flight without mapping
 _COMMENT = ("#", "%", "//")
 # Cells without a value, in lower case, besides those that pandas knows.
 _MISSING = {"", "nan", "-", "--", "---", "?", "*", ".", "nat", "\\n", "missing", "undefined", "invalid"}
@@ -79,27 +78,6 @@ def read(path: Path) -> Record:
             if values is not None:
                 columns[key] = values
     return Record(str(path), columns, units=units, unreadable=unreadable, notes=tuple(notes))
-
-
-def read_columns(path: Path, names: Sequence[str]) -> pandas.DataFrame:
-    """Return the columns `names` of a table without mapping; raise UserError for one missing or infinite."""
-    if check_file(path):
-        raise UserError(f"{path}: a folder, not a file")
-    record = read(path)
-    columns = record.columns
-    for name in names:
-        if name in record.unreadable:
-            raise UserError(f"{path}: {record.unreadable[name]}")
-        if name not in columns:
-            raise UserError(f"{path} lacks the column {name}")
-    rows = len(columns[names[0]])
-    if rows < _FEWEST_ROWS:
-        raise UserError(f"{path} has {rows} rows; at least {_FEWEST_ROWS} are needed")
-    for name in names:
-        wrong = ~(np.abs(columns[name]) <= LARGEST_VALUE)
-        if wrong.any():
-            raise UserError(f"{path}: column {name} is not a number of a flight in row {wrong.argmax() + 1}")
-    return pandas.DataFrame({name: columns[name] for name in names})
 
 
 def _layout(path: Path, data: bytes, encoding: str) -> _Layout:

@@ -30,9 +30,10 @@ def repeated_share(position: np.ndarray) -> float:
     return float((repeated & moving).sum() / max(np.sum(moving), 1))
 
 
-_BY_ROW = (
-    *("t", "position", "attitude", "command", "velocity", "voltage", "contact", "requests", "rotor_speed"),
-)
+# Columns of each array that has a value per row; None: it is one column, (m,).
+_WIDTHS = {"t": None, "position": 3, "attitude": 3, "command": 4, "velocity": 3, "voltage": None}
+_WIDTHS |= {"contact": None, "requests": 4, "rotor_speed": 4}
+_HELD = ("command", "contact", "requests")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,9 +51,8 @@ class FlightLog:
     t: np.ndarray  # (m,) s, strictly increasing
     position: np.ndarray  # (m, 3) m
     attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
-    command: (
-        np.ndarray
-    )  # (m, 4): PWM, roll rad, pitch rad, yaw rate rad/s, as sent at t, held until the next row
+    # (m, 4): PWM, roll rad, pitch rad, yaw rate rad/s, as sent at t, held until the next row
+    command: np.ndarray
     velocity: np.ndarray | None = None  # (m, 3) m/s, world frame, only if logged
     voltage: np.ndarray | None = None  # (m,) V
     contact: np.ndarray | None = None  # (m,) bool
@@ -66,11 +66,8 @@ class FlightLog:
 
     def __post_init__(self):
         m = len(self.t)
-        shapes = {"t": (m,), "position": (m, 3), "attitude": (m, 3), "command": (m, 4)}
-        shapes |= {"velocity": (m, 3), "voltage": (m,), "contact": (m,)}
-        shapes |= {"requests": (m, 4), "rotor_speed": (m, 4)}
-        for field, shape in shapes.items():
-            value = getattr(self, field)
+        for field, width in _WIDTHS.items():
+            value, shape = getattr(self, field), (m,) if width is None else (m, width)
             if value is None:
                 continue
             value = np.asarray(value, bool if field == "contact" else float)
@@ -111,7 +108,7 @@ class FlightLog:
 
     def rows(self, selection) -> FlightLog:
         """Return the rows of a slice, an index array or a mask."""
-        changed = {f: getattr(self, f)[selection] for f in _BY_ROW if getattr(self, f) is not None}
+        changed = {f: getattr(self, f)[selection] for f in _WIDTHS if getattr(self, f) is not None}
         return dataclasses.replace(self, **changed)
 
     def between(self, start: float, stop: float) -> FlightLog:
@@ -137,26 +134,16 @@ class FlightLog:
         t[-1] = min(t[-1], self.t[-1])
         latest = np.clip(np.searchsorted(self.t, t + 1e-9, side="right") - 1, 0, len(self) - 1)
 
-        # x(t) = x_k + (t - t_k) / (t_k+1 - t_k) (x_k+1 - x_k)
-        def linear(value: np.ndarray | None) -> np.ndarray | None:
-            if value is None:
-                return None
-            if value.ndim == 1:
-                return np.interp(t, self.t, value)
-            return np.stack([np.interp(t, self.t, column) for column in value.T], axis=1)
-
-        return dataclasses.replace(
-            self,
-            t=t,
-            position=linear(self.position),
-            attitude=linear(self.attitude),
-            command=self.command[latest],
-            velocity=linear(self.velocity),
-            voltage=linear(self.voltage),
-            contact=None if self.contact is None else self.contact[latest],
-            requests=None if self.requests is None else self.requests[latest],
-            rotor_speed=linear(self.rotor_speed),
-        )
+        changed = {"t": t}
+        for field in _WIDTHS:
+            value = getattr(self, field)
+            if field in _HELD and value is not None:
+                changed[field] = value[latest]
+            elif field != "t" and value is not None:
+                # x(t) = x_k + (t - t_k) / (t_k+1 - t_k) (x_k+1 - x_k)
+                columns = [np.interp(t, self.t, column) for column in value.reshape(len(self), -1).T]
+                changed[field] = np.stack(columns, axis=1).reshape(len(t), *value.shape[1:])
+        return dataclasses.replace(self, **changed)
 
     def noted(self, *notes: str) -> FlightLog:
         """Return the same flight with more notes, without duplicates."""

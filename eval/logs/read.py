@@ -47,10 +47,28 @@ def read_log(
         stated = dict(units or {})
     except (TypeError, ValueError) as error:
         raise UserError(f"units must be units by column, not {shown(repr(units), 40)}") from error
-    log = _read(paths, mapping, stated, name or _stem(paths[0]))
-    if not check:
-        return log
-    return checks.enforce(log, where="+".join(map(str, paths)))
+    where = "+".join(map(str, paths))
+    for column, unit in stated.items():
+        if column not in COLUMNS:
+            raise UserError(f"unit given for the column {shown(column)}; {choices(COLUMNS, column)}")
+        factor(column, unit, where)
+    column_map = None if mapping is None else mappings.load(mapping)
+    records = [_record(path, column_map) for path in paths]
+    if column_map is None:
+        names = dict.fromkeys(
+            column for record in records for column in (*record.columns, *record.unreadable)
+        )
+        column_map = mappings.detect(list(names), where)
+    channels: dict[str, Channel] = {}
+    notes: list[str] = []
+    for record in records:
+        found, new_notes = channels_of(column_map, record, stated)
+        notes += new_notes
+        notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
+        channels = found | channels
+    name = name or shown(paths[0].name).removesuffix(".gz").removesuffix(".csv")
+    log = assemble.assemble(name, where, channels, column_map.euler, notes)
+    return checks.enforce(log, where) if check else log
 
 
 def write_log(path: str | Path, log: FlightLog) -> None:
@@ -79,26 +97,6 @@ def log_table(log: FlightLog) -> pandas.DataFrame:
     return pandas.DataFrame(table)
 
 
-def _read(paths: list[Path], chosen: str | Path | None, units: dict[str, str], name: str) -> FlightLog:
-    where = "+".join(map(str, paths))
-    _check_units(units, where)
-    column_map = None if chosen is None else mappings.load(chosen)
-    records = [_record(path, column_map) for path in paths]
-    names = list(
-        dict.fromkeys(column for record in records for column in (*record.columns, *record.unreadable))
-    )
-    if column_map is None:
-        column_map = mappings.detect(names, where)
-    channels: dict[str, Channel] = {}
-    notes: list[str] = []
-    for record in records:
-        found, new_notes = channels_of(column_map, record, units)
-        notes += new_notes
-        notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
-        channels = found | channels
-    return assemble.assemble(name, where, channels, column_map.euler, notes)
-
-
 def _record(path: Path, column_map: ColumnMap | None) -> Record:
     folder = limits.check_file(path)
     if folder or path.suffix in BAGS:
@@ -111,13 +109,6 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
         return sd_card.read(path)
     formats.check(path)
     return csv_file.read(path)
-
-
-def _check_units(units: Mapping[str, str], where: str) -> None:
-    for column, unit in units.items():
-        if column not in COLUMNS:
-            raise UserError(f"unit given for the column {shown(column)}; {choices(COLUMNS, column)}")
-        factor(column, unit, where)
 
 
 def _paths(path: Any) -> list[Path]:
@@ -142,7 +133,3 @@ def _split(names: str) -> list[str]:
         found.append(names[:end])
         names = names[end + 1 :]
     return [*found, names]
-
-
-def _stem(path: Path) -> str:
-    return shown(path.name).removesuffix(".gz").removesuffix(".csv")

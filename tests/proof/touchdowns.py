@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder
-from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models import contact, storage
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VY, VZ, WX, WY, WZ, YAW, Z
 from inclined_landing.models.errors import UserError
@@ -29,6 +28,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.vehicle import Vehicle
+from tests.proof.columns import read_columns
 from tests.proof.shared import table_of
 
 PERIOD = 0.01  # s, of the measurements

@@ -49,8 +49,6 @@ LOGGED = (
     *(f"{sensor}.{axis}" for sensor in ("gyro", "acc") for axis in "xyz"),
     *("pm.vbat", "supervisor.info"),  # the last one: bits, see cflib's Supervisor
 )
-# Parameters, one byte each; their values are those of firmware.Parameters.
-PARAMETERS = ("stabilizer.stop", "supervisor.tmblChckEn", "deck.bcLighthouse4")
 _MOST_BLOCKS, _MOST_VARIABLES, _LOG_BYTES = 16, 128, 26
 
 
@@ -150,7 +148,7 @@ class Services:
             case Port.MEM, 0, 1:
                 yield 0, bytes([1, 0])
             case Port.PARAM, 0, _:
-                yield from _contents(data, [(name, _BYTE) for name in PARAMETERS], b"")
+                yield from _contents(data, [(name, _BYTE) for name in fly.parameters], b"")
             case Port.PARAM, (1 | 2), _:
                 yield channel, self._parameter(channel, data)
             case Port.LOG, 0, _:
@@ -162,14 +160,14 @@ class Services:
 
     def _parameter(self, channel: int, data: bytes) -> bytes:
         """Return the answer to reading (channel 1) or writing (2) a parameter."""
-        number = struct.unpack("<H", data[:2])[0]
-        if number >= len(PARAMETERS):
+        number, values = struct.unpack("<H", data[:2])[0], self.firmware.parameters
+        if number >= len(values):
             return data[:2] + bytes([errno.ENOENT])
-        name = PARAMETERS[number].replace(".", "_")
+        name = list(values)[number]
         if channel == 2:
-            setattr(self.firmware.parameters, name, data[2])
+            values[name] = data[2]
             return data
-        return data[:2] + bytes([0, getattr(self.firmware.parameters, name)])
+        return data[:2] + bytes([0, values[name]])
 
     def _set_up(self, time: float, command: int, name: int, data: bytes) -> int:
         """Return the result of a log block command: 0 or an error number."""

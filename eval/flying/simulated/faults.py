@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from typing import Any
 
 from inclined_landing.eval.flying.simulated.sensors import SAG_RATE
 from inclined_landing.models.errors import UserError, shown
@@ -16,51 +14,21 @@ DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `DeadManSwitch`: 
 EVENTS = ("start", "air", "low", "near")
 
 
-@dataclasses.dataclass(frozen=True)
-class FaultKind:
-    """What goes wrong, and the method of `World` that lets it."""
-
-    what: str
-    method: str
-    arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-
-
-def _set(what: str, part: str, **changes: Any) -> FaultKind:
-    """Return the kind that from now on sets attributes of a part of the world."""
-    return FaultKind(what, "change", {"part": part, **changes})
-
-
-FAULTS = {
-    "link-lost": FaultKind(
-        "no packet gets through, either way; cflib's driver gives up soon after", "lose_link"
-    ),
-    "pilot-killed": FaultKind(
-        f"the pilot's process is gone; the one that outlives it sends a stop {DEAD_MAN_DELAY:g} s later",
-        "kill_pilot",
-        {"delay": DEAD_MAN_DELAY},
-    ),
-    "uplink-lost": _set("set-points do not arrive; the log goes on", "up", down=True),
-    "downlink-lost": _set("the log stops; set-points arrive", "down", down=True),
-    "packet-storm": FaultKind(
-        f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways",
-        "begin_storm",
-        {"share": BURST_LOSS, "seconds": BURST_LENGTH},
-    ),
-    "mocap-lost": _set("the cameras see nothing any more", "view", blind=True),
-    "mocap-frozen": _set("the same pose again and again, with new times", "view", frozen=True),
-    "mocap-stuck": _set("a marker left behind: the pose stays where it was", "view", stuck=True),
-    "marker-swap": FaultKind(
-        f"the pose jumps by {SWAP:g} m in a random direction", "swap_markers", {"distance": SWAP}
-    ),
-    "attitude-turned": _set("the pose shows the vehicle turned by half a turn", "view", turned=True),
-    "deck-blind": _set(
-        "the Lighthouse deck sees nothing any more: the onboard position is added up", "deck", blind=True
-    ),
-    "attitude-wrong": _set("the onboard roll and pitch have the wrong sign", "sensors", sign=-1.0),
-    "low-battery": _set(
-        f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it", "sensors", failing=True
-    ),
-    "reboot": FaultKind("the vehicle restarts: motors off, link lost", "reboot"),
+FAULTS = {  # what goes wrong; `World.begin` lets it
+    "link-lost": "no packet gets through, either way; cflib's driver gives up soon after",
+    "pilot-killed": f"the pilot's process is gone; what outlives it sends a stop {DEAD_MAN_DELAY:g} s later",
+    "uplink-lost": "set-points do not arrive; the log goes on",
+    "downlink-lost": "the log stops; set-points arrive",
+    "packet-storm": f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways",
+    "mocap-lost": "the cameras see nothing any more",
+    "mocap-frozen": "the same pose again and again, with new times",
+    "mocap-stuck": "a marker left behind: the pose stays where it was",
+    "marker-swap": f"the pose jumps by {SWAP:g} m in a random direction",
+    "attitude-turned": "the pose shows the vehicle turned by half a turn",
+    "deck-blind": "the Lighthouse deck sees nothing any more: the onboard position is added up",
+    "attitude-wrong": "the onboard roll and pitch have the wrong sign",
+    "low-battery": f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it",
+    "reboot": "the vehicle restarts: motors off, link lost",
 }
 
 

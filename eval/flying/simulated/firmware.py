@@ -130,15 +130,6 @@ class FirmwareSetpoint:
     time: float = -math.inf  # s, when it was received
 
 
-@dataclasses.dataclass
-class Parameters:
-    """Parameters that a client may set; the names are the firmware's, a dot for the first underscore."""
-
-    stabilizer_stop: int = 0  # not 0: emergency stop
-    supervisor_tmblChckEn: int = 1
-    deck_bcLighthouse4: int = 0  # 1 where the deck is there
-
-
 class Firmware:
     """Commander and supervisor. Times are seconds since the vehicle was switched on.
 
@@ -147,7 +138,8 @@ class Firmware:
 
     def __init__(self, said: Callable[[str], None] = lambda line: None):
         self.state = State.NOT_INITIALIZED
-        self.parameters = Parameters()
+        # What a client may set: not 0 is an emergency stop, tumbling is checked, the deck is there.
+        self.parameters = {"stabilizer.stop": 0, "supervisor.tmblChckEn": 1, "deck.bcLighthouse4": 0}
         self.setpoint = FirmwareSetpoint()
         self.thrust = 0.0  # that the motors have
         self.armed = self.crashed = self.emergency = self.tumbled = False
@@ -242,10 +234,10 @@ class Firmware:
         return SupervisorConditions(
             armed=self.armed,
             flying=time - self._last_thrust < FLYING_HYSTERESIS,
-            tumbled=self.tumbled and bool(self.parameters.supervisor_tmblChckEn),
+            tumbled=self.tumbled and bool(self.parameters["supervisor.tmblChckEn"]),
             late=age > WATCHDOG_LEVELS,
             too_late=age > WATCHDOG_STOPS,
-            emergency=self.emergency or silent or bool(self.parameters.stabilizer_stop),
+            emergency=self.emergency or silent or bool(self.parameters["stabilizer.stop"]),
             crashed=self.crashed,
             preflight_timeout=self.state is State.READY_TO_FLY and time - self._ready > PREFLIGHT_TIMEOUT,
             landing_timeout=time - self._landed > LANDING_TIMEOUT,

@@ -13,14 +13,19 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from inclined_landing.eval.flying.interfaces import MeasuredPose
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.crtp import Packet, Port, Services, port_of
-from inclined_landing.eval.flying.simulated.faults import FAULTS, Fault
+from inclined_landing.eval.flying.simulated.faults import (
+    BURST_LENGTH,
+    BURST_LOSS,
+    DEAD_MAN_DELAY,
+    SWAP,
+    Fault,
+)
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
 from inclined_landing.eval.flying.simulated.sensors import Lighthouse, OnboardSensors
 from inclined_landing.eval.flying.simulated.transport import (
@@ -136,7 +141,7 @@ class World:
 
     def _switch_on(self) -> None:
         self.firmware = Firmware(self._print)
-        self.firmware.parameters.deck_bcLighthouse4 = int(self.setting.lighthouse)
+        self.firmware.parameters["deck.bcLighthouse4"] = int(self.setting.lighthouse)
         self.services = Services(self.firmware, lambda time: self.sensors.values(time))
 
     def _print(self, line: str) -> None:
@@ -204,43 +209,48 @@ class World:
         """Begin a fault now, whatever event it was to wait for."""
         self.on_message(f"fault: {fault.name}")
         self.begun_faults.append((self.time, fault.name))
-        kind = FAULTS[fault.name]
-        getattr(self, kind.method)(**kind.arguments)
+        match fault.name:
+            case "link-lost":
+                self._lose_link()
+            case "pilot-killed":
+                self.up.down = self.down.down = True
+                self.schedule(self.time + DEAD_MAN_DELAY, lambda: self.firmware.stop_now())
+            case "uplink-lost":
+                self.up.down = True
+            case "downlink-lost":
+                self.down.down = True
+            case "packet-storm":
+                self._lose_packets(BURST_LOSS)
+                self.schedule(self.time + BURST_LENGTH, lambda: self._lose_packets(0.0))
+            case "mocap-lost":
+                self.view.blind = True
+            case "mocap-frozen":
+                self.view.frozen = True
+            case "mocap-stuck":
+                self.view.stuck = True
+            case "marker-swap":
+                direction = self.random.normal(size=3)
+                self.view.shift = SWAP * direction / math.sqrt(direction @ direction)
+            case "attitude-turned":
+                self.view.turned = True
+            case "deck-blind" if self.deck is not None:
+                self.deck.blind = True
+            case "attitude-wrong":
+                self.sensors.sign = -1.0
+            case "low-battery":
+                self.sensors.failing = True
+            case "reboot":
+                self._switch_on()
+                self._lose_link()
 
-    def change(self, part: str, **values: Any) -> None:
-        """Set attributes of a part of the world."""
-        for name, value in values.items():
-            setattr(getattr(self, part), name, value)
+    def _lose_packets(self, share: float) -> None:
+        self.up.storm = self.down.storm = share
 
-    def lose_link(self) -> None:
+    def _lose_link(self) -> None:
         """Let no packet through any more; report it as cflib's radio driver does without acknowledgements."""
         self.up.down = self.down.down = True
         end = self.time + self.up.link.attempts * self.up.link.again
         self.schedule(end, lambda: self.on_link_lost("Too many packets lost"))
-
-    def kill_pilot(self, delay: float) -> None:
-        """Let nothing of the pilot through any more but the stop that is sent `delay` [s] later."""
-        self.up.down = self.down.down = True
-        self.schedule(self.time + delay, lambda: self.firmware.stop_now())
-
-    def begin_storm(self, share: float, seconds: float) -> None:
-        """Lose a share of the packets, both ways, for so many seconds."""
-        self.up.storm = self.down.storm = share
-
-        def end() -> None:
-            self.up.storm = self.down.storm = 0.0
-
-        self.schedule(self.time + seconds, end)
-
-    def swap_markers(self, distance: float) -> None:
-        """Shift the pose by a distance [m] in a random direction."""
-        direction = self.random.normal(size=3)
-        self.view.shift = distance * direction / math.sqrt(direction @ direction)
-
-    def reboot(self) -> None:
-        """Restart the vehicle in flight."""
-        self._switch_on()
-        self.lose_link()
 
     # --- what happens by itself ------------------------------------------------------------------
 

@@ -39,7 +39,7 @@ class Case:
 
 
 def _of(name: str, limit: float, outside: float, why: str) -> Case:
-    return Case(name, FAULTS[name].what, limit, outside, why)
+    return Case(name, FAULTS[name], limit, outside, why)
 
 
 _BY_ITSELF = "the firmware: level after 0.5 s with the last thrust, off after 1 s without notice"
