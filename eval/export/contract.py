@@ -71,6 +71,7 @@ def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> 
 def describe(policy: Policy, network: ExportNetwork) -> dict:
     """Return the contract of a policy. Raises UserError where its task has its own mapping of actions."""
     task, space = policy.task, action_space(policy.task)
+    given = {COMMAND_NAMES[channel.column] for channel in task.channels}
     _check_channels(policy)
     return {
         "format": FORMAT,
@@ -104,7 +105,7 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
             for k, channel in enumerate(task.channels)
         ],
         "commands": [
-            {"name": name, "unit": unit, "given": name in _commanded_names(task)}
+            {"name": name, "unit": unit, "given": name in given}
             for name, unit in zip(COMMAND_NAMES, COMMAND_UNITS)
         ],
         "arena": {axis: list(getattr(task.vehicle, f"arena_{axis}")) for axis in "xyz"},
@@ -188,10 +189,6 @@ def _input(policy: Policy) -> dict:
             "before_start": {"observation": "the first one", "action": 0.0},
         },
     }
-
-
-def _commanded_names(task: Task) -> set[str]:
-    return {COMMAND_NAMES[channel.column] for channel in task.channels}
 
 
 def _check_channels(policy: Policy) -> None:

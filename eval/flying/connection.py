@@ -119,15 +119,10 @@ def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -
             raise UserError(f"not ready to fly: {reasons}")
         with contextlib.nullcontext() if dry else connection.dead_man_switch():
             if connection.confirms and not dry:
-                _confirm()
+                question = "The motors will start. Goggles on, nobody inside the nets? Type {} to fly: "
+                print(question.format(ARM_WORD), end="", flush=True)
+                if sys.stdin.readline().strip() != ARM_WORD:
+                    raise UserError(f"not armed: {ARM_WORD} was not typed")
             yield pilot
     finally:
         radio.close()
-
-
-def _confirm() -> None:
-    """Ask for the arming word. Raises UserError for anything else."""
-    question = f"The motors will start. Goggles on, nobody inside the nets? Type {ARM_WORD} to fly: "
-    print(question, end="", flush=True)
-    if sys.stdin.readline().strip() != ARM_WORD:
-        raise UserError(f"not armed: {ARM_WORD} was not typed")

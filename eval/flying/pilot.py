@@ -144,8 +144,11 @@ class Pilot:
         with contextlib.ExitStack() as stack:
             try:
                 if log is not None:
-                    self._log = stack.enter_context(FlightLogWriter(log, self.clock.now()))
-                    self._log_initial_values()
+                    now = self.clock.now()
+                    self._log = stack.enter_context(FlightLogWriter(log, now))
+                    self._log.voltage(now, self._voltage)  # the last ones before the log begins
+                    if self._estimator.attitude is not None:
+                        self._log_attitude(self._estimator.attitude)
                 with interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
                     self._began = self._phase_began = self.clock.now()
                     self.radio.arm()
@@ -360,13 +363,6 @@ class Pilot:
         with contextlib.suppress(Exception):
             self.report.seconds = self.clock.now() - self._began
             self._log_motors_off()
-
-    def _log_initial_values(self) -> None:
-        """Log the last voltage and attitude received before the log begins."""
-        assert self._log is not None
-        self._log.voltage(self.clock.now(), self._voltage)
-        if (attitude := self._estimator.attitude) is not None:
-            self._log_attitude(attitude)
 
     def _log_attitude(self, attitude: Attitude) -> None:
         seen = self._estimator.to_arena(attitude)

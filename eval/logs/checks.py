@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,12 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     findings = list(values.check(log))
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)
-        findings += [*motion.check(good), *_check_hover(good)]
+        findings += motion.check(good)
+        share = hover_command(good) / FULL_COMMAND
+        if share < LEAST_HOVER:
+            text = f"hovers at {100 * share:.0f} % of the full command, where Crazyflies need 50 to 90 %"
+            why = "is the unit right (newton taken for a fraction, say)?"
+            findings.append(limit("cmd_thrust_pwm", f"{text}: {why}"))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
 
@@ -74,14 +79,6 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
         text = f"hover thrust differs by {spread:.0f} % between flights ({groups}): one vehicle, one load?"
         return (limit("cmd_thrust_pwm", text),)
     return ()
-
-
-def _check_hover(log: FlightLog) -> Iterator[Finding]:
-    """Yield a finding where the vehicle hovers at a smaller share of the full command than Crazyflies do."""
-    share = hover_command(log) / FULL_COMMAND
-    if share < LEAST_HOVER:
-        text = f"hovers at {100 * share:.0f} % of the full command, where Crazyflies need 50 to 90 %"
-        yield limit("cmd_thrust_pwm", f"{text}: is the unit right (newton taken for a fraction, say)?")
 
 
 def _list_names(names: list[str]) -> str:

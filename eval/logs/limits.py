@@ -69,7 +69,12 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
                     # What spreadsheets save as "Unicode text".
                     part = (part + file.read(LARGEST // 2)).decode("utf-16").encode()
                 text = part.rstrip(b"\0")
-                _check_text(path, text, after_zeros=zeros > 0)
+                if b"\0" in text or (text and zeros):
+                    raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
+                if len(text) >= LONGEST_LINE and b"\n" not in text and b"\r" not in text:
+                    raise UserError(
+                        f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)"
+                    )
                 zeros += len(part) - len(text)
                 if not table.tell() and not text:
                     raise UserError(f"{path}: holds nothing but zero bytes: nothing was written to it")
@@ -113,10 +118,3 @@ def _open_unpacked(path: Path) -> io.BufferedIOBase | IO[bytes]:
         if start.startswith(magic):
             return opener(path, "rb")
     return path.open("rb")
-
-
-def _check_text(path: Path, text: bytes, after_zeros: bool) -> None:
-    if b"\0" in text or (text and after_zeros):
-        raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
-    if len(text) >= LONGEST_LINE and b"\n" not in text and b"\r" not in text:
-        raise UserError(f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)")

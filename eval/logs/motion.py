@@ -243,7 +243,8 @@ def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:
     spread = np.concatenate([p.force for p in parts]).std()
     if spread < 0.3:
         return
-    if correlation < 0.8 and _height_is_inverted(parts):
+    pwm, lift = [p.pwm for p in parts], [p.vertical_acceleration for p in parts]
+    if correlation < 0.8 and _best_lag([-p for p in pwm], lift)[1] > 0.7 and _best_lag(pwm, lift)[1] < 0.3:
         yield refuse(
             "z", "height falls when thrust is commanded: z must point up (and cmd_thrust_pwm mean thrust)"
         )
@@ -254,12 +255,6 @@ def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:
         )
     else:
         yield from _check_delay("thrust", "cmd_thrust_pwm", lag, correlation)
-
-
-def _height_is_inverted(parts: list[Motion]) -> bool:
-    """Return whether the vertical acceleration is opposite to the thrust command."""
-    pwm, lift = [p.pwm for p in parts], [p.vertical_acceleration for p in parts]
-    return _best_lag([-p for p in pwm], lift)[1] > 0.7 and _best_lag(pwm, lift)[1] < 0.3
 
 
 def _check_attitude(parts: list[Motion]) -> Iterator[Finding]:

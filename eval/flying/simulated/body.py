@@ -74,29 +74,13 @@ class Body:
         state[0, :2], state[0, 2], state[0, YAW] = start, self.plant.foot_height - _SETTLING, heading
         self.plant.reset([0], state)
         self._command = np.zeros((1, 4))
-        self._before = self._now = self.plant.state[0].copy()
+        self.command = self._command[0]  # of the last step: PWM, roll, pitch [rad], yaw rate [rad/s]
+        self.state = self._before = self.plant.state[0].copy()  # (13,) at `time`
         self._shown = self.plant.measurement[0].copy()
         self._shown_before = self._shown
-        self._felt = np.array([0.0, 0.0, 1.0])
+        # (3,) g: all forces but gravity in the body frame, mean over the last step; 1 up at rest, 0 in a fall
+        self.specific_force = np.array([0.0, 0.0, 1.0])
         self.voltage_drop = 0.0  # V by which the battery is emptier than the vehicle file says
-
-    @property
-    def state(self) -> np.ndarray:
-        """State (13,) at `time`, columns of `models.attitude`."""
-        return self._now
-
-    @property
-    def command(self) -> np.ndarray:
-        """Command (4,) of the last step: PWM, roll, pitch [rad], yaw rate [rad/s]."""
-        return self._command[0]
-
-    @property
-    def specific_force(self) -> np.ndarray:
-        """Specific force (3,) that an accelerometer shows in the body frame [g], mean over the last step.
-
-        Of all forces but gravity: 1 up at rest, 0 in free fall.
-        """
-        return self._felt
 
     @property
     def touching(self) -> np.ndarray:
@@ -108,16 +92,18 @@ class Body:
         self._command[0] = plant_command(setpoint)
         self.plant.step(self._command)
         self.time += self.step_length
-        self._before, self._now = self._now, self.plant.state[0].copy()
+        self._before, self.state = self.state, self.plant.state[0].copy()
         self._shown_before, self._shown = self._shown, self.plant.measurement[0].copy()
         # f = R' (dv/dt + g e_z) / g, in the body frame
-        change = (self._now[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
+        change = (self.state[VX : VX + 3] - self._before[VX : VX + 3]) / self.step_length
         change[2] += self.vehicle.environment_gravity
-        self._felt = rotation(*self._now[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
+        self.specific_force = (
+            rotation(*self.state[ROLL : YAW + 1]).T @ change / self.vehicle.environment_gravity
+        )
 
     def state_at(self, time: float) -> np.ndarray:
         """Return the state (13,) at a time within the last step."""
-        return _between(self._before, self._now, (time - self.time) / self.step_length + 1.0)
+        return _between(self._before, self.state, (time - self.time) / self.step_length + 1.0)
 
     def pose_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Return position (3,) [m] and quaternion (4,) that cameras see at a time within the last step."""
@@ -136,7 +122,7 @@ class Body:
     @property
     def voltage(self) -> float:
         """Battery voltage under the present load [V]."""
-        return forces.battery_voltage(self._now[LAG], self.time, self._constants) - self.voltage_drop
+        return forces.battery_voltage(self.state[LAG], self.time, self._constants) - self.voltage_drop
 
 
 def named_vehicle(name: str) -> Vehicle:

@@ -194,7 +194,7 @@ class Firmware:
 
     @property
     def info(self) -> int:
-        """Status bits of the supervisor, as `supervisor.info` and cflib's `Supervisor` have them."""
+        """Status bits of the supervisor, as the log variable `supervisor.info` has them."""
         bits = (
             *(self.state is State.CHECKS_PASSED, self.armed, True, self.state in _CAN_FLY),
             *(self.state in (State.FLYING, State.LEVEL_OUT), self.tumbled),

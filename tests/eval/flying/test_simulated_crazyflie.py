@@ -134,7 +134,7 @@ def placed(inclination=None, **columns):
     for name, value in columns.items():
         state[0, getattr(attitude, name)] = value
     body.plant.reset([0], state)
-    body._now = body.plant.state[0].copy()
+    body.state = body.plant.state[0].copy()
     return body
 
 
