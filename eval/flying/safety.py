@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -75,13 +75,74 @@ class FlightStatus:
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """A condition that ends a flight early."""
+    """What ends a flight early; `SafetyMonitor.conditions` says when, but for what the pilot itself meets."""
 
     name: str
     when: str
     reaction: Reaction
-    holds: Callable[[SafetyMonitor, FlightStatus], bool] | None = None  # None: the pilot itself meets it
     lasting: float = 0.0  # s that it must last
+
+
+_OFF, _LAND = Reaction.OFF, Reaction.LAND
+INTERRUPTED = Cause("interrupted", "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed", _OFF)
+ERROR = Cause("error", "any exception, also while printing or writing the log", _OFF)
+HANG = Cause("hang", f"the control loop gives no sign for {HANG_LIMIT:g} s", _OFF)
+BAD_SETPOINT = Cause("bad set-point action", "the set-point policy gives NaN or infinity", _OFF)
+BAD_ACTION = Cause("bad action", "the landing policy gives NaN or infinity", _LAND)
+CAUSES = (  # in the order in which they are asked
+    *(INTERRUPTED, ERROR, HANG, BAD_SETPOINT, BAD_ACTION),
+    Cause("link lost", "cflib reports the connection lost", _OFF),
+    Cause("no attitude", f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s", _OFF),
+    Cause("no position", f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped", _OFF),
+    Cause("bad state", "position, velocity or attitude is NaN or infinite", _OFF),
+    Cause("supervisor", "the vehicle says that it is tumbled, locked or crashed", _OFF),
+    Cause("tilt", f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg", _OFF),
+    Cause(
+        "disagreement",
+        f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
+        f"{DISAGREEMENT_TIME:g} s",
+        _OFF,
+        DISAGREEMENT_TIME,
+    ),
+    Cause(
+        "wrong position",
+        f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
+        _OFF,
+    ),
+    Cause("outside", "outside the arena", _OFF),
+    Cause(
+        "no room",
+        "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
+        _OFF,
+    ),
+    Cause(
+        "touched",
+        "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
+        _OFF,
+    ),
+    Cause("retreat takes too long", f"not down {RETREAT_LIMIT:g} s after it began", _OFF),
+    Cause(
+        "fence",
+        "closer to a wall or the ceiling than the distance it needs to stop, plus "
+        f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
+        _LAND,
+    ),
+    Cause(
+        "poor link",
+        f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
+        _LAND,
+    ),
+    Cause("speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND),
+    Cause(
+        "heading",
+        f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
+        _LAND,
+    ),
+    Cause("astray", f"more than {ASTRAY_LIMIT:g} m off a planned flight", _LAND),
+    Cause("battery", f"below {LOWEST_VOLTAGE:g} V for {BATTERY_TIME:g} s", _LAND, BATTERY_TIME),
+    Cause("approach takes too long", f"the start is not reached after {APPROACH_LIMIT:g} s", _LAND),
+    Cause("landing takes too long", "longer than an episode of the task (6 s)", _LAND),
+)
 
 
 class SafetyMonitor:
@@ -99,24 +160,46 @@ class SafetyMonitor:
     def cause(self, now: FlightStatus) -> Cause | None:
         """Return the first cause that holds; in a retreat only those that switch the motors off."""
         self._listen(now.estimate)
-        for cause in CAUSES:
-            if cause.holds is None or not self._lasts(cause, cause.holds(self, now), now.estimate.time):
+        named = {cause.name: cause for cause in CAUSES}
+        for name, holds in self.conditions(now):
+            cause = named[name]
+            if not self._lasts(cause, holds, now.estimate.time):
                 continue
             if cause.reaction is Reaction.LAND and now.phase is Phase.RETREAT:
                 continue
             return cause
         return None
 
+    def conditions(self, now: FlightStatus) -> Iterator[tuple[str, bool]]:
+        """Yield the causes that are checked, in the order of CAUSES, and whether they are met now."""
+        e, strict = now.estimate, now.phase in (Phase.LANDING, Phase.PLAN)
+        yield "link lost", not now.linked
+        yield "no attitude", e.attitude_age > ATTITUDE_LIMIT
+        yield "no position", e.pose_age > POSE_LIMIT
+        yield "bad state", not np.isfinite(e.state).all()
+        yield "supervisor", now.locked
+        yield "tilt", e.tilt > TILT_LIMIT
+        yield "disagreement", e.attitude_mismatch > DISAGREEMENT_LIMIT
+        yield "wrong position", now.velocity_mismatch > MISMATCH_LIMIT
+        position = e.state[X : Z + 1]
+        yield "outside", bool((position < self._low).any() or (position > self._high).any())
+        yield "no room", self._cannot_stop(now)
+        yield "touched", strict and now.resting_time >= RESTING_LIMIT
+        yield "retreat takes too long", now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT
+        yield "fence", self._is_beyond_fence(now)
+        yield "poor link", strict and e.attitude_age > SILENCE_LIMIT
+        yield "speed", e.speed > SPEED_LIMIT
+        yield "heading", strict and abs(now.heading_error) > HEADING_LIMIT
+        yield "astray", now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT
+        yield "battery", now.voltage < LOWEST_VOLTAGE
+        yield "approach takes too long", now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT
+        yield "landing takes too long", now.phase is Phase.LANDING and now.since > now.landing_limit
+
     def _lasts(self, cause: Cause, holds: bool, time: float) -> bool:
         if not holds:
             self._began.pop(cause.name, None)
             return False
         return time - self._began.setdefault(cause.name, time) >= cause.lasting
-
-    def is_outside(self, now: FlightStatus) -> bool:
-        """Return whether the vehicle is outside the arena."""
-        position = now.estimate.state[X : Z + 1]
-        return bool((position < self._low).any() or (position > self._high).any())
 
     def _listen(self, estimate: StateEstimate) -> None:
         """Track for how long the link is silent: the longest silence, forgotten in SILENCE_MEMORY."""
@@ -133,138 +216,15 @@ class SafetyMonitor:
         position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]
         return position + velocity * t + 0.5 * e.acceleration * t**2, velocity + e.acceleration * t
 
-    def is_beyond_fence(self, now: FlightStatus) -> bool:
+    def _is_beyond_fence(self, now: FlightStatus) -> bool:
         """Return whether the vehicle has less room than it needs to brake, and the margin."""
         position, velocity = self._next_command(now)
         if not now.airborne:
             velocity[2] = max(0.0, velocity[2])  # on what it stands
         return bool(beyond_fence(position, velocity, self.vehicle))
 
-    def cannot_stop(self, now: FlightStatus) -> bool:
+    def _cannot_stop(self, now: FlightStatus) -> bool:
         """Return whether a wall or the ceiling is nearer than the shortest way to stop."""
         position, velocity = self._next_command(now)
         velocity[2] = max(0.0, velocity[2])  # the floor is inside
         return now.airborne and bool(beyond_fence(position, velocity, self.vehicle, 0.0, 1.0))
-
-
-_OFF, _LAND = Reaction.OFF, Reaction.LAND
-_STRICT = (Phase.LANDING, Phase.PLAN)
-INTERRUPTED = Cause("interrupted", "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed", _OFF)
-ERROR = Cause("error", "any exception, also while printing or writing the log", _OFF)
-HANG = Cause("hang", f"the control loop gives no sign for {HANG_LIMIT:g} s", _OFF)
-BAD_SETPOINT = Cause("bad set-point action", "the set-point policy gives NaN or infinity", _OFF)
-BAD_ACTION = Cause("bad action", "the landing policy gives NaN or infinity", _LAND)
-CAUSES = (  # in the order in which they are asked
-    *(INTERRUPTED, ERROR, HANG, BAD_SETPOINT, BAD_ACTION),
-    Cause("link lost", "cflib reports the connection lost", _OFF, lambda _, now: not now.linked),
-    Cause(
-        "no attitude",
-        f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s",
-        _OFF,
-        lambda _, now: now.estimate.attitude_age > ATTITUDE_LIMIT,
-    ),
-    Cause(
-        "no position",
-        f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped",
-        _OFF,
-        lambda _, now: now.estimate.pose_age > POSE_LIMIT,
-    ),
-    Cause(
-        "bad state",
-        "position, velocity or attitude is NaN or infinite",
-        _OFF,
-        lambda _, now: not np.isfinite(now.estimate.state).all(),
-    ),
-    Cause(
-        "supervisor",
-        "the vehicle says that it is tumbled, locked or crashed",
-        _OFF,
-        lambda _, now: now.locked,
-    ),
-    Cause(
-        "tilt",
-        f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg",
-        _OFF,
-        lambda _, now: now.estimate.tilt > TILT_LIMIT,
-    ),
-    Cause(
-        "disagreement",
-        f"log and motion capture show attitudes {math.degrees(DISAGREEMENT_LIMIT):.0f} deg apart for "
-        f"{DISAGREEMENT_TIME:g} s",
-        _OFF,
-        lambda _, now: now.estimate.attitude_mismatch > DISAGREEMENT_LIMIT,
-        DISAGREEMENT_TIME,
-    ),
-    Cause(
-        "wrong position",
-        f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
-        _OFF,
-        lambda _, now: now.velocity_mismatch > MISMATCH_LIMIT,
-    ),
-    Cause("outside", "outside the arena", _OFF, SafetyMonitor.is_outside),
-    Cause(
-        "no room",
-        "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
-        _OFF,
-        SafetyMonitor.cannot_stop,
-    ),
-    Cause(
-        "touched",
-        "touches the platform or the floor in the landing or a planned flight and stays there for 0.5 s",
-        _OFF,
-        lambda _, now: now.phase in _STRICT and now.resting_time >= RESTING_LIMIT,
-    ),
-    Cause(
-        "retreat takes too long",
-        f"not down {RETREAT_LIMIT:g} s after it began",
-        _OFF,
-        lambda _, now: now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT,
-    ),
-    Cause(
-        "fence",
-        "closer to a wall or the ceiling than the distance it needs to stop, plus "
-        f"{100 * BOUND_MARGIN:g} cm; the same for the floor, from {FLOOR:g} m up",
-        _LAND,
-        SafetyMonitor.is_beyond_fence,
-    ),
-    Cause(
-        "poor link",
-        f"no attitude from the vehicle for {SILENCE_LIMIT:g} s in the landing or a planned flight",
-        _LAND,
-        lambda _, now: now.phase in _STRICT and now.estimate.attitude_age > SILENCE_LIMIT,
-    ),
-    Cause(
-        "speed", f"faster than {SPEED_LIMIT:g} m/s", _LAND, lambda _, now: now.estimate.speed > SPEED_LIMIT
-    ),
-    Cause(
-        "heading",
-        f"{math.degrees(HEADING_LIMIT):.0f} deg off the heading held, in the landing or a planned flight",
-        _LAND,
-        lambda _, now: now.phase in _STRICT and abs(now.heading_error) > HEADING_LIMIT,
-    ),
-    Cause(
-        "astray",
-        f"more than {ASTRAY_LIMIT:g} m off a planned flight",
-        _LAND,
-        lambda _, now: now.phase is Phase.PLAN and now.astray > ASTRAY_LIMIT,
-    ),
-    Cause(
-        "battery",
-        f"below {LOWEST_VOLTAGE:g} V for {BATTERY_TIME:g} s",
-        _LAND,
-        lambda _, now: now.voltage < LOWEST_VOLTAGE,
-        BATTERY_TIME,
-    ),
-    Cause(
-        "approach takes too long",
-        f"the start is not reached after {APPROACH_LIMIT:g} s",
-        _LAND,
-        lambda _, now: now.phase is Phase.APPROACH and now.since > APPROACH_LIMIT,
-    ),
-    Cause(
-        "landing takes too long",
-        "longer than an episode of the task (6 s)",
-        _LAND,
-        lambda _, now: now.phase is Phase.LANDING and now.since > now.landing_limit,
-    ),
-)

@@ -26,30 +26,11 @@ from tests.campaign.inputs import place
 from tests.eval.test_answers import LONG, QUICK
 
 LINES = {line.split()[0]: line for line in [*LONG, *QUICK] if "/20/" not in line and "/run" not in line}
-LINES |= {
-    "gap": "gap {place}/log.csv --out {place}/out",
-    "identify": "identify {place}/log.csv --out {place}/out",
-}
-LINES |= {
-    "curves": "curves {place} --out {place}/out.png",
-    "replay": "replay {place}/log.csv --out {place}/a",
-    "view": "view landing",
-}
-NUMBERS = (
-    "nan",
-    "inf",
-    "-inf",
-    "1e300",
-    "9" * 400,
-    "heavy",
-    "",
-    "１２",
-    "1,2",
-    "0x10",
-    "1j",
-    "None!",
-    "\x1b[31m\n",
-)
+LINES |= {name: f"{name} {{place}}/log.csv --out {{place}}/out" for name in ("gap", "identify")}
+LINES |= {"curves": "curves {place} --out {place}/out.png", "view": "view landing"}
+LINES |= {"replay": "replay {place}/log.csv --out {place}/a"}
+NUMBERS = ("nan", "inf", "-inf", "1e300", "9" * 400, "heavy", "", "１２", "1,2", "0x10", "1j", "None!",
+           "\x1b[31m\n")  # fmt: skip
 NAMES = ("a$b$c", "$\\frac{$", "{{7*7}}", "{0}", "%s%n", "new\nline", "quote\"'", "a b\t", "-x", "~", "🚁",
          "<script>alert(1)", "[bold]b[red]", "\x1b[31mred", "\u202eltr", os.fsdecode(b"\xff\xfe"),
          "x" * 200)  # fmt: skip
@@ -72,14 +53,12 @@ def options(name: str) -> dict[str, bool]:
             found |= typing.get_type_hints(plain, include_extras=True)
         elif parameter.kind != inspect.Parameter.POSITIONAL_ONLY and "Suppress" not in repr(kind):
             found[key] = kind
-    kinds = {key: str(kind) for key, kind in found.items() if "Positional" not in str(kind)}
-    kinds = {key: kind for key, kind in kinds.items() if "bool" not in kind and "Suppress" not in kind}
-    names = {"start_from": "from"}
+    found = {key: str(kind) for key, kind in found.items()}
+    plain = {"start_from": "from"}
     return {
-        names.get(key, key).replace("_", "-"): "str" not in kind
-        and "Path" not in kind
-        and "Literal" not in kind
-        for key, kind in kinds.items()
+        plain.get(key, key).replace("_", "-"): not any(word in kind for word in ("str", "Path", "Literal"))
+        for key, kind in found.items()
+        if not any(word in kind for word in ("Positional", "bool", "Suppress"))
     }
 
 
@@ -110,16 +89,9 @@ def refused(name: str, option: str, value: str) -> None:
 
 def of(keep) -> st.SearchStrategy[tuple[str, str]]:
     """Draw a command and one of its options."""
-    return st.deferred(
-        lambda: st.sampled_from(
-            [
-                (name, o)
-                for name in (*cli.COMMANDS, "train")
-                for o, number in options(name).items()
-                if keep(o, number)
-            ]
-        )
-    )
+    names = (*cli.COMMANDS, "train")
+    drawn = lambda: [(name, o) for name in names for o, number in options(name).items() if keep(o, number)]  # noqa: E731
+    return st.deferred(lambda: st.sampled_from(drawn()))
 
 
 KINDS = {

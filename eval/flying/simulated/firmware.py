@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 # commander, crtp_commander_rpyt.c
 LEAST_THRUST, MOST_THRUST = 1000, 60000
@@ -55,68 +55,6 @@ class State(enum.IntEnum):
 # The supervisor lets set-points through.
 _CAN_FLY = {State.READY_TO_FLY, State.FLYING, State.LEVEL_OUT, State.LANDED}
 _ARMED = _CAN_FLY | {State.ARMING}
-
-
-@dataclasses.dataclass(frozen=True)
-class SupervisorConditions:
-    """The conditions of the supervisor's state transitions."""
-
-    armed: bool
-    flying: bool
-    tumbled: bool
-    late: bool  # no set-point for WATCHDOG_LEVELS
-    too_late: bool  # for WATCHDOG_STOPS
-    emergency: bool
-    crashed: bool
-    preflight_timeout: bool
-    landing_timeout: bool
-
-
-# From each state the first transition whose condition holds is taken, one per period.
-_TRANSITIONS: dict[State, tuple[tuple[State, Callable[[SupervisorConditions], bool]], ...]] = {
-    State.NOT_INITIALIZED: ((State.CHECKS_NOT_PASSED, lambda c: True),),
-    State.CHECKS_NOT_PASSED: (
-        (State.FREE_FALL, lambda c: c.emergency),
-        (State.CHECKS_PASSED, lambda c: not c.tumbled),
-    ),
-    State.CHECKS_PASSED: (
-        (State.FREE_FALL, lambda c: c.emergency),
-        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled),
-        (State.ARMING, lambda c: c.armed),
-    ),
-    State.ARMING: (
-        (State.FREE_FALL, lambda c: c.emergency),
-        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled or not c.armed),
-        (State.READY_TO_FLY, lambda c: True),  # brushed motors tell no speed that could be awaited
-    ),
-    State.READY_TO_FLY: (
-        (State.FREE_FALL, lambda c: c.emergency),
-        (State.CHECKS_NOT_PASSED, lambda c: c.tumbled or c.preflight_timeout or not c.armed),
-        (State.FLYING, lambda c: c.flying),
-    ),
-    State.FLYING: (
-        (State.FREE_FALL, lambda c: c.too_late or c.emergency),
-        (State.CRASHED, lambda c: c.tumbled),
-        (State.RESET, lambda c: not c.armed),
-        (State.LEVEL_OUT, lambda c: c.late),
-        (State.LANDED, lambda c: not c.flying),
-    ),
-    State.LANDED: (
-        (State.RESET, lambda c: c.landing_timeout or not c.armed),
-        (State.FLYING, lambda c: c.flying),
-    ),
-    State.RESET: ((State.CHECKS_NOT_PASSED, lambda c: True),),
-    State.LEVEL_OUT: (
-        (State.FREE_FALL, lambda c: c.too_late or c.tumbled or c.emergency),
-        (State.FLYING, lambda c: not (c.late or c.too_late)),
-    ),
-    State.FREE_FALL: ((State.LOCKED, lambda c: True),),
-    State.LOCKED: (),
-    State.CRASHED: (
-        (State.CHECKS_NOT_PASSED, lambda c: not (c.crashed or c.tumbled)),
-        (State.LOCKED, lambda c: c.emergency),
-    ),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,7 +150,7 @@ class Firmware:
             self._last_thrust = time
         if time - self._last_supervision >= PERIOD - 1e-9:
             self._last_supervision = time
-            self._supervise(self._conditions(time, setpoint, up, norm), time)
+            self._supervise(time, time - setpoint.time, up, norm)
         if self.state is State.LEVEL_OUT:
             setpoint = FirmwareSetpoint(setpoint.thrust, time=setpoint.time)
         elif self.state not in _ARMED:
@@ -225,23 +163,51 @@ class Firmware:
             setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time
         )
 
-    def _conditions(
-        self, time: float, setpoint: FirmwareSetpoint, up: float, norm: float
-    ) -> SupervisorConditions:
-        age = time - setpoint.time
+    def _transitions(self, time: float, age: float, tumbled: bool) -> Iterator[tuple[State, bool]]:
+        """Yield the transitions from the present state in their order, and whether their conditions hold.
+
+        age [s]: of the set-point. One is taken per period, the first that holds.
+        """
+        late, too_late = age > WATCHDOG_LEVELS, age > WATCHDOG_STOPS
         silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG
-        self.tumbled = self._is_tumbled(time, up, norm)
-        return SupervisorConditions(
-            armed=self.armed,
-            flying=time - self._last_thrust < FLYING_HYSTERESIS,
-            tumbled=self.tumbled and bool(self.parameters["supervisor.tmblChckEn"]),
-            late=age > WATCHDOG_LEVELS,
-            too_late=age > WATCHDOG_STOPS,
-            emergency=self.emergency or silent or bool(self.parameters["stabilizer.stop"]),
-            crashed=self.crashed,
-            preflight_timeout=self.state is State.READY_TO_FLY and time - self._ready > PREFLIGHT_TIMEOUT,
-            landing_timeout=time - self._landed > LANDING_TIMEOUT,
-        )
+        emergency = self.emergency or silent or bool(self.parameters["stabilizer.stop"])
+        flying = time - self._last_thrust < FLYING_HYSTERESIS
+        match self.state:
+            case State.NOT_INITIALIZED | State.RESET:
+                yield State.CHECKS_NOT_PASSED, True
+            case State.CHECKS_NOT_PASSED:
+                yield State.FREE_FALL, emergency
+                yield State.CHECKS_PASSED, not tumbled
+            case State.CHECKS_PASSED:
+                yield State.FREE_FALL, emergency
+                yield State.CHECKS_NOT_PASSED, tumbled
+                yield State.ARMING, self.armed
+            case State.ARMING:
+                yield State.FREE_FALL, emergency
+                yield State.CHECKS_NOT_PASSED, tumbled or not self.armed
+                yield State.READY_TO_FLY, True  # brushed motors tell no speed that could be awaited
+            case State.READY_TO_FLY:
+                yield State.FREE_FALL, emergency
+                timeout = time - self._ready > PREFLIGHT_TIMEOUT
+                yield State.CHECKS_NOT_PASSED, tumbled or timeout or not self.armed
+                yield State.FLYING, flying
+            case State.FLYING:
+                yield State.FREE_FALL, too_late or emergency
+                yield State.CRASHED, tumbled
+                yield State.RESET, not self.armed
+                yield State.LEVEL_OUT, late
+                yield State.LANDED, not flying
+            case State.LANDED:
+                yield State.RESET, time - self._landed > LANDING_TIMEOUT or not self.armed
+                yield State.FLYING, flying
+            case State.LEVEL_OUT:
+                yield State.FREE_FALL, too_late or tumbled or emergency
+                yield State.FLYING, not (late or too_late)
+            case State.FREE_FALL:
+                yield State.LOCKED, True
+            case State.CRASHED:
+                yield State.CHECKS_NOT_PASSED, not (self.crashed or tumbled)
+                yield State.LOCKED, emergency
 
     def _is_tumbled(self, time: float, up: float, norm: float) -> bool:
         if norm < FREE_FALL:
@@ -254,8 +220,10 @@ class Firmware:
         lasted = time - self._tilted_since
         return lasted > TILTED_TIME or (up < UPSIDE_DOWN and lasted > UPSIDE_DOWN_TIME)
 
-    def _supervise(self, conditions: SupervisorConditions, time: float) -> None:
-        new = next((to for to, holds in _TRANSITIONS[self.state] if holds(conditions)), self.state)
+    def _supervise(self, time: float, age: float, up: float, norm: float) -> None:
+        self.tumbled = self._is_tumbled(time, up, norm)
+        tumbled = self.tumbled and bool(self.parameters["supervisor.tmblChckEn"])
+        new = next((to for to, holds in self._transitions(time, age, tumbled) if holds), self.state)
         if new is self.state:
             return
         self.state = new
