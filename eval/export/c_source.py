@@ -11,9 +11,8 @@ import numpy as np
 from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import render
-from inclined_landing.eval.export.vectors import TOLERANCE, Vectors
+from inclined_landing.eval.export.vectors import Vectors
 from inclined_landing.models import storage
-from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS
 from inclined_landing.models.errors import UserError, shown
 
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
@@ -61,49 +60,34 @@ def reason_without_app(contract: dict) -> str | None:
 
 
 def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -> dict:
-    history, o = contract["input"]["history"]["steps"], len(contract["observation"])
+    history, o, a = contract["input"]["history"]["steps"], len(contract["observation"]), network.sizes[-1]
     widest = max(network.inputs, *network.sizes)
-    stack = 4 * (2 * widest + (network.inputs + network.sizes[-1]) * (history > 0))
-    stack += 4 * (1 + (network.inputs - o) * (history > 0) + network.sizes[-1])  # of the self test
+    stack = 4 * (2 * widest + (network.inputs + a) * (history > 0))
+    stack += 4 * (1 + (network.inputs - o) * (history > 0) + a)  # of the self test
+    task, period = contract["task"], 1e3 * contract["control_period"]
+    goal, half = task["goal"], task["goal_half_widths"]
+    if goal is None or half is None or not task["motors_cut_at_goal"]:
+        goal = {}
     return {
-        "about": f"Policy {_comment_text(contract['policy']['name'])} of the task "
-        f"{contract['task']['name']}, exported by inclined-landing "
-        f"{contract['versions']['inclined-landing']}.",
-        "name": contract["policy"]["name"],
-        "task": contract["task"],
-        "licence": contract["licence"]["spdx"],
-        "sha256": contract["policy"]["sha256"],
+        **contract,
+        "about": f"Policy {_comment_text(contract['policy']['name'])} of the task {task['name']}, exported "
+        f"by inclined-landing {contract['versions']['inclined-landing']}.",
+        "network": network,
+        "number": number,
         "stack": stack,
         "stack_words": _APP_STACK + stack // 4,
-        "constants": 4 * network.numbers,
-        "observations": o,
         "observation_names": [_comment_text(entry["name"]) for entry in contract["observation"]],
-        "actions": network.sizes[-1],
-        "action_names": [entry["name"] for entry in contract["action"]],
-        "history": history,
-        "inputs": network.inputs,
-        "period": number(contract["control_period"]),
-        "period_ms": round(1e3 * contract["control_period"]),
-        "tolerance": number(TOLERANCE),
-        "task_period_ms": f"{1e3 * contract['control_period']:g}",
+        "period_ms": round(period),
+        "task_period_ms": f"{period:g}",
         "absent": [entry["name"].replace("_", " ") for entry in contract["commands"] if not entry["given"]],
-        "commands": list(zip(COMMAND_NAMES, COMMAND_UNITS)),
-        "given": [entry["column"] for entry in contract["action"]],
         "widest": widest,
         "blocks": _blocks(network),
-        "sizes": network.sizes,
         "limit": number(0.0 if math.isinf(network.limit) else network.limit),
         "bound": number(0.0 if math.isinf(network.bound) else network.bound),
-        "activation": network.activation,
-        "squashed": network.squashed,
-        "channels": [_channel(entry) for entry in contract["action"]],
         "vectors": len(vectors.observations),
         "vector_observations": _format_rows(vectors.observations),
         "vector_actions": _format_rows(vectors.actions),
-        "arena": [(axis, number(low), number(high)) for axis, (low, high) in contract["arena"].items()],
-        "goal": _goal(contract["task"]),
-        "observed": [entry["name"] for entry in contract["observation"]],
-        "cost": contract["cost"],
+        "goal": [(name, goal[name], half[name]) for name in goal],  # in which motors are cut
     }
 
 
@@ -115,20 +99,6 @@ def _blocks(network: ExportNetwork) -> list[tuple[str, str]]:
         blocks.append((f"layer {k}, {outputs} outputs: biases", bias))
         blocks.append((f"layer {k}, {inputs} inputs: weights, one row for each input", weight.ravel()))
     return [(comment, _format_numbers(numbers)) for comment, numbers in blocks]
-
-
-def _channel(entry: dict) -> dict:
-    names = ("centre", "span", "low", "high", "idle")
-    numbers = {name: None if entry[name] is None else number(entry[name]) for name in names}
-    return {"field": COMMAND_NAMES[entry["column"]], **numbers}
-
-
-def _goal(task: dict) -> list[tuple[str, str, str]] | None:
-    """Return fields, centres and half widths of the goal box in which motors are cut; None without one."""
-    goal, half = task["goal"], task["goal_half_widths"]
-    if goal is None or half is None or not task["motors_cut_at_goal"]:
-        return None
-    return [(name, number(goal[name]), number(half[name])) for name in goal]
 
 
 def _comment_text(name: str) -> str:
