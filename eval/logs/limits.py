@@ -60,43 +60,36 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
 
     Raises UserError for what is no text, for lines or files beyond the limits, and for damaged packed files.
     """
-    table, rows, zeros = io.BytesIO(), 0, 0
-    decoder, encoding = codecs.getincrementaldecoder("utf-8")(), "utf-8"
     try:
         with _open_unpacked(path) as file:
-            while part := file.read(LONGEST_LINE):
-                if table.tell() == 0 and part.startswith((b"\xff\xfe", b"\xfe\xff")):
-                    # What spreadsheets save as "Unicode text".
-                    part = (part + file.read(LARGEST // 2)).decode("utf-16").encode()
-                text = part.rstrip(b"\0")
-                if b"\0" in text or (text and zeros):
-                    raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
-                if len(text) >= LONGEST_LINE and b"\n" not in text and b"\r" not in text:
-                    raise UserError(
-                        f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)"
-                    )
-                zeros += len(part) - len(text)
-                if not table.tell() and not text:
-                    raise UserError(f"{path}: holds nothing but zero bytes: nothing was written to it")
-                rows += text.count(b"\n")
-                if table.tell() + zeros + len(text) > LARGEST or rows > MOST_ROWS:
-                    raise UserError(
-                        f"{path}: more than {LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows; cut the flight out"
-                    )
-                try:
-                    decoder.decode(text, final=len(part) < LONGEST_LINE)
-                except UnicodeDecodeError:
-                    if 2 * len(text.translate(None, _PLAIN)) > len(text):
-                        raise
-                    encoding = "latin-1"
-                table.write(text)
+            data = file.read(LARGEST + 1)
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):  # what spreadsheets save as "Unicode text"
+            data = data.decode("utf-16").encode()
+        data, size = data.rstrip(b"\0"), len(data)
+        if size and not data:
+            raise UserError(f"{path}: holds nothing but zero bytes: nothing was written to it")
+        if size > LARGEST or data.count(b"\n") > MOST_ROWS:
+            most = f"{LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows"
+            raise UserError(f"{path}: more than {most}; cut the flight out")
+        if b"\0" in data:
+            raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
+        parts = (data[k : k + LONGEST_LINE] for k in range(0, len(data) - LONGEST_LINE + 1, LONGEST_LINE))
+        if not all(b"\n" in part or b"\r" in part for part in parts):
+            raise UserError(f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)")
+        encoding = "utf-8"
+        try:
+            data.decode()
+        except UnicodeDecodeError:
+            if 2 * len(data.translate(None, _PLAIN)) > len(data):
+                raise
+            encoding = "latin-1"
     except (gzip.BadGzipFile, zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError) as error:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{path}: not a readable text table ({error})") from error
     except (OSError, RuntimeError) as error:  # RuntimeError: a zip file with a password
         raise UserError(f"{path}: cannot be read ({storage.reason(error)})") from error
-    data = table.getvalue().removeprefix(codecs.BOM_UTF8)
+    data, zeros = data.removeprefix(codecs.BOM_UTF8), size - len(data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     notes = (
