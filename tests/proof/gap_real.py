@@ -27,11 +27,11 @@ from inclined_landing.eval.base.style import GREEN, INK, MUTED, save_figure, sty
 from inclined_landing.eval.gap.flights.reading import read_flights
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.csv_file import read_columns
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
+from tests.proof.columns import read_columns
 from tests.proof.shared import cell, table_of
 
 SETS = ("utias_fmpc", "nanobench", "crazypad", "arp_sysid")
