@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
-import json
 import os
 import re
-import shutil
 import sys
 from collections.abc import Callable
 
-from inclined_landing.envs import policy
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import shown
 
-_OLDEST_PYTHON = (3, 11)
-_COMPILERS = ("c++", "g++", "clang++")
 _FOR_DEVELOPERS = {"all", "docs", "test", "test-all", "wheel"}  # extras that nothing of the program asks for
+_BUILD = "run `make` in the repository, or reinstall the package in this environment"
+_MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed
 
 
 @dataclasses.dataclass
@@ -35,53 +33,24 @@ class CheckResult:
 
 def examine() -> list[CheckResult]:
     """Run every check and return what each found."""
-    engine, more = "run `make` in the repository", "run `make test` for more"
-    rebuild = "run `make` in the repository, or reinstall the package in this environment"
-    packages = _packages()
     findings = [
-        CheckResult(
-            "Python",
-            sys.version_info >= _OLDEST_PYTHON,
-            f"{sys.version.split()[0]}, {sys.executable}",
-            "use Python 3.11 or newer: make PYTHON=python3.12",
-        ),
-        packages,
-        _installed(),
-        _tried("MuJoCo", _engine, engine),
-        _tried("native plugins", _plugins, rebuild),
-        _compiler(),
+        CheckResult("Python", True, f"{sys.version.split()[0]}, {sys.executable}"),
+        _tried("packages", _packages, "run `make` in the repository, or pip install inclined-landing"),
+        _tried("native plugins", _plugins, _BUILD),
     ]
-    if all(finding.ok or not finding.needed for finding in findings):
+    if all(finding.ok for finding in findings):
         findings += [
-            _tried("simulation", _simulation, more),
-            _tried("rendering", _rendering, more),
+            _tried("simulation", _simulation, _BUILD),
+            _tried("rendering", _rendering, "run `make test` for more"),
             _opengl(),
         ]
-    if packages.ok:
         named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
-        findings += [_extra(name) for name in named if name not in _FOR_DEVELOPERS]
-    video = _tried("video encoder", _video, "pip install imageio-ffmpeg")
-    return [*findings, video, _policies(), _display()]
-
-
-def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> CheckResult:
-    """Return what a check says, whether all is well and details; any error says that it is not."""
-    try:
-        return CheckResult(name, *check(), remedy)
-    except Exception as error:  # missing GL, say, shows as various errors
-        return CheckResult(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
-
-
-def _compiler() -> CheckResult:
-    """Return which C++ compiler there is; nothing but building the plugins needs one."""
-    names = filter(None, [os.environ.get("CXX", ""), *_COMPILERS])
-    found = next(filter(None, map(shutil.which, names)), None)
-    detail = found or "none found; only building the plugins needs one"
-    remedy = "apt install g++, or name a compiler in CXX"
-    return CheckResult("C++ compiler", found is not None, detail, remedy, needed=False)
-
-
-_MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed
+        for name in (name for name in named if name not in _FOR_DEVELOPERS):
+            missing = ", ".join(_missing(name))
+            remedy = f"pip install 'inclined-landing[{name}]'"
+            detail = f"missing: {missing}" if missing else "complete"
+            findings.append(CheckResult(f"extra {name}", not missing, detail, remedy, needed=False))
+    return [*findings, _tried("video encoder", _video, "pip install imageio-ffmpeg")]
 
 
 def command(*, json: Flag = False) -> int:
@@ -107,39 +76,19 @@ def command(*, json: Flag = False) -> int:
     return 0 if healthy else 2
 
 
-def _packages() -> CheckResult:
-    """Return whether the distribution's own requirements are installed."""
-    remedy = "run `make` in the repository, or pip install inclined-landing"
+def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> CheckResult:
+    """Return what a check says, whether all is well and details; any error says that it is not."""
     try:
-        missing = _missing("")
-    except importlib.metadata.PackageNotFoundError:
-        return CheckResult("packages", False, "inclined-landing is not installed", remedy)
-    if missing:
-        return CheckResult("packages", False, f"missing: {', '.join(missing)}", remedy)
-    there = [f"{name} {version}" for name, version in runs.packages().items() if version is not None]
-    return CheckResult("packages", True, ", ".join(there))
+        return CheckResult(name, *check(), remedy)
+    except Exception as error:  # missing GL, say, shows as various errors
+        return CheckResult(name, False, (str(error) or type(error).__name__).splitlines()[0], remedy)
 
 
-def _installed() -> CheckResult:
-    """Return how the package is installed: from a wheel, or editable in a folder of sources."""
-    try:
-        package = importlib.metadata.distribution("inclined-landing")
-    except importlib.metadata.PackageNotFoundError:
-        return CheckResult("installation", False, "none", "pip install inclined-landing", needed=False)
-    origin = json.loads(package.read_text("direct_url.json") or "{}")
-    where = origin.get("url", "").removeprefix("file://")
-    if origin.get("dir_info", {}).get("editable"):
-        return CheckResult("installation", True, f"{package.version}, editable in {where}")
-    return CheckResult("installation", True, f"{package.version}, wheel{' from ' + where if where else ''}")
-
-
-def _extra(name: str) -> CheckResult:
-    """Return whether the packages of an extra are installed."""
-    missing = _missing(name)
-    detail = f"missing: {', '.join(missing)}" if missing else "complete"
-    return CheckResult(
-        f"extra {name}", not missing, detail, f"pip install 'inclined-landing[{name}]'", needed=False
-    )
+def _packages() -> tuple[bool, str]:
+    """Return whether the distribution's own requirements are installed, and their versions."""
+    if missing := _missing(""):
+        return False, f"missing: {', '.join(missing)}"
+    return True, ", ".join(f"{name} {version}" for name, version in runs.packages().items() if version)
 
 
 def _missing(extra: str) -> list[str]:
@@ -156,12 +105,6 @@ def _missing(extra: str) -> list[str]:
         except importlib.metadata.PackageNotFoundError:
             missing.append(name)
     return missing
-
-
-def _engine() -> tuple[bool, str]:
-    import mujoco
-
-    return True, mujoco.mj_versionString()
 
 
 def _plugins() -> tuple[bool, str]:
@@ -225,35 +168,8 @@ def _video() -> tuple[bool, str]:
     return True, imageio_ffmpeg.get_ffmpeg_exe()
 
 
-def _policies() -> CheckResult:
-    missing = []
-    for name in policy.SHIPPED:
-        try:
-            policy.locate(name)
-        except UserError:
-            missing.append(name)
-    detail = ", ".join(name for name in policy.SHIPPED if name not in missing) or "none"
-    if missing:
-        detail += f" (missing: {', '.join(missing)})"
-    return CheckResult("shipped policies", not missing, detail, "train one with landing-train", needed=False)
-
-
-def _display() -> CheckResult:
-    """Return whether there is a screen for a window."""
-    names = [f"{name}={os.environ[name]}" for name in ("WAYLAND_DISPLAY", "DISPLAY") if os.environ.get(name)]
-    return CheckResult(
-        "display",
-        bool(names) or sys.platform == "darwin",
-        ", ".join(names) or "none; everything but landing-eval view goes without one",
-        "without one, landing-eval replay and landing-eval video show flights",
-        needed=False,
-    )
-
-
 def _show(findings: list[CheckResult]) -> None:
     from rich.text import Text
-
-    from inclined_landing.envs.shared.tables import new_table, say, show_table
 
     table = new_table(None, "", "", "", labels=3)
     table.show_header = False
@@ -263,8 +179,6 @@ def _show(findings: list[CheckResult]) -> None:
     show_table(table)
     versions = runs.versions()
     say(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
-    if versions["git revision"]:
-        say(f"source {versions['git revision']}")
     say(*(f"{finding.name}: {finding.remedy}" for finding in findings if not finding.ok))
     lacking, without = ([f.name for f in findings if not f.ok and f.needed is x] for x in (True, False))
     optional = f" Optional and not here: {', '.join(without)}." if without else ""

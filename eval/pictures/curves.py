@@ -1,4 +1,4 @@
-"""`landing-eval curves`: learning curves of training runs, seeds of one kind, or kinds beside each other."""
+"""`landing-eval curves`: learning curves of training runs of one task."""
 
 from __future__ import annotations
 
@@ -23,11 +23,9 @@ from inclined_landing.eval.base.options import File
 from inclined_landing.eval.base.style import (
     BLUE,
     GREEN,
-    INK,
     MUTED,
     ORANGE,
     PURPLE,
-    literal,
     save_figure,
     styled,
 )
@@ -37,27 +35,14 @@ from inclined_landing.models.errors import UserError, shown
 _LARGEST = 1e12  # number in the tables of a run
 
 
-class _Abscissa(NamedTuple):
-    """The horizontal axis of curves: a column of the tables, its unit and label."""
-
-    column: str
-    unit: float
-    label: str
-
-
 class _Run(NamedTuple):
     """A training run as it is drawn."""
 
     task: str
-    group: str  # values of the options it is compared by
     learning: pd.DataFrame
     evaluations: pd.DataFrame
     cut: list[Path]  # its tables that end within a row
 
-
-_STEPS = _Abscissa("steps", 1e6, "environment steps [10⁶]")
-_STEPS_AND_TIME = (_STEPS, _Abscissa("cpu_seconds", 1.0, "CPU time of the training [s]"))
-_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, INK, MUTED)
 
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
@@ -69,28 +54,21 @@ def command(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR [DIR ...]")],
     /,
     out: File,
-    by: Annotated[tuple[str, ...], tyro.conf.arg(metavar="OPTION [OPTION ...]")] = (),
 ) -> None:
     """Learning curves of training runs of one task; seeds with median and range.
 
     Args:
         runs: run folders of landing-train.
         out: .png or .pdf file.
-        by: compare kinds of runs that differ in these options, like algorithm: the score of each kind, over
-            environment steps and over CPU time. The runs may then be of several tasks.
     """
     storage.check_file(out)
-    names = [name.removeprefix("--").replace("-", "_") for name in by]
-    save_figure(comparison_curves(runs, names) if by else learning_curves(runs), out)
+    save_figure(learning_curves(runs), out)
     scores = final_scores(runs)
     say(*scores[:-1], f"{scores[-1]} The curves are in {out}.")
 
 
-def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by: Sequence[str] = ()) -> _Run:
-    """Return a training run from its folder, with the columns that are drawn over `abscissae`.
-
-    by: options whose values name its group. Raises UserError, naming the file, if the folder is not a run.
-    """
+def _read_run(folder: str | Path) -> _Run:
+    """Return a training run from its folder; raises UserError, naming the file, if it is none."""
     folder = Path(folder)
     if not folder.is_dir():
         raise UserError(f"the run folder {folder} does not exist")
@@ -100,18 +78,12 @@ def _read_run(folder: str | Path, abscissae: Sequence[_Abscissa] = (_STEPS,), by
         score = _score_curve(task)
     except (TypeError, KeyError, UserError) as error:
         raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
-    x = [abscissa.column for abscissa in abscissae]
     cut: list[Path] = []
-    learning = _read_table(folder / "learning.csv", [*x, *(curve.column for curve in _LEARNING)], cut)
-    evaluations = _read_table(folder / "evaluations.csv", [*x, score.column], cut)
+    learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
+    evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut)
     if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
-    for name in by:
-        if name not in record["config"]:
-            raise UserError(f"the run {folder} has no option {shown(name, 40)!r}")
-    values = (record["config"][name] for name in by)
-    group = ", ".join("-" if value is None else shown(value, 40) for value in values)
-    return _Run(task, group, learning, evaluations, cut)
+    return _Run(task, learning, evaluations, cut)
 
 
 def _score_curve(task: str) -> ScoreCurve:
@@ -178,15 +150,15 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
-            _draw_curves(axes, curve, colour, tables, _STEPS)
+            _draw_curves(axes, curve, colour, tables)
             _format_axes(axes, curve)
         for axes in grid[-1]:
-            axes.set_xlabel(_STEPS.label)
+            axes.set_xlabel("environment steps [10⁶]")
         final = max(run.learning["steps"].max() for run in loaded) / 1e6
         grid[0, 0].set_xlim(0, 1.01 * final)
         if changing := max(_curriculum_end(run.learning) for run in loaded):
             for axes in grid.ravel():
-                axes.axvspan(0, changing / _STEPS.unit, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
+                axes.axvspan(0, changing / 1e6, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
             label = "curriculum level still moving: the task gets harder, and the reward may fall"
             patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=label)
             figure.legend(handles=[patch], loc="outside lower center")
@@ -228,60 +200,14 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
     return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
 
 
-def comparison_curves(runs: Sequence[str | Path], by: Sequence[str]) -> Figure:
-    """Return a figure of score and curriculum level over environment steps and CPU time of the training.
-
-    runs: run folders; those with the same values of the options `by`, as run.json calls them, are seeds of
-    one group and have one colour: thin lines, their median, and the range from the lowest to the highest.
-    Tasks have a row each, and one for the level where it moves. Raises UserError for folders that are no
-    runs, unknown options and too many groups.
-    """
-    if not runs:
-        raise UserError("curves need at least one run folder")
-    loaded = [_read_run(folder, _STEPS_AND_TIME, by) for folder in runs]
-    groups = list(dict.fromkeys(run.group for run in loaded))
-    if len(groups) > len(_COLOURS):
-        raise UserError(f"the runs are of {len(groups)} kinds; at most {len(_COLOURS)} are told apart")
-    rows = []
-    for task in dict.fromkeys(run.task for run in loaded):
-        rows.append((task, _score_curve(task)))
-        if any(run.task == task and run.learning["level"].nunique() > 1 for run in loaded):
-            rows.append((task, _LEVEL))
-    with styled():
-        figure = Figure(figsize=(6.8, 0.75 + 1.9 * len(rows)), layout="constrained")
-        grid = figure.subplots(len(rows), len(_STEPS_AND_TIME), sharex="col", sharey="row", squeeze=False)
-        for line, (task, curve) in zip(grid, rows):
-            for axes, abscissa in zip(line, _STEPS_AND_TIME):
-                for group, colour in zip(groups, _COLOURS):
-                    seeds = [run for run in loaded if (run.task, run.group) == (task, group)]
-                    tables = [run.learning if curve is _LEVEL else run.evaluations for run in seeds]
-                    _draw_curves(axes, curve, colour, tables, abscissa)
-                _format_axes(axes, curve)
-                axes.set_xlim(left=0)
-            line[1].set_ylabel("")
-            if curve is not _LEVEL:
-                line[0].set_title(task, loc="left")
-        for axes, abscissa in zip(grid[-1], _STEPS_AND_TIME):
-            axes.set_xlabel(abscissa.label)
-        handles = []
-        for group, colour in zip(groups, _COLOURS):
-            count = sum(run.group == group for run in loaded)
-            label = f"{literal(group)}, {count} run{'s' if count > 1 else ''}"
-            handles += grid[0, 0].plot([], [], color=colour, lw=2.2, label=label)
-        figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
-    return figure
-
-
-def _draw_curves(
-    axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame], abscissa: _Abscissa
-) -> None:
+def _draw_curves(axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame]) -> None:
     """Draw the curves of several seeds: a thin line each, from two on their median and range."""
     lines = []
     for table in tables:
-        rows = table[[abscissa.column, curve.column]].dropna()
+        rows = table[["steps", curve.column]].dropna()
         if len(rows):
             values = rows.to_numpy(float)
-            lines.append((values[:, 0] / abscissa.unit, curve.factor * values[:, 1]))
+            lines.append((values[:, 0] / 1e6, curve.factor * values[:, 1]))
     several = len(lines) > 1
     for x, y in lines:
         style: dict[str, Any] = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}

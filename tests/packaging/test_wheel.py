@@ -91,5 +91,4 @@ def test_an_installed_wheel_flies_without_a_compiler(tmp_path):
         assert done.returncode == 0, done.stderr
         if words[0] == "doctor":
             assert str(clean) in "".join(done.stdout.split()).replace(str(tmp_path), str(tmp_path))
-            assert "none found; only building the plugins needs one" in done.stdout
     assert {path.suffix for path in (tmp_path / "demo").iterdir()} >= {".mp4", ".gif", ".png"}

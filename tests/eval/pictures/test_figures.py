@@ -20,11 +20,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import STAMP_DPI, save_figure
-from inclined_landing.eval.pictures.curves import (
-    comparison_curves,
-    final_scores,
-    learning_curves,
-)
+from inclined_landing.eval.pictures.curves import final_scores, learning_curves
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
@@ -249,57 +245,12 @@ def test_level_is_shown_where_it_moves(tmp_path):
     assert not by_gid(axes[1].patches, "curriculum")
 
 
-def of_kind(folder, algorithm, curriculum="adaptive", task="landing", seconds=10.0):
-    """A run folder that says more of its options, and of its CPU time."""
-    write_run(folder, task, rate=seconds / 10.0)
-    config = {"task": task, "algorithm": algorithm, "curriculum": curriculum, "max_steps": None}
-    (folder / "run.json").write_text(json.dumps({"config": config}))
-    for name in ("learning", "evaluations"):
-        table = pd.read_csv(folder / f"{name}.csv")
-        table["cpu_seconds"] = seconds * np.arange(1, len(table) + 1)
-        table.to_csv(folder / f"{name}.csv", index=False)
-    return folder
-
-
-def test_kinds_of_runs_are_compared_over_steps_and_over_time(tmp_path):
-    """A row for each task; each kind has its colour, from two seeds on a median and a range."""
-    kinds = {"ppo": (5.0, 10.0, 20.0), "sac": (30.0,)}
-    runs = [of_kind(tmp_path / f"{kind}{t}", kind, seconds=t) for kind in kinds for t in kinds[kind]]
-    runs += [of_kind(tmp_path / "point", "ppo", "effort", "setpoint")]
-    figure = comparison_curves(runs, ["algorithm"])
-    steps, seconds, level, _, error, _, last, lasting = figure.axes
-    assert last.get_xlabel().startswith("environment steps") and "CPU time" in lasting.get_xlabel()
-    assert level.get_ylabel() == last.get_ylabel() == "curriculum level"
-    assert error.get_yscale() == "log" and [a.get_title(loc="left") for a in (steps, error)] == [
-        "landing",
-        "setpoint",
-    ]
-    for axes in (steps, seconds):
-        lines = by_gid(axes.lines, "run")
-        assert len(lines) == 4 and len({line.get_color() for line in lines}) == 2
-        assert len(by_gid(axes.lines, "median")) == len(by_gid(axes.collections, "band")) == 1
-    np.testing.assert_allclose(by_gid(seconds.lines, "run")[1].get_xdata(), [10, 20, 30, 40])
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["ppo, 4 runs", "sac, 1 run"]
-    both = comparison_curves(runs, ["algorithm", "max_steps", "curriculum"])
-    said = [text.get_text() for text in both.legends[0].get_texts()]
-    assert said == ["ppo, -, adaptive, 3 runs", "sac, -, adaptive, 1 run", "ppo, -, effort, 1 run"]
-
-
-def test_comparisons_name_what_is_wrong(tmp_path):
-    good = of_kind(tmp_path / "good", "ppo")
-    old = write_run(tmp_path / "old")
-    with pytest.raises(UserError, match="at least one"):
-        comparison_curves([], ["algorithm"])
-    with pytest.raises(UserError, match="has no option 'colour'"):
-        comparison_curves([good], ["algorithm", "colour"])
-    with pytest.raises(UserError, match=r"learning\.csv lacks the column cpu_seconds"):
-        comparison_curves([old], ["task"])
-    with pytest.raises(UserError, match="of 7 kinds; at most 6"):
-        comparison_curves([of_kind(tmp_path / str(k), f"a{k}") for k in range(7)], ["algorithm"])
+def test_what_is_no_run_is_a_sentence(tmp_path):
+    run = write_run(tmp_path / "a")
     for content in ("[]", '{"config": 3}'):
-        (good / "run.json").write_text(content)
+        (run / "run.json").write_text(content)
         with pytest.raises(UserError, match=r"run\.json does not say"):
-            comparison_curves([good], ["algorithm"])
+            learning_curves([run])
 
 
 @pytest.mark.parametrize("end", ["", ",", "\0" * 90])
