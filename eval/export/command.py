@@ -12,8 +12,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.runs import check_new_run, staged_run
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import import_task, is_path
-from inclined_landing.eval.base.options import Folder, TaskName, VehicleFile
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import Folder, PolicyFile, TaskName, VehicleFile
 from inclined_landing.eval.export import c_source, contract, vectors
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.models import storage
@@ -30,7 +29,7 @@ FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
 def command(
-    policy: AnyPolicy, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
+    policy: PolicyFile, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
 ) -> None:
     """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
 

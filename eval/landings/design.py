@@ -40,14 +40,12 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     """Return the quantiles of a parameter at probabilities u (n,)."""
-    # Inverse distribution: levels equally likely; truncated normal; log-uniform low (high / low)^u; uniform.
+    # Inverse distribution: levels equally likely; truncated normal; uniform.
     if isinstance(p, Levels):
         return np.array(p.values)[np.minimum((u * len(p.values)).astype(int), len(p.values) - 1)]
     if p.distribution == "normal":
         low, high = (p.low - p.mean) / p.deviation, (p.high - p.mean) / p.deviation
         return np.clip(stats.truncnorm.ppf(u, low, high, p.mean, p.deviation), p.low, p.high)
-    if p.distribution == "log-uniform":
-        return np.clip(p.low * (p.high / p.low) ** u, p.low, p.high)
     return p.low + (p.high - p.low) * u
 
 

@@ -1,4 +1,4 @@
-"""Outcome maps over two parameters, their boundaries, and profiles over one."""
+"""Outcome maps over two parameters, and their boundaries."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from inclined_landing.eval.landings.parameters import Parameter
 COLOURS = dict(zip(OUTCOMES, ("#0b7a6b", "#ee9b2f", "#a9d6f5", "#6a1b6b", "#f3efe2", "#161616")))
 _PER_CELL = 12  # landings, of a Latin hypercube
 _CELLS = (6, 24)  # least and most in a row
-_BINS_OF_PROFILE = 20
 _LEVELS = 60  # more different values than these are binned
 _SHARES = LinearSegmentedColormap.from_list("rests", ["#fbf0d0", "#bfdfc0", "#5fb3a0", "#0b7a6b", "#053d3c"])
 
@@ -152,12 +151,22 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         )
         bar = figure.colorbar(mesh, ax=right, label="landings at rest [%]", pad=0.02)
         bar.outline.set_visible(False)
-        handles = _patches(one.counts.any(axis=(0, 1)))
-        for axes in (left, right):
-            hatched = [
-                _hatch(axes, one.x_edges, j, *one.y_edges[i : i + 2]) for i, j in np.argwhere(total == 0)
-            ]
-        handles += hatched[:1] + _lines(left, one, fixed, (0.5,))
+        seen = one.counts.any(axis=(0, 1))
+        handles: list[Any] = [
+            Patch(fc=COLOURS[name], ec=MUTED, lw=0.5, label=name)
+            for name, there in zip(OUTCOMES, seen)
+            if there
+        ]
+        empty: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
+        for i, j in np.argwhere(total == 0):
+            corner, size = (
+                (one.x_edges[j], one.y_edges[i]),
+                (np.diff(one.x_edges)[j], np.diff(one.y_edges)[i]),
+            )
+            for axes in (left, right):
+                axes.add_patch(Rectangle(corner, *size, gid="empty", **empty))
+        handles += [Patch(**empty, label="no landing there")] * (not total.all())
+        handles += _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
         left.set_ylabel(one.y.title())
         left.set_title("Most frequent outcome in each cell", loc="left")
@@ -169,20 +178,6 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
         text = f"{total.sum()} landings; what is not on the axes varies as the study says"
         figure.suptitle(text, x=0.01, ha="left", size=8.5, color=MUTED)
     return figure
-
-
-def _hatch(axes: Axes, edges: np.ndarray, j: int, low: float, high: float) -> Patch:
-    """Draw hatching from `low` to `high` in column j, in which nothing landed; return the patch."""
-    corner, width = (edges[j], low), edges[j + 1] - edges[j]
-    look: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
-    return axes.add_patch(Rectangle(corner, width, high - low, gid="empty", label="no landing there", **look))
-
-
-def _patches(seen: np.ndarray) -> list[Patch]:
-    """Return the legend handles of the outcomes that are seen (bool, of each)."""
-    return [
-        Patch(fc=COLOURS[name], ec=MUTED, lw=0.5, label=name) for name, there in zip(OUTCOMES, seen) if there
-    ]
 
 
 def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, ...]) -> list:
@@ -200,33 +195,3 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
         look: dict[str, Any] = {"color": "black", "lw": 1.8, "ls": (0, (4, 2)), "path_effects": halo(3.4)}
         handles += axes.plot(*predicted, label="tan(inclination) = friction", **look)
     return handles
-
-
-def profile_figure(parameters: list[tuple[Parameter, np.ndarray]], outcome: np.ndarray) -> Figure:
-    """Return the figure of the stacked shares of outcomes over each varied parameter."""
-    columns = min(3, len(parameters))
-    rows = -(-len(parameters) // columns)
-    present = np.bincount(outcome, minlength=len(OUTCOMES)) > 0
-    handles = _patches(present)
-    hatched: list[Patch] = []
-    with styled():
-        figure = Figure(figsize=(2.9 * columns + 0.2, 1.95 * rows + 0.55), layout="constrained")
-        grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
-        for axes in grid.ravel()[len(parameters) :]:
-            axes.set_visible(False)
-        for axes, (parameter, values) in zip(grid.ravel(), parameters):
-            values = values / parameter.factor
-            edges, _ = _edges(values, _BINS_OF_PROFILE)
-            counts = np.zeros((len(OUTCOMES), len(edges) - 1))
-            np.add.at(counts, (outcome, _cells(values, edges)), 1)
-            with np.errstate(invalid="ignore"):
-                tops = 100 * np.cumsum(counts[present], axis=0) / counts.sum(axis=0)
-            for patch, below, top in zip(handles, [0 * tops[0], *tops], tops):
-                axes.stairs(top, edges, baseline=below, fill=True, color=patch.get_facecolor())
-                axes.stairs(top, edges, baseline=None, color="white", lw=0.6)
-            hatched += [_hatch(axes, edges, j, 0, 100) for j in np.flatnonzero(counts.sum(axis=0) == 0)]
-            axes.set(xlim=edges[[0, -1]], ylim=(0, 100), xlabel=parameter.title())
-        for row in grid:
-            row[0].set_ylabel("landings [%]")
-        figure.legend(handles=handles + hatched[:1], loc="outside upper center", ncols=4)
-    return figure

@@ -59,13 +59,6 @@ def write(study: Study, table: pa.Table, out: Path) -> dict:
         limits = {f"along_{axis}": maps.boundary(one, axis) for axis in "xy"}
         summary["maps"].append({"x": x, "y": y, "file": file.name, "half_rest": limits})
         figures[file] = maps.map_words(one, fixed)
-    if varied:
-        profiles = maps.profile_figure([(known[name], column) for name, column in varied.items()], outcome)
-        file = save_figure(profiles, out / "profiles.png")
-        figures[file] = (
-            "Shares of the outcomes over each parameter, everything else varying as the study says; "
-            "hatched where nothing landed."
-        )
     summary["discussion"] = discussion(summary)
     storage.write_text(out / "index.html", page(study, summary, figures, fixed))
     storage.write_json(out / "summary.json", summary)

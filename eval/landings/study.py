@@ -34,7 +34,7 @@ class Varied(Table, frozen=True):
     start: Real | None = field(name="from", default=None)
     stop: Real | None = field(name="to", default=None)
     count: Annotated[int, Meta(ge=2, le=MOST_LANDINGS)] | None = None
-    distribution: Literal["uniform", "log-uniform", "normal"] | None = None
+    distribution: Literal["uniform", "normal"] | None = None
     mean: Real | None = None
     deviation: Annotated[float, Meta(gt=0, le=1e300)] | None = None
 
@@ -213,16 +213,15 @@ def _range(parameter: Parameter, entry: Varied) -> Levels | Range:
     name, unit, distribution = parameter.name, entry.unit, entry.distribution or "uniform"
     low = parameter.low if entry.start is None else _in_si(parameter, entry.start, unit)
     high = parameter.high if entry.stop is None else _in_si(parameter, entry.stop, unit)
-    if low >= high or (distribution == "log-uniform" and low <= 0.0):
-        raise UserError(f"parameter {name}: the range is empty, or a log-uniform one does not start above 0")
+    if low >= high:
+        raise UserError(f"parameter {name}: the range is empty")
     factor = UNITS[parameter.kind][unit]
     mean, deviation = factor * (entry.mean or 0.0), factor * (entry.deviation or 0.0)
     if distribution == "normal" and not low <= mean <= high:
         raise UserError(f"parameter {name}: the mean must be in the range")
     if entry.count is None:
         return Range(name, low, high, distribution, mean, deviation, unit)
-    space = np.geomspace if distribution == "log-uniform" else np.linspace
-    return Levels(name, tuple(float(x) for x in space(low, high, entry.count)), unit)
+    return Levels(name, tuple(np.linspace(low, high, entry.count).tolist()), unit)
 
 
 def _in_si(parameter: Parameter, value: float, unit: str) -> float:

@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from inclined_landing.envs.flights import Flight
-from inclined_landing.eval.base.options import Flat, Flown, Folder, Starts
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.flights import fly_from, say_outcomes, start_points
 from inclined_landing.models import storage
 
 
-def command(policy: AnyPolicy, /, *, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
+def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
     """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:

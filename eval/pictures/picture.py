@@ -7,8 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.eval.base.options import File, Flat, Flown, Look
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import File, Flat, Flown, Look, PolicyFile
 from inclined_landing.eval.pictures.flights import (
     Until,
     continue_flights,
@@ -22,7 +21,7 @@ from inclined_landing.models.errors import UserError
 
 
 def command(
-    policy: AnyPolicy,
+    policy: PolicyFile,
     /,
     *,
     out: File,

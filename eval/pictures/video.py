@@ -17,8 +17,7 @@ from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.mission import Mission
-from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, Seed, Starts
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, PolicyFile, Seed, Starts
 from inclined_landing.eval.pictures.flights import (
     Until,
     check_random_starts,
@@ -45,7 +44,7 @@ _REST = 1.0  # s that the last frame of a flight stays
 
 
 def command(
-    policy: AnyPolicy,
+    policy: PolicyFile,
     /,
     *,
     out: File,

@@ -12,13 +12,11 @@ from msgspec import Meta
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, NewFolder, PlantName, Seed
-from inclined_landing.eval.pictures import video
 from inclined_landing.eval.policies import changes, slopes, vehicles
-from inclined_landing.eval.policies.entrants import parse_entrants
 from inclined_landing.eval.policies.moving import study as moving
 from inclined_landing.eval.policies.moving.controllers import BASELINES, find_all
 from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
-from inclined_landing.eval.policies.study import Study, write_studies
+from inclined_landing.eval.policies.study import Study, named_policies, write_studies
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -28,7 +26,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 # Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
 QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 12, 32, 4, 256
-_FPS, _LOOK = 12.5, {"camera": "chase", "width": 400, "height": 226, "backend": "auto"}  # of the film
 
 Policies = Annotated[
     tuple[str, ...],
@@ -36,9 +33,8 @@ Policies = Annotated[
     tyro.conf.arg(
         metavar="[POLICY ...]",
         help=f"landing policies: files, run folders or shipped ones ({', '.join(SHIPPED)}); the others are "
-        "compared with the first. With --over vehicles LABEL=A+B+C are seeds that count as one, "
-        "LABEL@VEHICLE=A those of one vehicle. With --over moving policies in space, planner, or a "
-        "controller of your own, module:NAME or file.py:NAME.",
+        "compared with the first; LABEL=POLICY gives a name. With --over moving policies in space, planner, "
+        "or a controller of your own, module:NAME or file.py:NAME.",
         help_behavior_hint=f"(default, of moving alone: {' '.join(BASELINES)})",
     ),
     Meta(max_length=100),
@@ -88,12 +84,10 @@ class MovingOptions:
     Args:
         scenario: of the benchmark, or scenario files (default: all of the benchmark).
         flights: only the first ones of each scenario (default: 4; with --full all).
-        film: scenario whose first flight, of the first controller, becomes flight.gif.
     """
 
     scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [...]")] = ()
     flights: Annotated[int, Meta(ge=1, le=100_000)] | None = None
-    film: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
 
 
 def command(
@@ -129,16 +123,12 @@ def command(
             vehicles.
         json: print JSON, and nothing else, on standard output; of several condition sets by their names.
     """
-    over, vehicle, film = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle)), moving_platforms.film
+    over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
     _check(policies, over, vehicle)
     changes.check_effects(thrust_and_effects.effect)
     check_plant(plant)
     if out is not None:
         runs.check_new_run(out)
-    if film is not None:
-        read_scenario(film)
-        if out is None or "moving" not in over:
-            raise UserError("--film goes with --over moving and --out, the folder that the film is put into")
     every = every or (1 if full else QUICK_EVERY)
     controllers = find_all(policies) if "moving" in over else []
     found: list[Study] = []
@@ -154,8 +144,8 @@ def command(
         draws = drawn_vehicles.draws
         options = dataclasses.asdict(drawn_vehicles)
         options["draws"] = (DRAWS if full else QUICK_DRAWS) if draws is None else draws
-        entrants, named = parse_entrants(policies), vehicle or vehicles.NAMED
-        found.append(vehicles.run(entrants, named, plant=plant, every=every, **options))
+        named = vehicle or vehicles.NAMED
+        found.append(vehicles.run(named_policies(policies), named, plant=plant, every=every, **options))
     if "moving" in over:
         names = moving_platforms.scenario or shipped()
         scenarios = [read_scenario(name) for name in dict.fromkeys(names)]
@@ -164,10 +154,6 @@ def command(
     if out is not None:
         with runs.staged_run(out) as folder:
             write_studies(folder, found)
-            if film is not None:
-                filmed = [moving.ride(read_scenario(film), controllers[0])]
-                frames, total, rate = video.film(filmed, _FPS, 1.0, **_LOOK)
-                video.write({folder / "flight.gif": 1}, frames, total, rate)
     if json:
         reports = {study.name: study.report for study in found}
         print(storage.to_json(reports if len(found) > 1 else found[0].report))
@@ -194,10 +180,6 @@ def _landings(
     options: dict[str, Any],
 ) -> list[Study]:
     """Return the studies of landing policies, for a known vehicle, over thrust and effects, and slopes."""
-    loaded = {}
-    for entrant in parse_entrants(policies):
-        if entrant.vehicle is not None:
-            raise UserError(f"{entrant.label}: LABEL@VEHICLE=POLICY goes with --over vehicles alone")
-        loaded[entrant.label] = load_policy(entrant.only, vehicle=known)
+    loaded = {x: load_policy(policy, vehicle=known) for x, policy in named_policies(policies).items()}
     studies = [changes.run(loaded, cases, **options)] if {"thrust", "effects"} & set(over) else []
     return studies + ([slopes.run(loaded, **options)] if "slopes" in over else [])

@@ -8,7 +8,6 @@ single slopes: the steepest that it knows, the paper's, or the one that it was t
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -116,26 +115,21 @@ def _entry(
     }
     if ALL in found:
         frozen = landing_starts.over_slopes(task, every=every)
-        edges = frozen.inclinations
         strict, (row, column) = flown[name, ALL]["strict"].to_numpy(), frozen.cell
-        columns = range(len(frozen.azimuths) - 1)
         entry |= {
             "all": found[ALL],
-            "inclinations": edges.tolist(),
-            "azimuths": frozen.azimuths.tolist(),
-            "cells": [
-                [_share(strict[(row == i) & (column == j)]) for j in columns] for i in range(len(edges) - 1)
-            ],
-            "curve": [
-                {"from": float(low), "to": float(high), "strict": _share(strict[row == i])}
-                for i, (low, high) in enumerate(itertools.pairwise(edges))
-            ],
+            "curve": _curve(frozen.inclinations, row, strict),
+            "azimuth_curve": _curve(frozen.azimuths, column, strict),
         }
     return entry | ({"any_heading": found[ANY_HEADING]} if ANY_HEADING in found else {})
 
 
-def _share(flags: np.ndarray) -> dict[str, Any]:
-    return proportion(flags.sum(), len(flags))
+def _curve(edges: np.ndarray, part: np.ndarray, strict: np.ndarray) -> list[dict[str, Any]]:
+    """Return the shares of the flights in each part between `edges` [rad]."""
+    return [
+        {"from": float(low), "to": float(high), "strict": proportion(of.sum(), len(of))}
+        for low, high, of in zip(edges, edges[1:], (strict[part == k] for k in range(len(edges) - 1)))
+    ]
 
 
 def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
@@ -157,23 +151,21 @@ def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
 
 def _panels(report: dict[str, Any]) -> list[Panel]:
     """Return strict success over the inclination, of policies in space over the azimuth, on single slopes."""
-    inclinations: dict[str, dict] = {}
-    azimuths: dict[str, dict] = {}
-    single: dict[str, dict] = {}
-    for entry in report["policies"]:
-        name = entry["name"]
-        single[name] = {_alone(row["inclination"]): row["strict"] for row in entry["single"]}
-        middles = (math.degrees(0.5 * (part["from"] + part["to"])) for part in entry.get("curve", ()))
-        inclinations[name] = dict(zip(middles, (part["strict"] for part in entry.get("curve", ()))))
-        edges = np.degrees(entry.get("azimuths", []))
-        azimuths[name] = {}
-        for low, high, column in zip(edges, edges[1:], zip(*entry.get("cells", ()))):
-            counts = [sum(cell[key] for cell in column) for key in ("count", "of")]
-            if len(edges) > 2:
-                azimuths[name][0.5 * (low + high)] = proportion(*counts)
+    entries = report["policies"]
+    single = {e["name"]: {_alone(row["inclination"]): row["strict"] for row in e["single"]} for e in entries}
+    over = {
+        key: {
+            e["name"]: {
+                math.degrees(0.5 * (part["from"] + part["to"])): part["strict"] for part in e.get(key, ())
+            }
+            for e in entries
+            if key == "curve" or len(e.get(key, ())) > 1
+        }
+        for key in ("curve", "azimuth_curve")
+    }
     panels = [
-        Panel("All slopes of a policy", inclinations, "inclination [deg]"),
-        Panel("All directions of its slopes", azimuths, "azimuth [deg]"),
+        Panel("All slopes of a policy", over["curve"], "inclination [deg]"),
+        Panel("All directions of its slopes", over["azimuth_curve"], "azimuth [deg]"),
         Panel("One slope alone, frozen grid", single),
     ]
     return [panel for panel in panels if any(panel.shares.values())]

@@ -7,6 +7,7 @@ A study is a set of conditions. Its module flies every policy under each (`fly_a
 from __future__ import annotations
 
 import dataclasses
+import os
 import shlex
 import sys
 import time
@@ -25,13 +26,36 @@ from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.policies.tables import Panel, Row, draw_panels, outcomes_table
 from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 LONG = 60.0  # s of work, from which it says how long it takes, and every result as it comes
 SHORT = 10.0  # s of a first case, much of which may be compiling: the estimate is made from the second
 
 Key = tuple[str, str]  # names of a policy and a condition
 Work = Mapping[Key, Callable[[], pd.DataFrame]]
+
+
+def named_policies(texts: Sequence[str]) -> dict[str, str]:
+    """Return policies by what they are called, from words of the command line: POLICY or LABEL=POLICY.
+
+    A POLICY is a file, a shipped policy or a run folder; files of the same name are told apart by their
+    folders. Raises UserError where two could not be told apart.
+    """
+    labelled = ["=" in text and not os.path.exists(text) for text in texts]
+    words = [text.partition("=")[::2] if split else ("", text) for text, split in zip(texts, labelled)]
+    files = [Path(policy).name.removesuffix(".zip") for _, policy in words]
+    found: dict[str, str] = {}
+    for (label, policy), file in zip(words, files):
+        folder = Path(policy).parent.name
+        name = label or (f"{folder}/{file}" if files.count(file) > 1 and folder else file)
+        if not (policy and name.isprintable()):
+            raise UserError(
+                f"policies are written POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
+            )
+        if name in found:
+            raise UserError(f"policy {shown(name, 100)} is named twice")
+        found[name] = policy
+    return found
 
 
 def fly_all(work: Work) -> dict[Key, pd.DataFrame]:

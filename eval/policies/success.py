@@ -15,11 +15,9 @@ With ``--effects`` the frozen grid (or the random starts) alone, once for every 
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
@@ -33,7 +31,6 @@ from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.policies.changes import ThrustScale, sizes
-from inclined_landing.eval.policies.entrants import parse_entrants
 from inclined_landing.eval.policies.flying import (
     LANDINGS,
     condition_outcome,
@@ -42,7 +39,7 @@ from inclined_landing.eval.policies.flying import (
     fly_groups,
     frozen_starts,
 )
-from inclined_landing.eval.policies.study import Key, csv, fly_all, joined
+from inclined_landing.eval.policies.study import Key, csv, fly_all, joined, named_policies
 from inclined_landing.eval.policies.tables import outcomes_table, size_words, slope_words
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -54,7 +51,7 @@ Policies = Annotated[
     tyro.conf.arg(
         metavar="POLICY [...]",
         help=f"policy files, run folders or shipped policies ({', '.join(SHIPPED)}), each on its task; "
-        "LABEL=POLICY gives a name, LABEL@VEHICLE=POLICY a vehicle of its own too.",
+        "LABEL=POLICY gives a name.",
     ),
     Meta(max_length=MOST_COMPARED),
 ]
@@ -117,20 +114,17 @@ def command(
         raise UserError("--effects are flown in still air with the thrust as it is: give them alone")
     if out is not None:
         runs.check_new_run(out)
-    loaded, vehicles = {}, {}
-    for entrant in parse_entrants(policies):
-        its = flown if entrant.vehicle is None else dataclasses.replace(flown, vehicle=Path(entrant.vehicle))
-        loaded[entrant.label] = its.load(entrant.only)
-        vehicles[entrant.label] = str(its.vehicle) if its.vehicle is not None else "crazyflie.toml"
-        vehicle = loaded[entrant.label].task.vehicle
+    loaded = {label: flown.load(policy) for label, policy in named_policies(policies).items()}
+    for policy in loaded.values():
+        vehicle = policy.task.vehicle
         if disturbance and not any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular)):
             raise UserError(
                 "--disturbance needs a --vehicle whose table [disturbance] is not all 0: this air is still"
             )
     options: dict[str, Any] = {"thrust_scales": scales, "effects": effects, "disturbance": disturbance}
     reports, flights = evaluate_all(loaded, plant=flown.plant, seed=seed, **options)
-    for label, report in reports.items():
-        report["vehicle"] = vehicles[label]
+    for report in reports.values():
+        report["vehicle"] = str(flown.vehicle or "crazyflie.toml")
     whole: dict[str, Any] = {"command": "success", "policies": reports, "versions": runs.versions()}
     (first, *others) = reports.values()
     runs.hand_over(

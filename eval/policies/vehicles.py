@@ -23,13 +23,12 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
-from inclined_landing.eval.policies.entrants import Entrant
 from inclined_landing.eval.policies.flying import fly, summary, table_of
 from inclined_landing.eval.policies.study import Key, Study, fly_all, joined
 from inclined_landing.eval.policies.tables import Panel, Row
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle
@@ -41,7 +40,7 @@ _BINS = 8  # groups of drawn vehicles
 
 
 def run(
-    entrants: Sequence[Entrant],
+    policies: Mapping[str, str],
     vehicles: Sequence[str],
     ranges: str | Path | None,
     *,
@@ -51,44 +50,52 @@ def run(
     seed: int,
     every: int = 1,
 ) -> Study:
-    """Return the study of policies on named vehicles and on `draws` vehicles drawn from `ranges`.
+    """Return the study of policies, by their labels, on named vehicles and on `draws` drawn from `ranges`.
 
     starts: of the grid, that each drawn vehicle flies from; seed: of both. every: fly named vehicles from
-    each k-th start only. Raises UserError for policies that do not land, and for vehicles that are not flown.
+    each k-th start only. Raises UserError for policies that do not land.
     """
-    for entrant in entrants:
-        if entrant.vehicle is not None and entrant.vehicle not in vehicles:
-            raise UserError(
-                f"{entrant.label} is for the vehicle {shown(entrant.vehicle, 40)}, not flown here"
-            )
-        for path in entrant.policies:
-            if not (task := load_policy(path).task).cut_at_success:
-                raise UserError(f"policy {path} is for the task {task.name}, not for landing")
+    for path in policies.values():
+        if not (task := load_policy(path).task).cut_at_success:
+            raise UserError(f"policy {path} is for the task {task.name}, not for landing")
     known = {name: load_vehicle(name) for name in vehicles}
     drawn_from = None if ranges is None else read_ranges(ranges)
     pool = drawn_from.draw(load_vehicle(), seed, draws) if drawn_from is not None and draws else []
-    paths = [(entrant, path) for entrant in entrants for path in entrant.policies]
     work: dict[Key, Callable[[], pd.DataFrame]] = {}
     for name, vehicle in known.items():
-        for entrant, path in paths:
-            if entrant.vehicle in (None, name):
-                work[_called(entrant, path), name] = partial(_on_named, path, vehicle, plant, every)
-    for entrant, path in paths if pool else ():
-        if entrant.vehicle is None:
-            work[_called(entrant, path), _DRAWN] = partial(_on_drawn, path, pool, starts, plant, seed)
+        for label, path in policies.items():
+            work[label, name] = partial(_on_named, path, vehicle, plant, every)
+    for label, path in policies.items() if pool else ():
+        work[label, _DRAWN] = partial(_on_drawn, path, pool, starts, plant, seed)
     flown = fly_all(work)
-    report = {
+
+    def outcomes(where: str) -> dict[str, Any]:
+        return {x: {"policy": policies[x]} | summary(flown[x, where], *_COUNTED) for x in policies}
+
+    report: dict[str, Any] = {
         "command": "vehicles",
         "plant": plant,
         "seed": int(seed),
-        "labels": list(dict.fromkeys(entrant.label for entrant in entrants)),
+        "labels": list(policies),
         "vehicles": [
-            {"vehicle": name, **_description(vehicle), "outcomes": _outcomes(entrants, flown, name)}
+            {"vehicle": name, **_description(vehicle), "outcomes": outcomes(name)}
             for name, vehicle in known.items()
         ],
-        "draws": {"ranges": str(ranges), **_drawn(entrants, flown, pool, starts)} if pool else None,
+        "draws": None,
         "versions": runs.versions(),
     }
+    if pool:
+        landed = {x: flown[x, _DRAWN]["strict"].to_numpy().reshape(-1, starts).sum(axis=1) for x in policies}
+        report["draws"] = {
+            "ranges": str(ranges),
+            "count": len(pool),
+            "starts_each": starts,
+            "outcomes": outcomes(_DRAWN),
+            "members": [
+                {**_description(v), "strict": {x: int(counts[k]) for x, counts in landed.items()}}
+                for k, v in enumerate(pool)
+            ],
+        }
     rows, remarks = _rows(report)
     return Study(
         name="vehicles",
@@ -100,50 +107,6 @@ def run(
         panels=_panels(report),
         remarks=remarks,
     )
-
-
-def _called(entrant: Entrant, path: str) -> str:
-    """Return the name of one policy of an entrant."""
-    return entrant.label if len(entrant.policies) == 1 else f"{entrant.label}: {path}"
-
-
-def _outcomes(entrants: Sequence[Entrant], flown: Mapping[Key, pd.DataFrame], where: str) -> dict[str, Any]:
-    """Return by label the shares over the flights of all policies of it, and the outcome of each policy."""
-    by_label: dict[str, list[dict]] = {}
-    for entrant in entrants:
-        for path in entrant.policies if entrant.vehicle in (None, where) else ():
-            counts = summary(flown[_called(entrant, path), where], *_COUNTED)
-            by_label.setdefault(entrant.label, []).append({"policy": path} | counts)
-    pooled: dict[str, Any] = {}
-    for label, found in by_label.items():
-        sums = {
-            key: proportion(*(sum(one[key][part] for one in found) for part in ("count", "of")))
-            for key in ("strict", "success", "touched")
-        }
-        pooled[label] = sums | {"policies": found}
-    return pooled
-
-
-def _drawn(
-    entrants: Sequence[Entrant], flown: Mapping[Key, pd.DataFrame], pool: Sequence[Vehicle], starts: int
-) -> dict[str, Any]:
-    """Return what is counted of the flights of drawn vehicles, and of each of them."""
-    landed: dict[str, Any] = {}
-    for entrant in entrants:
-        for path in entrant.policies if entrant.vehicle is None else ():
-            strict = flown[_called(entrant, path), _DRAWN]["strict"].to_numpy().reshape(len(pool), starts)
-            landed[entrant.label] = landed.get(entrant.label, 0) + strict.sum(axis=1)
-    outcomes = _outcomes(entrants, flown, _DRAWN)
-    return {
-        "count": len(pool),
-        "starts_each": starts,
-        "outcomes": outcomes,
-        "flown_each": {label: starts * len(found["policies"]) for label, found in outcomes.items()},
-        "members": [
-            {**_description(v), "strict": {label: int(counts[k]) for label, counts in landed.items()}}
-            for k, v in enumerate(pool)
-        ],
-    }
 
 
 def _on_named(path: str, vehicle: Vehicle, plant: str, every: int) -> pd.DataFrame:
@@ -208,7 +171,7 @@ def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
     ]
     remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
     for label in report["labels"]:
-        shares = {name: of[label]["strict"] for name, (_, _, of) in flown.items() if label in of}
+        shares = {name: of[label]["strict"] for name, (_, _, of) in flown.items()}
         counts = [f"{share['count']} of {share['of']} flights with {name}" for name, share in shares.items()]
         remarks.append(f"{label} landed in {', '.join(counts)}.")
     return rows, remarks
@@ -216,12 +179,8 @@ def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
 
 def _panels(report: dict[str, Any]) -> list[Panel]:
     """Return strict success over mass and thrust to weight of groups of drawn vehicles, and of named ones."""
-    named = {
-        label: {
-            r["vehicle"]: r["outcomes"][label]["strict"] for r in report["vehicles"] if label in r["outcomes"]
-        }
-        for label in report["labels"]
-    }
+    found = report["vehicles"]
+    named = {x: {r["vehicle"]: r["outcomes"][x]["strict"] for r in found} for x in report["labels"]}
     panels = [Panel("Named vehicles", named)]
     if draws := report["draws"]:
         panels += [
@@ -235,10 +194,10 @@ def _groups(draws: dict[str, Any], key: str, factor: float) -> dict[str, dict[fl
     """Return by label the strict success of groups of drawn vehicles, over the median of a quantity."""
     where = factor * np.array([member[key] for member in draws["members"]])
     found: dict[str, dict[float, dict]] = {}
-    for label, each in draws["flown_each"].items():
+    for label in draws["outcomes"]:
         landed = np.array([member["strict"][label] for member in draws["members"]])
         found[label] = {
-            float(np.median(where[rows])): proportion(landed[rows].sum(), each * len(rows))
+            float(np.median(where[rows])): proportion(landed[rows].sum(), draws["starts_each"] * len(rows))
             for rows in np.array_split(np.argsort(where), min(_BINS, len(where)))
         }
     return found

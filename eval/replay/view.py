@@ -9,8 +9,7 @@ from msgspec import Meta
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.rendering.window import Window, check_display
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Flag, Flat, Flown, Starts
-from inclined_landing.eval.base.policies import AnyPolicy
+from inclined_landing.eval.base.options import Flag, Flat, Flown, PolicyFile, Starts
 from inclined_landing.eval.pictures.flights import fly_from, say_outcome, start_points, succeeded
 from inclined_landing.eval.pictures.to_rest import to_rest
 
@@ -19,7 +18,7 @@ _LINGERS = 1.5  # s that the last moment of a flight stays
 
 
 def command(
-    policy: AnyPolicy,
+    policy: PolicyFile,
     /,
     *,
     start: Starts = (),

@@ -24,7 +24,7 @@ timestep = 0.004
 inclination = { from = 10, to = 40, unit = "deg" }
 friction = { values = [0.5, 1.0], unit = "1" }
 mass = { mean = 33, deviation = 3, from = 28, to = 42, unit = "g", distribution = "normal" }
-thrust = { from = 0.1, to = 1, unit = "1", distribution = "log-uniform" }
+thrust = { from = 0.1, to = 1, unit = "1" }
 """
 RANGES = """
 nominal = 0.1

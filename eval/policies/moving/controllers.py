@@ -23,9 +23,9 @@ from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import StepContext, is_path
 from inclined_landing.envs.tasks.own import import_named
-from inclined_landing.eval.policies.entrants import parse_entrants
 from inclined_landing.eval.policies.moving.planner import Planner
 from inclined_landing.eval.policies.rest import Pilot, PolicyPilot
+from inclined_landing.eval.policies.study import named_policies
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
@@ -66,9 +66,8 @@ def find_all(names: Sequence[str]) -> list[Controller]:
 
     Raises UserError where two of them are called the same.
     """
-    vehicle, found = vehicle_flown(), []
-    for entrant in parse_entrants(tuple(dict.fromkeys(names)) or BASELINES):
-        found.append(find(entrant.only, vehicle, entrant.label))
+    vehicle, named = vehicle_flown(), named_policies(tuple(dict.fromkeys(names)) or BASELINES)
+    found = [find(policy, vehicle, label) for label, policy in named.items()]
     called = [controller.name for controller in found]
     if twice := [name for name in called if called.count(name) > 1]:
         raise UserError(f"two controllers are called {twice[0]}; rename one")

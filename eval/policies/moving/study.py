@@ -6,7 +6,6 @@ rest on the platform as the scenario says (see `eval.policies.rest`), the floor,
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -14,14 +13,12 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import count_words
-from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.eval.policies.flying import summary
 from inclined_landing.eval.policies.moving.controllers import Controller
 from inclined_landing.eval.policies.moving.scenario import Scenario
-from inclined_landing.eval.policies.rest import Pilot, fly_to_rest
+from inclined_landing.eval.policies.rest import fly_to_rest
 from inclined_landing.eval.policies.study import Study, fly_all, joined
 from inclined_landing.eval.policies.tables import Panel
 from inclined_landing.models.errors import UserError
@@ -35,22 +32,10 @@ RULE = (
     "and tilt at the first touch, relative to the platform, and the time until rest: medians."
 )
 PARTLY = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
-RIDE = 1.5  # s that a film goes on for after rest
 
 
-def fly(
-    scenario: Scenario,
-    controller: Controller,
-    flights: int | None = None,
-    *,
-    pilot: Pilot | None = None,
-    longer: float = 0.0,
-) -> pd.DataFrame:
-    """Return a row for each flight of a scenario, or of its first flights, as `fly_to_rest` does.
-
-    pilot: what flies, where it is not a new one of the controller. longer: by how much more than the
-    scenario says a vehicle must rest, and may take [s].
-    """
+def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:
+    """Return a row for each flight of a scenario, or of its first flights, as `fly_to_rest` does."""
     vehicle, rest = controller.vehicle, scenario.success
     drawn, period = scenario.draw(vehicle, flights), vehicle.command_control_period
     ids = np.arange(len(drawn.start))
@@ -62,57 +47,14 @@ def fly(
         return fly_to_rest(
             plant,
             drawn.start,
-            pilot or controller.pilot(len(ids)),
-            steps=round((rest.within + longer) / period),
-            hold=math.ceil((rest.hold + longer) / period - 1e-9),
+            controller.pilot(len(ids)),
+            steps=round(rest.within / period),
+            hold=math.ceil(rest.hold / period - 1e-9),
             speed=rest.speed,
             rate=rest.rate,
         )
     except UserError as error:
         raise UserError(f"scenario {scenario.name}: {error}") from error
-
-
-@dataclasses.dataclass(kw_only=True)
-class Ride(Flight):
-    """A flight that goes on after rest: the vehicle rides along."""
-
-    rested: float  # s, when it had come to rest, or the end
-
-    @property
-    def duration(self) -> float:
-        """Until rest [s]."""
-        return self.rested
-
-
-def ride(scenario: Scenario, controller: Controller) -> Ride:
-    """Return the first flight of a scenario, to be filmed."""
-    pilot = controller.pilot(1)
-    states, platforms, commands = [], [], []
-
-    def watched(t: float, context: StepContext) -> np.ndarray:
-        answer = pilot(t, context)
-        states.append(context.state[0].copy())
-        platforms.append(context.platform[0].copy())
-        commands.append(answer[0].copy())
-        return answer
-
-    flown = fly(scenario, controller, 1, pilot=watched, longer=RIDE).iloc[0]
-    t = controller.vehicle.command_control_period * np.arange(len(states))
-    task = make_task("touchdown", controller.vehicle, dimensions=3)
-    return Ride(
-        task=task,
-        actions=np.zeros((len(t), len(task.action_names))),  # a controller has none
-        reward=np.zeros(len(t)),
-        success=bool(flown["at_rest"]),
-        touched=not math.isnan(flown["normal_speed"]),
-        rested=flown["time"] - RIDE if flown["at_rest"] else t[-1],
-        t=t,
-        state=np.array(states),
-        commands=np.array(commands),
-        inclination=scenario.inclination,
-        platform=np.array(platforms),
-        motion=scenario.draw(controller.vehicle, 1).motion,
-    )
 
 
 def run(

@@ -208,7 +208,6 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
     growth = np.zeros((len(settings), len(speeds)))
     share = np.zeros_like(growth)
     through = np.zeros_like(growth, dtype=int)
-    history = None
     for i, setting in enumerate(settings):
         for j, speed in enumerate(speeds):
             energies, passed = _tumble(vehicle, n, speed, setting)
@@ -216,8 +215,6 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
             gain = (energies.max(axis=0) - energies[0]) / scale
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
             through[i, j] = passed.sum()
-            if setting is None and speed == 1.0:
-                history = energies[::5, :40]
     return WORDS.section(
         "tumbling",
         {
@@ -234,7 +231,6 @@ def tumbling(vehicle: Vehicle, n: int = 100) -> Section:
             "growth": growth,
             "share": share,
             "through": through,
-            "history": history,
         },
     )
 

@@ -6,8 +6,11 @@ import dataclasses
 import itertools
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
     WORDS,
@@ -17,6 +20,7 @@ from inclined_landing.eval.truth.equivalence.flying import (
     equations,
     position_gap,
 )
+from inclined_landing.eval.truth.report import panels
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.vehicle import Vehicle
 
@@ -94,8 +98,26 @@ def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
     return result + [WORDS.claim("bandwidth", "extended", g.extended, bandwidth=g.bandwidth) for g in gaps]
 
 
-def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Section, list[Gap]]:
-    """Return the section and the gaps for its figure; `everyday` are commands as a policy gives them."""
+@panels(1, 5.5, 4.0)
+def draw(v: Vehicle, gaps: list[Gap], axis: Axes) -> None:
+    """Draw the gap over the bandwidth."""
+    b, rms = np.array([(g.bandwidth, g.rms) for g in gaps]).T
+    for g in gaps:
+        axis.plot(np.full(len(g.paper), g.bandwidth), g.paper, ".", color=BLUE, alpha=0.3, ms=5)
+    axis.loglog(b, rms, "-o", color=BLUE, ms=5, label="paper's equations, rms (dots: each flight)")
+    axis.loglog(b, rms[-1] * b[-1] / b, "--", color=MUTED, lw=1, label="proportional to 1/B")
+    extended = [g.extended for g in gaps]
+    axis.loglog(b, extended, "-s", color=ORANGE, ms=5, label="equations extended with B")
+    axis.axvline(v.attitude_bandwidth, color=INK, lw=1, ls=":", label="default bandwidth")
+    axis.set_xticks(b, [f"{x:g}" for x in b])
+    axis.minorticks_off()
+    title = "Distance over 6 s of full steps, 3-D"
+    axis.set(title=title, xlabel="bandwidth B [1/s]", ylabel="distance [m]", ylim=(1e-7, 3e2))
+    legend_below(axis)
+
+
+def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Section, Figure]:
+    """Return the section and its figure; `everyday` are commands as a policy gives them."""
     gaps = measure(v, sequences)
     daily = measure(v, everyday, (v.attitude_bandwidth,))[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)
@@ -117,4 +139,4 @@ def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Sect
     heads = ("B [1/s]", *paper, "extended, largest [m]")
     tables = [Table("Distance between the engine's rate loop and the equations", heads, rows)]
     data = {"median_gap_now_m": plain, "median_gap_late_commands_m": late}
-    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables, data=data), gaps
+    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables, data=data), draw(v, gaps)

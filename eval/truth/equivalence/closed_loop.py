@@ -102,8 +102,8 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
     return [*result, WORDS.claim("closed_loop", "success", abs(share[VEHICLE] - share[PAPER]))]
 
 
-def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
-    """Return the section, and the flights by plant for its figure."""
+def section(policy: Policy, starts: np.ndarray) -> Section:
+    """Return the section over flights from `starts` (k, 2)."""
     flown = fly(policy, starts)
     compared = [c for pair in COMPARED if (c := compare(flown, *pair)) is not None]
     rows, summary = [], {}
@@ -134,7 +134,7 @@ def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
             Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
         ]
     heads = ("plant", "success", "without touching", *(f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)))
-    part = WORDS.section(
+    return WORDS.section(
         "closed_loop",
         found,
         {"policy": policy.path.name, "starts": len(starts)},
@@ -145,4 +145,3 @@ def section(policy: Policy, starts: np.ndarray) -> tuple[Section, dict]:
             "comparisons": [dataclasses.asdict(c) for c in compared],
         },
     )
-    return part, flown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from matplotlib.figure import Figure
 
@@ -15,7 +16,6 @@ from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
     convergence,
-    figures,
     flying,
     inconsistencies,
     isolated,
@@ -90,31 +90,24 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
-
-    tick("three levels")
     flights = flying.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
     full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
-    level, gaps = levels.section(v, flights, states, seed)
-    tick("single terms")
-    alone = isolated.section(v, states // 2, seed)
-    tick("native twin")
-    native = twin.section(v, by_label["full steps, 2-D"].commands)
-    tick("motor function")
-    motors = motor.section(v, seed)
-    tick("convergence")
-    order, errors = convergence.section(v, full.commands)
-    tick("bandwidth")
-    loop, found = bandwidth.section(v, full, recorded)
-    tick("closed loop")
-    closed, flown = closed_loop.section(policy, starts)
-    tick("inconsistencies")
-    odd, drag = inconsistencies.section(v, recorded)
-    drawn = {
-        "levels.png": figures.levels(v, gaps),
-        "convergence.png": figures.convergence(errors),
-        "bandwidth.png": figures.bandwidth(v, found),
-        "closed_loop.png": figures.closed_loop(flown),
-        "inconsistencies.png": figures.inconsistencies(v, drag),
+    work: dict[str, Callable[[], Section | tuple[Section, Figure]]] = {
+        "three levels": lambda: levels.section(v, flights, states, seed),
+        "single terms": lambda: isolated.section(v, states // 2, seed),
+        "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
+        "motor function": lambda: motor.section(v, seed),
+        "convergence": lambda: convergence.section(v, full.commands),
+        "bandwidth": lambda: bandwidth.section(v, full, recorded),
+        "closed loop": lambda: closed_loop.section(policy, starts),
+        "inconsistencies": lambda: inconsistencies.section(v, recorded),
     }
-    return [level, alone, native, motors, order, loop, closed, odd], drawn
+    sections, figures = [], {}
+    for what, measured in work.items():
+        tick(what)
+        found = measured()
+        if isinstance(found, tuple):
+            found, figures[f"{found[0].key}.png"] = found
+        sections.append(found)
+    return sections, figures

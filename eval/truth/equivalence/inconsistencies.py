@@ -13,14 +13,12 @@ import numpy as np
 
 from inclined_landing.eval.base.claims import Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
-from inclined_landing.eval.truth.equivalence.flying import HEIGHT, WORDS, Sequences
+from inclined_landing.eval.truth.equivalence.flying import WORDS, Sequences
 from inclined_landing.eval.truth.equivalence.motor import quoted
 from inclined_landing.models.attitude import LAG, PITCH, PITCH_COMMAND, PWM, VX, VZ, X, Z, rotation
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.forces import pack, rotor_speed_sum
 from inclined_landing.models.vehicle import Vehicle
-
-_SUBSTEPS = 5
 
 
 def code_rotor_speed(thrust: float, v: Vehicle) -> float:
@@ -53,32 +51,12 @@ def code_planar(y: np.ndarray, u: np.ndarray, v: Vehicle) -> np.ndarray:
     )
 
 
-def fly_code(v: Vehicle, commands: np.ndarray) -> np.ndarray:
-    """Return the public code's x, z (steps, n, 2) [m] under planar commands (steps, n, 4), from hover."""
-    steps, n, _ = commands.shape
-    h = v.command_control_period / _SUBSTEPS
-    history = np.empty((steps, n, 2))
-    for i in range(n):
-        y = np.array([0, HEIGHT, 0, 0, 0, v.hover_lag])
-        for k in range(steps):
-            u = commands[k, i, [PWM, PITCH_COMMAND]]
-            for _ in range(_SUBSTEPS):
-                k1 = code_planar(y, u, v)
-                k2 = code_planar(y + h / 2 * k1, u, v)
-                k3 = code_planar(y + h / 2 * k2, u, v)
-                k4 = code_planar(y + h * k3, u, v)
-                y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            history[k, i] = y[:2]
-    return history
-
-
 @dataclasses.dataclass(frozen=True)
 class Drag:
     """The public code's drag against the paper's, over states of planar flight."""
 
     paper: float  # m/s2, rms of the paper's drag
     error: float  # m/s2, rms of the difference
-    apart: np.ndarray  # (steps,) m, median distance over time under the same commands
 
 
 def drag(v: Vehicle, sequences: Sequences) -> Drag:
@@ -93,11 +71,7 @@ def drag(v: Vehicle, sequences: Sequences) -> Drag:
         y = state[[X, Z, VX, VZ, PITCH, LAG]]
         codes.append(code_planar(y, command[[PWM, PITCH_COMMAND]], v)[2:4] - free)
     paper, code = np.array(papers), np.array(codes)
-    return Drag(
-        float(np.sqrt((paper**2).sum(axis=1).mean())),
-        float(np.sqrt(((code - paper) ** 2).sum(axis=1).mean())),
-        np.median(np.linalg.norm(fly_code(v, commands) - flown[..., [X, Z]], axis=-1), axis=1),
-    )
+    return Drag(*(float(np.sqrt((gap**2).sum(axis=1).mean())) for gap in (paper, code - paper)))
 
 
 def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
@@ -116,8 +90,8 @@ def rotation_defects(v: Vehicle, printed: bool) -> tuple[float, float]:
     return float(defect), float(stretch)
 
 
-def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
-    """Return the section over planar flights `sequences`, and what its figure draws."""
+def section(v: Vehicle, sequences: Sequences) -> Section:
+    """Return the section over planar flights `sequences`."""
     flight, static = quoted("hover", "flight_pwm"), quoted("hover", "static_pwm")
     factor, g = quoted("hover", "force_factor"), v.environment_gravity
     needed = v.hover_pwm / flight
@@ -131,7 +105,6 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
     defect, stretch = rotation_defects(v, printed=True)
     sound, _ = rotation_defects(v, printed=False)
     roll = v.command_angle_limit
-    after = {t: found.apart[round(t / v.command_control_period) - 1] for t in (2.0, 6.0)}
     filling = {
         "static": number(static),
         "static_hover": number(v.static_hover_pwm),
@@ -146,8 +119,6 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
         "drag": found,
         "family": sequences.family,
         "share": 100 * share,
-        "after_2": number(after[2.0]),
-        "after_6": number(after[6.0]),
         "speed": number(speed),
         "excess": 100 * excess,
         "excess_low": 100 * excess_low,
@@ -170,4 +141,4 @@ def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Drag]:
     data = {"drag_rms": found.paper, "drag_error_rms": found.error, "hover_pwm": v.hover_pwm}
     data |= {"static_hover_pwm": v.static_hover_pwm, "thrust_stretch": stretch}
     tables = [Table("Inconsistencies", ("what", "paper or code", "here", "consequence"), rows)]
-    return WORDS.section("inconsistencies", measured, tables=tables, data=data), found
+    return WORDS.section("inconsistencies", measured, tables=tables, data=data)

@@ -6,11 +6,15 @@ import dataclasses
 
 import mujoco
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.style import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
     ATTITUDES,
+    FAMILIES,
     HEIGHT,
     WORDS,
     Sequences,
@@ -19,6 +23,7 @@ from inclined_landing.eval.truth.equivalence.flying import (
     equations,
     position_gap,
 )
+from inclined_landing.eval.truth.report import panels
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, X, Z, body_rates, quaternion
 from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import constants
@@ -151,8 +156,26 @@ def measure(
     return claims, flown, landed, (step, flight)
 
 
-def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> tuple[Section, dict]:
-    """Return the section and what its figure draws: {attitude: (step gaps, flight gaps)}."""
+@panels(2, 4.6, 4.0)
+def draw(vehicle: Vehicle, gaps: dict[Attitude, Gaps], *axes: Axes) -> None:
+    """Draw the position difference of flights over 6 s in both modes."""
+    colours = dict(zip(FAMILIES, (BLUE, GREEN, ORANGE, PURPLE)))
+    for axis, (attitude, flight) in zip(axes, gaps.items()):
+        t = vehicle.command_control_period * np.arange(1, len(flight.position) + 1)
+        for k, label in enumerate(flight.labels):
+            family, dimension = label.rsplit(", ", 1)
+            largest = flight.position[:, flight.group == k].max(axis=1)
+            style = {"ls": "-", "label": family} if dimension == "3-D" else {"ls": "--"}
+            axis.semilogy(t, np.maximum(largest, 1e-13), color=colours[family], lw=1.4, **style)
+        axis.axhline(FLIGHT_LIMITS[attitude][0], color=INK, lw=1, ls=":", label="tolerance")
+        axis.plot([], [], color=MUTED, lw=1.4, ls="--", label="the same in 2-D")
+        axis.set(title=attitude.replace("_", " ").capitalize(), xlabel="time [s]", xlim=(0, 6))
+        axis.set(ylabel="largest position difference [m]", ylim=(1e-11, 1e-3))
+        legend_below(axis)
+
+
+def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int) -> tuple[Section, Figure]:
+    """Return the section and its figure."""
     commands, starts = flying.side_by_side(vehicle, sequences)
     n = len(starts)
     kinematic, slow, landed, drawn = measure(vehicle, "kinematic", sequences, count, seed)
@@ -164,7 +187,7 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     heavier = flying.fly(equations(n, "kinematic", vehicle=vehicle), commands, starts, mass_scale=scale)
     metres = float(np.median(position_gap(heavier, slow)[-1]))
     rate_loop, flown, _, looped = measure(vehicle, "rate_loop", sequences, count, seed)
-    gaps = {"kinematic": drawn, "rate_loop": looped}
+    gaps: dict[Attitude, tuple[Gaps, Gaps]] = {"kinematic": drawn, "rate_loop": looped}
     rows = [
         (attitude.replace("_", " "), label, p, s, a)
         for attitude, (step, flight) in gaps.items()
@@ -184,4 +207,5 @@ def section(vehicle: Vehicle, sequences: list[Sequences], count: int, seed: int)
     heads = ("mode", "commands", "6 s: position [m]", "one step: position [m]", "6 s: angle [deg]")
     tables = [Table("Largest differences by family", heads, rows)]
     data = {"mass_uncertainty_moves_m": metres, "largest_speed": speed}
-    return WORDS.section("levels", kinematic + rate_loop, filling, tables=tables, data=data), gaps
+    part = WORDS.section("levels", kinematic + rate_loop, filling, tables=tables, data=data)
+    return part, draw(vehicle, {attitude: flight for attitude, (_, flight) in gaps.items()})

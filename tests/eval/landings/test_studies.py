@@ -27,7 +27,7 @@ samples = 40
 seed = 3
 [parameters]
 inclination = { from = 10, to = 50, unit = "deg" }
-friction = { from = 0.2, to = 1.4, unit = "1", distribution = "log-uniform" }
+friction = { from = 0.2, to = 1.4, unit = "1" }
 attitude_error = { mean = 0, deviation = 10, from = -20, to = 40, unit = "deg", distribution = "normal" }
 mass = { values = [30, 40], unit = "g" }
 """
@@ -191,7 +191,7 @@ def test_the_hypercube_is_one_landing_in_each_slice(tmp_path):
     values, start = design.design(read_study(written(tmp_path, STUDY)))
     alpha = np.degrees(values["inclination"])
     assert sorted(np.floor((alpha - 10) / 40 * 40)) == list(range(40))
-    mu = np.log(values["friction"] / 0.2) / math.log(7.0)
+    mu = (values["friction"] - 0.2) / 1.2
     assert sorted(np.floor(mu * 40)) == list(range(40))
     error = np.degrees(values["attitude_error"])
     assert error.min() >= -20 and error.max() <= 40 and abs(np.median(error)) < 2
@@ -309,7 +309,3 @@ def test_cells_without_landings_are_hatched_and_named():
     assert cells > 20 and len(drawn) == 2 * cells and all(patch.get_hatch() for patch in drawn)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "no landing there" in words and "slides off" in words and "tips over" not in words
-    gap = (alpha > np.radians(20)) & (alpha < np.radians(26))
-    profiles = maps.profile_figure([(one.x, alpha[~gap])], np.zeros((~gap).sum(), int))
-    hatched = [patch for patch in profiles.axes[0].patches if patch.get_gid() == "empty"]
-    assert 2 <= len(hatched) <= 3  # bins of 2 degrees

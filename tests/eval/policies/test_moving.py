@@ -11,8 +11,7 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.policies.moving import controllers, study
 from inclined_landing.eval.policies.moving.controllers import vehicle_flown
 from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
-from inclined_landing.eval.policies.moving.study import RIDE, fly, ride
-from inclined_landing.models import surface
+from inclined_landing.eval.policies.moving.study import fly
 from tests import ROOT
 from tests.eval.policies import spectra
 
@@ -181,13 +180,3 @@ def test_the_example_lands_and_is_the_one_of_the_page():
     assert text[text.index("class Descend") :].strip() in page
     found = controllers.find(f"{example}:Descend", VEHICLE)
     assert fly(read_scenario("travel_050_cm_s"), found, 2)["at_rest"].all()
-
-
-def test_a_filmed_flight_is_the_scored_one_and_rides_along():
-    """Rest at the same time; a second and a half later still carried by the ship at 1 m/s."""
-    scenario, planner = read_scenario("ship_5_bow"), controllers.find("planner", VEHICLE)
-    flight, scored = ride(scenario, planner), fly(scenario, planner, 1).iloc[0]
-    assert flight.success and flight.duration == pytest.approx(scored["time"], abs=0.021)
-    assert flight.t[-1] >= scored["time"] + RIDE - 0.03
-    _, velocity, _ = surface.relative(flight.state[-1:], flight.platform[-1:])
-    assert np.linalg.norm(velocity) < 0.05 < np.linalg.norm(flight.state[-1, 3:6])

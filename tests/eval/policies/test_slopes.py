@@ -29,11 +29,11 @@ def test_curve_and_table_of_a_policy(tmp_path, capsys):
 
 
 def test_map_of_a_policy_in_space(tmp_path):
-    """Also where a cell has no flight at all."""
+    """Also where a part has no flight at all."""
     out, options = tmp_path / "slopes", ["--over=slopes", "--plant", "analytic", "--every", "25"]
     assert main(["robustness", "landing-3d", *options, "--out", str(out)]) == 0
     entry = json.loads((out / "slopes.json").read_text())["policies"][0]
-    counted = sum(cell["of"] for row in entry["cells"] for cell in row)
+    counted = sum(part["strict"]["of"] for part in entry["azimuth_curve"])
     assert counted == entry["all"]["strict"]["of"] == entry["any_heading"]["strict"]["of"] == 44
     assert entry["single"][0]["inclination"] > 0.0 and (out / "slopes.png").stat().st_size > 10_000
 

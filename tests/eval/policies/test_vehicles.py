@@ -6,7 +6,7 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.policies import vehicles
-from inclined_landing.eval.policies.entrants import Entrant, parse_entrant, parse_entrants
+from inclined_landing.eval.policies.study import named_policies
 from inclined_landing.models.errors import UserError
 
 NAMED = ("crazyflie-2.1", "hummingbird")
@@ -15,22 +15,8 @@ OPTIONS = {"draws": 6, "starts": 2, "plant": "analytic", "seed": 5}
 
 @pytest.fixture(scope="module")
 def report():
-    entries = [
-        parse_entrant("plain=landing"),
-        parse_entrant("both=landing-nominal+landing"),
-        parse_entrant("own@hummingbird=landing-nominal"),
-    ]
-    return vehicles.run(entries, NAMED, "vehicles", **OPTIONS).report
-
-
-def test_entries():
-    assert parse_entrant("runs/a/final.zip") == Entrant("final", ("runs/a/final.zip",))
-    assert parse_entrant("runs/a/") == Entrant("a", ("runs/a/",))  # a run folder
-    assert parse_entrant("told=a.zip+b.zip") == Entrant("told", ("a.zip", "b.zip"))
-    assert parse_entrant("own@hummingbird=a.zip") == Entrant("own", ("a.zip",), "hummingbird")
-    for wrong in ("=a.zip", "told=", "told=a.zip+", "own@=a.zip", "@x=a.zip", "seeds=a.zip+a.zip"):
-        with pytest.raises(UserError, match="policies are written LABEL=POLICY"):
-            parse_entrant(wrong)
+    policies = {"plain": "landing", "nominal": "landing-nominal"}
+    return vehicles.run(policies, NAMED, "vehicles", **OPTIONS).report
 
 
 def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
@@ -38,36 +24,30 @@ def test_runs_are_called_by_their_folders_and_files_told_apart(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / "final.zip").touch()
     one, other = tmp_path / "a", tmp_path / "b/final.zip"
-    assert [entry.label for entry in parse_entrants([str(one), str(other), "landing"])] == [
-        "a",
-        "final",
-        "landing",
-    ]
-    files = [str(one / "final.zip"), str(other)]
-    assert [entry.label for entry in parse_entrants(files)] == ["a/final", "b/final"]
+    assert list(named_policies([str(one), str(other), "landing"])) == ["a", "final", "landing"]
+    assert list(named_policies([str(one / "final.zip"), str(other)])) == ["a/final", "b/final"]
+    assert named_policies(["told=a.zip", "runs/b/"]) == {"told": "a.zip", "b": "runs/b/"}
     with pytest.raises(UserError, match="policy landing is named twice"):
-        parse_entrants(["landing", "landing"])
+        named_policies(["landing", "landing"])
 
 
-def test_every_policy_is_counted_on_every_vehicle_it_is_for(report):
+def test_every_policy_is_counted_on_every_vehicle(report):
     small, big = report["vehicles"]
-    assert list(small["outcomes"]) == ["plain", "both"] and list(big["outcomes"]) == ["plain", "both", "own"]
-    plain, both = (small["outcomes"][label] for label in ("plain", "both"))
+    assert list(small["outcomes"]) == list(big["outcomes"]) == ["plain", "nominal"]
+    plain = small["outcomes"]["plain"]
     assert plain["strict"]["of"] == 251 and plain["strict"]["share"] > 0.9
-    assert both["strict"]["of"] == 502
-    assert both["strict"]["count"] == sum(p["strict"]["count"] for p in both["policies"])
     # With wider rotors fewer starts of the grid are clear; its thrust at action 0 is another: none arrives.
-    assert 200 < big["outcomes"]["own"]["strict"]["of"] < 251
-    assert big["outcomes"]["own"]["strict"]["count"] == 0
+    assert 200 < big["outcomes"]["nominal"]["strict"]["of"] < 251
+    assert big["outcomes"]["nominal"]["strict"]["count"] == 0
     assert big["mass"] == 0.5
 
 
 def test_drawn_vehicles_are_those_of_the_ranges(report):
     draws = report["draws"]
-    assert set(draws["outcomes"]) == {"plain", "both"} and draws["flown_each"] == {"plain": 2, "both": 4}
+    assert set(draws["outcomes"]) == {"plain", "nominal"}
     for label, outcome in draws["outcomes"].items():
         assert outcome["strict"]["count"] == sum(m["strict"][label] for m in draws["members"])
-        assert outcome["strict"]["of"] == 6 * draws["flown_each"][label]
+        assert outcome["strict"]["of"] == 6 * 2
     assert len({m["mass"] for m in draws["members"]}) == 6
 
 
