@@ -162,7 +162,13 @@ def bound(command: Callable) -> Callable:
         from inclined_landing.models import schema
 
         values = inspect.signature(command).bind(*arguments, **options).arguments
-        schema.check(values, schema.kinds_of(command), flag_of)
+        try:
+            schema.check(values, schema.kinds_of(command), flag_of)
+        except (
+            UserError
+        ) as error:  # an option of several values is called without the number of the wrong one
+            flag, must, rest = str(error).partition(" must be ")
+            raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
         return functools.partial(command, *arguments, **options)
 
     return later
@@ -298,7 +304,15 @@ def _drop_output() -> None:
 
 def _sentence(box: str, prog: str) -> str:
     """Return tyro's message, which it prints in a frame, as one sentence."""
-    rows = [row.strip("│| ") for row in box.splitlines()[1:]]
+    lines = [row.strip("│|").rstrip() for row in box.splitlines()[1:]]
+    first = next((k for k, row in enumerate(lines) if row.strip().startswith("Missing from")), None)
+    if first is not None:  # options follow up to a rule, each indented less than its help
+        listed = list(itertools.takewhile(lambda row: row.strip("─- "), lines[first + 1 :]))
+        indents = [len(row) - len(row.lstrip()) for row in listed]
+        needed = [row.strip() for row, indent in zip(listed, indents) if indent == min(indents)]
+        are = "is" if len(needed) == 1 else "are"
+        return f"{' and '.join(needed)} {are} missing; {prog} --help says what is right"
+    rows = [row.strip() for row in lines]
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-+╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for is_rule, part in ruled if not is_rule]
     ends = ("Got errors", "Argument helptext", "For full helptext")

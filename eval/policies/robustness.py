@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from msgspec import Meta
@@ -22,7 +22,6 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import check_plant
-from inclined_landing.models.vehicle import Vehicle
 
 # Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
 QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 12, 32, 4, 256
@@ -139,7 +138,11 @@ def command(
             tuple(changes.SIZES) if full else ("medium",),
         )
         known = load_vehicle(vehicle[0]) if vehicle else None
-        found += _landings(policies, over, known, cases, {"plant": plant, "every": every})
+        loaded = {x: load_policy(policy, vehicle=known) for x, policy in named_policies(policies).items()}
+        if {"thrust", "effects"} & set(over):
+            found.append(changes.run(loaded, cases, plant=plant, every=every))
+        if "slopes" in over:
+            found.append(slopes.run(loaded, plant=plant, every=every))
     if "vehicles" in over:
         draws = drawn_vehicles.draws
         options = dataclasses.asdict(drawn_vehicles)
@@ -170,16 +173,3 @@ def _check(policies: tuple[str, ...], over: tuple[str, ...], vehicle: tuple[str,
         raise UserError(f"policies: at most {MOST_COMPARED} stand side by side, not {len(labels)}")
     if vehicle and (over == ("moving",) or (len(vehicle) > 1 and over != ("vehicles",))):
         raise UserError("--vehicle is one vehicle, of --over vehicles several; moving platforms have theirs")
-
-
-def _landings(
-    policies: tuple[str, ...],
-    over: tuple[str, ...],
-    known: Vehicle | None,
-    cases: list[changes.Change],
-    options: dict[str, Any],
-) -> list[Study]:
-    """Return the studies of landing policies, for a known vehicle, over thrust and effects, and slopes."""
-    loaded = {x: load_policy(policy, vehicle=known) for x, policy in named_policies(policies).items()}
-    studies = [changes.run(loaded, cases, **options)] if {"thrust", "effects"} & set(over) else []
-    return studies + ([slopes.run(loaded, **options)] if "slopes" in over else [])

@@ -69,7 +69,9 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success", "x", "--sed", "3"], "Unrecognized options: --sed, 3; Perhaps you meant: --seed INT"),
     (["doctor", "--\nsed", "\udcff" * 200], "Unrecognized options: --"),
     (["logs"], "Error parsing source: name at least one log"),
-    (["landings"], "Missing from landing-eval landings: STUDY.toml"),
+    (["landings"], "STUDY.toml and --out DIR are missing; landing-eval landings --help"),
+    (["touchdown"], "POLICY is missing; landing-eval touchdown --help"),
+    (["success", "x", "--thrust-scale", "1", "4"], "--thrust-scale must be a number above 0 and of at"),
 ])  # fmt: skip
 def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     assert cli.main(words) == 2
@@ -86,6 +88,7 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
             "not nan\n",
             "not inf\n",
             "not 0.0\n",
+            "not 4.0\n",
         )
     )
 

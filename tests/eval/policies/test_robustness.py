@@ -143,7 +143,7 @@ def test_long_work_says_how_long_it_takes_and_what_is_done(monkeypatch, capsys):
         (("landing-slopes",), "observes the slope"),
         (("landing", "landing"), "landing is named twice"),
         (("landing", "--effect", "gremlins"), "unknown effect gremlins"),
-        (("landing", "--thrust", "0"), "--thrust[0] must be a number above 0"),
+        (("landing", "--thrust", "0"), "--thrust must be a number above 0"),
         (("landing", "--every", "0"), "--every must"),
         (("landing", "--plant", "paper"), "unknown plant"),
         (("landing", "--vehicle", "sparrow", *VEHICLES), "vehicle file sparrow does not exist"),
