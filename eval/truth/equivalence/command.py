@@ -107,7 +107,8 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
     for what, measured in work.items():
         tick(what)
         found = measured()
-        if isinstance(found, tuple):
-            found, figures[f"{found[0].key}.png"] = found
-        sections.append(found)
+        part, figure = found if isinstance(found, tuple) else (found, None)
+        if figure is not None:
+            figures[f"{part.key}.png"] = figure
+        sections.append(part)
     return sections, figures
