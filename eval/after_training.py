@@ -19,12 +19,7 @@ from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.curves import learning_curves
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import (
-    flight_view,
-    strobe,
-    write_picture,
-    write_video,
-)
+from inclined_landing.eval.pictures.frames import flight_view, strobe, write_picture, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.policies import success, touchdown
 from inclined_landing.eval.policies.flying import LANDINGS, headline
@@ -77,7 +72,8 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     view = flight_view([filmed], **_LOOK)
     with make_renderer(**_LOOK, camera=view, vehicle=task.vehicle) as renderer:
         frames, _, rate = video.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
-        files.append(write_video(folder / f"{task.name}.mp4", frames, fps=rate))
+        files.append(folder / f"{task.name}.mp4")
+        write_videos({files[-1]: 1}, frames, fps=rate)
         files.append(write_picture(folder / "picture.png", strobe(filmed, renderer=renderer)))
     return files
 

@@ -190,21 +190,11 @@ def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
     return path
 
 
-def write_video(path, frames, fps: float = FPS) -> pathlib.Path:
-    """Write frames (h, w, 3) uint8 to an .mp4 or .gif file; return its path.
-
-    The file appears under its name when it is complete. Raises UserError for another suffix and for
-    no frames.
-    """
-    path = pathlib.Path(path)
-    write_videos({path: 1}, frames, fps)
-    return path
-
-
 def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
-    """Write the same frames to several files of the same duration, each with every n-th frame (by file).
+    """Write frames (h, w, 3) uint8 to .mp4 or .gif files of one duration, each with every n-th frame.
 
-    Raises UserError as `write_video` does, and where ffmpeg fails, as on a full disk.
+    A file appears under its name when it is complete. Raises UserError for another suffix, for no frames, and
+    where ffmpeg fails, as on a full disk.
     """
     for path in every:
         if path.suffix.lower() not in _CODECS:

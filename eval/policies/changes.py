@@ -137,7 +137,15 @@ def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, 
         "plant": plant,
         "starts": len(starts),
         "inclination": first.inclination,
-        "policies": [_description(name, policy) for name, policy in policies.items()],
+        "policies": [
+            {
+                "name": name,
+                "policy": str(policy.path),
+                "trained": policy.metadata,
+                "task_options": policy.task.options,
+            }
+            for name, policy in policies.items()
+        ],
         "thrust": sorted((row for row in rows if not row["size"]), key=_scale),
         "effects": [row for row in rows if row["size"]],
         "differences": _differences(cases, names, flown),
@@ -157,17 +165,6 @@ def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, 
         panels=_panels(report, names),
         remarks=[REMARK, *_comparisons(report), *_answers(report)],
     )
-
-
-def _description(name: str, policy: Policy) -> dict[str, Any]:
-    return {
-        "name": name,
-        "policy": str(policy.path),
-        "trained": policy.metadata,
-        "task_options": policy.task.options,
-        "history": policy.task.history,
-        "randomised": "ranges" in policy.metadata,
-    }
 
 
 def _differences(

@@ -77,7 +77,7 @@ def command(
     storage.check_file(out)
     check_random_starts(drawn, start)
     check_plant(flown.plant)
-    plant, vehicle, units = flown.plant, _vehicle(flown), parse_units(unit)
+    vehicle, units = _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
     if (start or drawn) and not policies:
         raise UserError(
@@ -85,19 +85,27 @@ def command(
         )
     # Everything is read before anything flies.
     logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
-    ready = {source: _load_policy(source, start, drawn, seed, flown) for source in policies}
+    ready: dict[str, tuple[Policy, Start]] = {}
+    for source in policies:
+        policy = flown.load(source)
+        where = start_points(start, policy.task) if start else policy.task.film_starts
+        ready[source] = policy, choose_starts(policy.task, where, drawn, seed)
     recordings: list[Recording] = []
     notes: list[str] = []
-    for source in sources:
+    names = [shown(_name(source), 60) for source in sources]
+    for source, name in zip(sources, names):
         if source in ready:
-            recordings += _record(_name(source).removesuffix(".zip"), *ready[source], plant)
+            policy, starts = ready[source]
+            for flight in record_flights(policy, flown.plant, starts):
+                named = f"{name.removesuffix('.zip')} from {policy.task.start_words(flight.state[0])}"
+                recordings.append(from_flight(flight, named, flown.plant))
             continue
-        found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=plant)
+        found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=flown.plant)
         recordings += found
         notes += log_notes
     text = write(
         recordings,
-        title=_title(sources),
+        title=", ".join(names[:2]) + (f" and {len(names) - 2} more" if len(names) > 2 else ""),
         notes=notes,
         run=shlex.join(["landing-eval", *sys.argv[1:]]),
         versions=runs.packages(),
@@ -120,33 +128,11 @@ def _is_policy(source: str) -> bool:
     return is_run or (path.is_file() and zipfile.is_zipfile(path))  # pipes and devices have no end
 
 
-def _title(sources: tuple[str, ...]) -> str:
-    names = [shown(_name(source), 60) for source in sources]
-    rest = f" and {len(names) - 2} more" if len(names) > 2 else ""
-    return ", ".join(names[:2]) + rest
-
-
 def _name(source: str) -> str:
     """Return what a policy or a log is called: that of a run is called after the run's folder."""
     path = Path(source)
     of_a_run = path.name in ("final.zip", "best.zip") and path.parent.name
     return source if source in SHIPPED else path.parent.name if of_a_run else path.name
-
-
-def _load_policy(source: str, start: Starts, drawn: int, seed: int, flown: Flown) -> tuple[Policy, Start]:
-    """Return a policy and its starts."""
-    policy = flown.load(source)
-    where = start_points(start, policy.task) if start else policy.task.film_starts
-    return policy, choose_starts(policy.task, where, drawn, seed)
-
-
-def _record(name: str, policy: Policy, where: Start, plant: str) -> list[Recording]:
-    """Return the recorded flights of one policy."""
-    recordings = []
-    for flight in record_flights(policy, plant, where):
-        named = f"{shown(name, 60)} from {policy.task.start_words(flight.state[0])}"
-        recordings.append(from_flight(flight, named, plant))
-    return recordings
 
 
 def _vehicle(flown: Flown) -> Vehicle:

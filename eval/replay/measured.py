@@ -27,6 +27,8 @@ def from_log(
     """
     notes = [f"{log.name}: {note}" for note in log.notes]
     platform = platform or log.contact is not None
+    touches = [] if log.contact is None else np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1
+    velocity = log.velocity if log.velocity is not None else np.gradient(log.position, log.t, axis=0)
     measured = Recording(
         name=log.name,
         kind=MEASURED,
@@ -36,9 +38,9 @@ def from_log(
         t=log.t - log.t[0],
         position=log.position,
         attitude=log.attitude,
-        velocity=_velocity(log),
+        velocity=velocity,
         commands=log.command,
-        events=_first_contact(log),
+        events=[(float(log.t[row] - log.t[0]), "first touch") for row in touches[:1]],
     )
     try:
         flight = prepare(log, vehicle, platform=platform)
@@ -47,18 +49,6 @@ def from_log(
         reason = str(error).removeprefix(f"{log.name}: ")
         return [measured], [*notes, f"no simulation of {log.name}: {reason}"]
     return [measured, simulated], notes
-
-
-def _velocity(log: FlightLog) -> np.ndarray:
-    """Return the velocity (m, 3) [m/s] as logged, or by finite differences of the measured position."""
-    return log.velocity if log.velocity is not None else np.gradient(log.position, log.t, axis=0)
-
-
-def _first_contact(log: FlightLog) -> list[tuple[float, str]]:
-    if log.contact is None:
-        return []
-    begins = np.flatnonzero(np.diff(log.contact.astype(int)) == 1) + 1
-    return [(float(log.t[begins[0]] - log.t[0]), "first touch")] if len(begins) else []
 
 
 def _simulated(
@@ -77,7 +67,8 @@ def _simulated(
     windows: dict[int, np.ndarray] = {}
     for steps in sorted({steps for _, steps in segments}):
         firsts = [first for first, length in segments if length == steps]
-        windows |= dict(zip(firsts, _simulated_poses(flight, firsts, steps, vehicle, plant)))
+        starts = RolloutWindows([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
+        windows |= dict(zip(firsts, simulate(starts, vehicle, plant)))
     poses = [windows[first] for first, _ in segments]
     index = np.concatenate([np.arange(first, first + n + 1) for first, n in segments])
     pose = np.concatenate(poses)
@@ -117,11 +108,3 @@ def _segments(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
             if steps >= min(rows, SHORTEST):
                 found.append((first, steps))
     return found
-
-
-def _simulated_poses(
-    flight: MeasuredFlight, firsts: list[int], steps: int, vehicle: Vehicle, plant: str
-) -> np.ndarray:
-    """Return simulated poses (k, steps + 1, 6) from the k rows `firsts`."""
-    starts = RolloutWindows([flight], np.zeros(len(firsts), int), np.array(firsts), steps, flight.dt)
-    return simulate(starts, vehicle, plant)

@@ -11,16 +11,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import inclined_landing.eval
-from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.page import embedded, png
 from inclined_landing.eval.gap.report.page import page as gap_page
 from tests.eval.base.test_pages import claims_page, identification_page
 from tests.eval.gap.test_report import example
-from tests.eval.landings.test_run import STUDY
 
-ROOMS = Path(inclined_landing.eval.__file__).parent
 PHONE = 390  # CSS pixels
 LEAST = 14  # CSS pixels of text
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -60,38 +56,16 @@ def phone(folder: Path) -> dict:
     return json.loads(found[1])
 
 
-def _command(file: str, *words: str):
-    """Return what writes the page `file` into a folder by a command; {out}: the folder."""
-
-    def write(folder: Path) -> str:
-        out = folder / ("out.html" if file == "out.html" else "out")
-        assert cli.main([word.format(out=out, folder=folder) for word in words]) == 0
-        return (out if out.is_file() else out / file).read_text("utf-8")
-
-    return write
-
-
-def _landings(folder: Path) -> str:
-    (folder / "study.toml").write_text(STUDY, "utf-8")
-    return _command("index.html", "landings", "{folder}/study.toml", "--out", "{out}")(folder)
-
-
 PAGES = {
-    "gap": lambda _: gap_page(example("unknown"), None, versions={"python": "3"}),
-    "identify": lambda _: identification_page("a word"),
-    "landings": _landings,
-    "replay": _command("out.html", "replay", "landing", "--out", "{out}"),
-    "robustness": _command(
-        "index.html", *("robustness", "landing-nominal", "landing", "--every", "125"),
-        *("--thrust", "1.0", "--effect", "mass", "--out", "{out}"),
-    ),
-}  # fmt: skip
+    "gap": lambda: gap_page(example("unknown"), None, versions={"python": "3"}),
+    "identify": lambda: identification_page("a word"),
+}
 
 
 @pytest.mark.browser
 @pytest.mark.parametrize("name", PAGES)
 def test_every_page_fits_a_phone(name, tmp_path):
-    (tmp_path / "page.html").write_text(PAGES[name](tmp_path), "utf-8")
+    (tmp_path / "page.html").write_text(PAGES[name](), "utf-8")
     seen = phone(tmp_path)
     assert seen["page"] == [PHONE, PHONE]
     assert seen["small"] == []

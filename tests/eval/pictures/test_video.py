@@ -12,7 +12,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import labels_of, render_flight, strobe, write_video
+from inclined_landing.eval.pictures.frames import labels_of, render_flight, strobe, write_videos
 from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.pictures.video import film_side_by_side
@@ -58,7 +58,8 @@ def test_flights_beside_each_other_wait_for_the_longest():
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_video_reads_back(tmp_path, suffix):
     frames = list(render_flight(flight(0.2), width=160, height=120, backend="ray"))
-    path = write_video(tmp_path / "new" / f"flight{suffix}", frames, fps=25)
+    path = tmp_path / "new" / f"flight{suffix}"
+    write_videos({path: 1}, frames, fps=25)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     reader = imageio_ffmpeg.read_frames(str(path))
     meta = next(reader)
@@ -75,7 +76,7 @@ def test_failure_leaves_nothing_behind(tmp_path):
         raise RuntimeError("no more")
 
     with pytest.raises(RuntimeError, match="no more"):
-        write_video(tmp_path / "flight.mp4", broken())
+        write_videos({tmp_path / "flight.mp4": 1}, broken())
     assert not list(tmp_path.iterdir())
 
 
@@ -93,7 +94,7 @@ def test_ffmpeg_that_fails_is_one_sentence(code, said, tmp_path, monkeypatch):
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(tmp_path / "ffmpeg"))
     for frames in (1, 30):  # what a pipe holds, and more
         with pytest.raises(UserError, match=rf"cannot write .*new/a\.mp4: {said}"):
-            write_video(tmp_path / "new" / "a.mp4", [np.zeros((120, 160, 3), np.uint8)] * frames)
+            write_videos({tmp_path / "new" / "a.mp4": 1}, [np.zeros((120, 160, 3), np.uint8)] * frames)
     assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
 
 
