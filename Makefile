@@ -33,7 +33,7 @@ TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_land
   && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(addprefix -p inclined_landing.,$(PACKAGES))
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
-.PHONY: install demo test test-all lint bench diagram docs wheel release lock
+.PHONY: install demo test test-all checks lint bench diagram docs wheel release lock
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
@@ -42,20 +42,21 @@ demo: $(INSTALLED)
 	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif \
 	  --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
 
-test: .venv/.compiled
+# Checks and compiling run side by side.
+test: .venv/.installed-test
+	@$(MAKE) --no-print-directory -j 2 checks .venv/.compiled
+	$(PYTEST)
+
+checks: .venv/.installed-test
 	$(BIN)/ruff check
 	$(BIN)/lint-imports --no-logo
 	$(TYPES)
-	$(PYTEST)
 
 test-all: .venv/.installed-test-all .venv/.compiled
 	CAMPAIGN=10 $(PYTEST) -m 'slow or gl or browser or not slow'
 
-lint: .venv/.installed-test
-	$(BIN)/ruff check
+lint: checks
 	$(BIN)/ruff format --check
-	$(BIN)/lint-imports --no-logo
-	$(TYPES)
 
 bench: $(INSTALLED)
 	$(BIN)/landing-eval benchmark
