@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 _COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
-EVERY = 5.0  # s between two lines, at least
+EVERY = 10.0  # s between two lines, at least
 
 
 @contextlib.contextmanager

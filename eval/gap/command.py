@@ -13,10 +13,15 @@ from inclined_landing.eval.base.options import Flat, FlightSource, Folder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.model.reference import read_reference
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
+from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report import figures, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
+from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
 
 
 def command(
@@ -37,7 +42,7 @@ def command(
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.read_run(source, parts=4, reference_files=reference) as (logs, kept, notes, tick, plain):
+    with run.read_run(source, parts=5, reference_files=reference) as (logs, kept, notes, tick, plain):
         tick("reference")
         if plain:
             found = identify(plain, nominal, platform=source.platform)
@@ -54,12 +59,14 @@ def command(
             platform=source.platform or None,
             plants=tuple(words.PLANTS),
         )
+        tick("most informative flight")
+        flight, following = _flight(d, nominal, known, out)
         tick("figures")
         flown = tracks.most_varied_flight([log for log in kept or logs if log.name in d.heldout])
         with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
         track = tracks.of(flown, nominal, d.corrected, held_out=bool(kept), platform=with_slab)
         versions = runs.versions()
-        html = page(d, track, versions=versions, notes=notes)
+        html = page(d, track, versions=versions, notes=notes, flight=flight)
         with styled():
             picture = figures.overview(d, track)
         tick("files")
@@ -68,7 +75,16 @@ def command(
         with runs.staged_run(out) as folder:
             save_figure(picture, folder / "gap.png")
             model.write(d, nominal, folder, base=source.vehicle)
-            run.write(folder, "gap", html, d.to_json(), source, began, versions)
+            run.write(folder, "gap", html, d.to_json() | {"flight": flight}, source, began, versions)
         written = out
     finally:
-        terminal.show(d, notes, written)
+        terminal.show(d, notes, written, flight, following if written else "")
+
+
+def _flight(d: Diagnosis, vehicle: Vehicle, known: VehiclePosterior, out: Path) -> tuple[str, str]:
+    """Return sentences on the most informative flight, and the command that plans one; "" for none."""
+    try:
+        text, worth = most_informative_flight(PlanInput.of(d, vehicle, known))
+    except UserError:  # as where the vehicle file's arena leaves no room
+        return "", ""
+    return text, f"landing-eval plan {out} --out {out.with_name(out.name + '-flight')}" if worth else ""

@@ -28,7 +28,6 @@ from inclined_landing.eval.gap.infer.sets import search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.plan.words import discriminating_manoeuvre
 from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ResidualAnalysis, Touchdowns, Verdict
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
@@ -87,10 +86,6 @@ def diagnose(
     clock("errors")
     contact = contact_answer(use, vehicle, correction.vehicle, candidates)
     clock("touchdown")
-    # Which manoeuvre would tell the named effects from those confounded with them?
-    tied = any(len(e.members) > 1 for e in effects)
-    manoeuvre = discriminating_manoeuvre(found, platform) if tied else ""
-    clock("manoeuvre")
     return Diagnosis(
         verdict=_verdict((*effects, *contact.effects), residual, contact.touchdowns),
         set_aside=use.set_aside,
@@ -99,7 +94,6 @@ def diagnose(
         estimated=correction.values if correction.again else {},
         half_widths=correction.half_widths,
         corrected=contact.vehicle,
-        separating_manoeuvre=manoeuvre or None,
         where=(*regime_errors(evaluation), *contact.where),
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),

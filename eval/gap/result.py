@@ -176,11 +176,6 @@ class ScoredSet:
     values: Mapping[str, Mapping[str, float]]
     standard_errors: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        """Return the names of the effects as part of a sentence."""
-        return " with ".join(self.effects) if self.effects else "nothing"
-
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
@@ -239,7 +234,6 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     # The vehicle diagnosed, with the named effects; an identified one may have all others estimated again.
     corrected: Vehicle
-    separating_manoeuvre: str | None
     where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
@@ -272,16 +266,19 @@ class Diagnosis:
         """Return the probability of the empty set."""
         return sum(s.probability for s in self.sets if not s.effects)
 
+    def probability(self, *names: str) -> float:
+        """Return the marginal probability that at least one of some effects is missing."""
+        return sum(s.probability for s in self.sets if set(names) & set(s.effects))
+
     @property
     def possible(self) -> dict[str, float]:
         """Return the effects that were not named, with their probabilities, most probable first."""
         named = {name for effect in self.effects for name in effect.members}
-        found: dict[str, float] = {}
-        for one in self.sets:
-            for name in set(one.effects) - named:
-                found[name] = found.get(name, 0.0) + one.probability
-        likely = sorted(found.items(), key=lambda item: -item[1])
-        return {name: part for name, part in likely if part >= thresholds.POSSIBLE}
+        others = {name for one in self.sets for name in one.effects} - named
+        found = sorted(
+            ((name, self.probability(name)) for name in others), key=lambda item: (-item[1], item[0])
+        )
+        return {name: part for name, part in found if part >= thresholds.POSSIBLE}
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""
@@ -290,11 +287,10 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
-        record = {"version": VERSION, "nothing": self.nothing, "possible": self.possible}
-        record |= {name: value for name, value in dataclasses.asdict(self).items() if name not in _DRAWN}
+        record = {name: value for name, value in dataclasses.asdict(self).items() if name not in _DRAWN}
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
             entry["material"] = self.residual.material(one)
-        return record
+        return {"version": VERSION, "nothing": self.nothing, "possible": self.possible} | record

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,12 +15,12 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder, Seed, VehicleFile
 from inclined_landing.eval.base.progress import stages
-from inclined_landing.eval.base.style import save_figure, styled
+from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan import words
 from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
 from inclined_landing.eval.gap.plan.picture import picture
-from inclined_landing.eval.gap.plan.reading import read_report
+from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.models import storage
 
 
@@ -33,7 +34,7 @@ def command(
 ) -> None:
     """Plan a safe flight that best separates the candidate explanations of a report.
 
-    Takes about a minute. Where no flight would separate them, it says what would instead and writes nothing.
+    Takes half a minute. Where no flight would separate them, it says what would instead and writes nothing.
     landing-eval fly --plan flies it.
 
     Args:
@@ -44,10 +45,11 @@ def command(
         seed: of the search.
     """
     runs.check_new_run(out)
-    plan_input = read_report(report, vehicle)
+    plan_input, arena = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED and not plan_input.vary:
-        say(f"No flight is needed: {best.text} has a probability of {best.probability:.2f}.")
+        probability = words.probability(best.probability)
+        say(f"No flight is needed: {words.set_label(best)} has a probability of {probability}.")
         return
     with stages() as tick:
         plan = design(
@@ -61,40 +63,39 @@ def command(
             seed=seed,
             tick=tick,
         )
-    confounded_lines = words.indistinguishable(plan.discrimination, plan.expected)
+    found = words.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
+    beyond = words.measured_otherwise(found)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
-        say(words.competing_sets(plan.discrimination), *confounded_lines)
+        say(words.in_doubt(found), *beyond)
         say("No flight was planned: none within the safe space would tell these apart.")
         return
-    lines = [
-        words.competing_sets(plan.discrimination),
-        words.outcome(plan.discrimination, plan.expected),
-        *confounded_lines,
-    ]
+    lines = [words.in_doubt(found), words.outcome(found)] if found else []
+    lines += beyond
     if plan_input.vary:
         lines.append(words.variation(plan_input.vary))
     lines += words.why_near(plan)
-    with styled():
-        figure = picture(plan, plan_input.platform)
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.reference.csv())
-        content = to_json(plan, report, seed) | {"platform": plan_input.platform, "text": lines}
-        storage.write_json(folder / "plan.json", content)
-        save_figure(figure, folder / "plan.png")
-    flight, arena = str(out / "flight.csv"), plan_input.arena
-    fly = words.next_command(flight, plan_input.platform, None if arena is None else str(arena))
-    say(*words.flight(plan), *lines[1:])
-    print(f"To fly it: {fly}")
-    say(f"{lines[0]} The flight that separates them best is {flight}.")
+        storage.write_json(
+            folder / "plan.json", to_json(plan, plan_input, found, report, seed) | {"text": lines}
+        )
+        save_figure(picture(plan, found, plan_input.platform), folder / "plan.png")
+    flight = out / "flight.csv"
+    say(*words.flight(plan), *lines)
+    print(f"To fly it: {words.fly_command(flight, plan_input.platform, arena)}")
+    say(f"The flight that tells most of what is in doubt is {flight}.", style="bold")
 
 
-def to_json(plan: Plan, report: Path, seed: int) -> dict:
-    """Return the contents of plan.json."""
+def to_json(
+    plan: Plan, plan_input: PlanInput, found: Sequence[words.InDoubt], report: Path, seed: int
+) -> dict:
+    """Return the contents of plan.json; probabilities before the flight are those of the report."""
     states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
+    reported = {h.effects: h.probability for h in plan_input.hypotheses}
     sets = [
         {
             "effects": h.effects,
-            "probability": h.probability,
+            "probability": reported[h.effects],
             "expected": float(plan.expected[k, k]),
             "values": h.values,
         }
@@ -102,8 +103,10 @@ def to_json(plan: Plan, report: Path, seed: int) -> dict:
     ]
     return {
         "report": str(report),
+        "platform": plan_input.platform,
         "seconds": plan.path.seconds,
         "seed": seed,
+        "in_doubt": [dataclasses.asdict(one) for one in found],
         "sets": sets,
         "expected": plan.expected_accuracy,
         "gain": plan.gain,

@@ -17,9 +17,8 @@ import numpy as np
 from inclined_landing.eval.gap.flights.noise import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
-from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
+from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import ScoredSet
@@ -51,14 +50,6 @@ class NoiseLevels:
             "disturbance_angular_time": time[3:],
         }
         return dataclasses.replace(vehicle, **fields)
-
-    @staticmethod
-    def of(found: SetPosterior) -> NoiseLevels:
-        """Return the levels of the flights of a posterior."""
-        problem = found.problem
-        noise = np.median([f.noise for f in problem.flights], axis=0) * problem.noise_model.noise
-        levels = noise, problem.noise_model.size, problem.noise_model.time, problem.inflation
-        return NoiseLevels(*(of[: len(CHANNELS)] for of in levels))
 
     @staticmethod
     def typical() -> NoiseLevels:

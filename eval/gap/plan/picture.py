@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,25 +27,29 @@ from inclined_landing.eval.base.style import (
     time_colours,
 )
 from inclined_landing.eval.gap.plan.design import Plan
+from inclined_landing.eval.gap.plan.words import InDoubt
+from inclined_landing.eval.gap.report.words import label
 from inclined_landing.models.vehicle import Vehicle
 
-WIDTH, HEIGHT = 9.6, 7.9  # inches
-_LETTERS = 24  # in a line of the names of a set
+WIDTH = 9.6  # inches
+_LETTERS = 18  # in a line of the name of an effect
 
 
-def picture(plan: Plan, platform: bool) -> Figure:
-    """Return the figure; platform: the slab stands in the arena."""
+def picture(plan: Plan, found: Sequence[InDoubt], platform: bool) -> Figure:
+    """Return the figure; found: the effects in doubt; platform: the slab stands in the arena."""
     vehicle = plan.discrimination.vehicle
+    bars = 0.42 * max(len(found), 1)
     with styled():
-        figure = Figure(figsize=(WIDTH, HEIGHT))
-        above = panel(figure, 0.7, 5.4, 4.6, 1.95)
-        side = panel(figure, 0.7, 3.4, 4.6, 1.7)
+        figure = Figure(figsize=(WIDTH, 6.2))
+        above = panel(figure, 0.7, 3.9, 4.4, 1.9)
+        side = panel(figure, 0.7, 2.5, 4.4, 1.2)
         _way(above, plan, vehicle, platform, 1)
         _way(side, plan, vehicle, platform, 2)
+        above.set_xticklabels([])
         above.set_xlabel("")
-        above.set_title("Planned path (time: dark to light);\nsimulated flights in grey", loc="left")
-        _probabilities(panel(figure, 7.35, 3.4, 2.1, 3.95), plan)
-        _timeline(panel(figure, 0.7, 0.5, 8.1, 1.6), plan)
+        above.set_title("Planned path, dark to light; grey: simulated flights", loc="left")
+        _probabilities(panel(figure, 6.9, 5.8 - min(bars, 3.0), WIDTH - 7.5, min(bars, 3.0)), found)
+        _timeline(panel(figure, 0.7, 0.5, WIDTH - 1.5, 1.2), plan)
     return figure
 
 
@@ -86,20 +91,23 @@ def _slab(axes: Axes, v: Vehicle, across: int) -> None:
     axes.add_patch(Polygon(corners, fc=SLAB, ec=BASE, zorder=1))
 
 
-def _probabilities(axes: Axes, plan: Plan) -> None:
-    sets = plan.discrimination.hypotheses
-    y = np.arange(len(sets))
-    after = np.diag(plan.expected)
-    axes.barh(y - 0.19, [h.probability for h in sets], 0.36, color=MUTED, label="before the flight")
-    axes.barh(y + 0.19, after, 0.36, color=GREEN, label="expected after it, if true")
-    for k, (h, a) in enumerate(zip(sets, after)):
-        for at, x in ((k - 0.19, h.probability), (k + 0.19, a)):
-            axes.text(min(x, 1.0) + 0.02, at, f"{x:.2f}", va="center")
-    names = [" + ".join(h.effects).replace("_", " ") or "nothing" for h in sets]
-    axes.set_yticks(y, [textwrap.fill(name, _LETTERS) for name in names], fontsize=8.5)
-    axes.set(xlim=(0, 1.15), ylim=(len(sets) - 0.45, -0.55), xticks=[0, 0.5, 1], xlabel="probability")
-    axes.set_title("Probability of each set\nof effects", loc="left")
-    axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.12))
+def _probabilities(axes: Axes, found: Sequence[InDoubt]) -> None:
+    """Draw the probability of each effect before the flight and the expected ones after it."""
+    y = np.arange(len(found))
+    for ends, value in zip(zip([x.if_not for x in found], [x.if_missing for x in found]), y):
+        axes.plot(ends, [value] * 2, color=RULE, lw=4, solid_capstyle="round", zorder=1)
+    for name, attribute, colour, marker in (
+        ("before", "probability", MUTED, "o"),
+        ("after, if the model lacks it", "if_missing", GREEN, ">"),
+        ("after, if not", "if_not", ORANGE, "<"),
+    ):
+        x = [getattr(one, attribute) for one in found]
+        axes.plot(x, y, marker, color=colour, ms=7, label=name, zorder=2, clip_on=False)
+    axes.set_yticks(y, [textwrap.fill(label(one.name), _LETTERS) for one in found], fontsize=9)
+    axes.set(xlim=(0, 1), ylim=(len(found) - 0.5, -0.5), xticks=[0, 0.5, 1], xlabel="probability")
+    axes.grid(axis="x")
+    axes.set_title("Is the effect missing in the model?", loc="left")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.45 / axes.bbox.height * axes.figure.dpi))
 
 
 def _timeline(axes: Axes, plan: Plan) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.result import VERSION, ScoredSet
+from inclined_landing.eval.gap.result import VERSION, Diagnosis, ScoredSet
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
@@ -25,6 +25,7 @@ ROOM = (
     *("platform_inclination", "platform_surface_height"),
 )
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
+Levels = tuple[float | None, float | None, float | None]  # noise, disturbance, its correlation time
 
 
 class _Set(Table, frozen=True):
@@ -68,18 +69,52 @@ class PlanInput:
     """The sets of a report, its vehicle, and noise and disturbance of its flights."""
 
     hypotheses: list[ScoredSet]  # without effects of contact, most probable first
+    probabilities: dict[str, float]  # of every effect, marginal over the sets of the report
     vehicle: Vehicle  # the one diagnosed
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
     vary: tuple[str, ...]  # regressors of an unexplained residual
-    reference: VehiclePosterior  # posterior of its identification
-    arena: Path | None  # the vehicle's file, where its room is not that of the shipped one
+    reference: VehiclePosterior  # posterior of the vehicle's identification
+
+    @staticmethod
+    def of(d: Diagnosis, vehicle: Vehicle, reference: VehiclePosterior) -> PlanInput:
+        """Return the input from a diagnosis; vehicle: the one diagnosed, reference: its posterior."""
+        levels = {channel: (x.noise, x.size, x.time) for channel, x in d.disturbance.items()}
+        on = [one.on for one in d.residual.depends_on] if d.verdict == "unknown" else []
+        return PlanInput._of(d.sets, d.unidentifiable_sets, levels, d.platform, on, vehicle, reference)
+
+    @staticmethod
+    def _of(
+        sets: Sequence[ScoredSet],
+        unidentifiable: Sequence[ScoredSet],
+        levels: Mapping[str, Levels],
+        platform: bool,
+        vary: Sequence[str],
+        vehicle: Vehicle,
+        reference: VehiclePosterior,
+    ) -> PlanInput:
+        hypotheses: dict[tuple[str, ...], ScoredSet] = {}
+        for one in (*sets, *unidentifiable):
+            names = tuple(n for n in one.effects if not LIBRARY[n].contact)
+            before = hypotheses.get(names, dataclasses.replace(one, effects=names, probability=0.0))
+            hypotheses[names] = dataclasses.replace(before, probability=before.probability + one.probability)
+        probabilities: dict[str, float] = {}
+        for one in sets:
+            for name in one.effects:
+                probabilities[name] = probabilities.get(name, 0.0) + one.probability
+        for one in unidentifiable:  # the best set and one effect more, which has its prior odds
+            probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
+        ranked = sorted(hypotheses.values(), key=lambda h: -h.probability)
+        return PlanInput(
+            ranked, probabilities, vehicle, _noise_levels(levels), platform, tuple(vary), reference
+        )
 
 
-def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
+def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, Path | None]:
     """Return the input of a plan from `report.json` and `run.json`; vehicle: file of the vehicle diagnosed.
 
-    Raises UserError, naming file and entry, for what is missing or invalid.
+    Also that file where its room is not that of the shipped vehicle. Raises UserError, naming file and entry,
+    for what is missing or invalid.
     """
     if not folder.is_dir():
         raise UserError(f"{shown(folder)} is no folder; name the report folder that landing-eval gap wrote")
@@ -92,47 +127,43 @@ def read_report(folder: Path, vehicle: Path | None = None) -> PlanInput:
         vehicle = Path(options["vehicle"])
     if data.get("version") != VERSION or "sets" not in data:
         raise UserError(f"report {path} is not from landing-eval gap of this version; run it again")
-    platform = {"platform": options.get("platform", False)}
-    report = schema.parse(platform | data, _Report, f"report {path}: ")
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
     same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
-    return PlanInput(
-        _hypotheses(report, f"report {path}: "),
+    where = f"report {path}: "
+    content = schema.parse({"platform": options.get("platform", False)} | data, _Report, where)
+    sets = _checked(content.sets, f"{where}sets")
+    if sum(h.probability for h in sets) <= 0.0:
+        raise UserError(f"{where}no set has a probability above 0")
+    found = PlanInput._of(
+        sets,
+        _checked(content.unidentifiable_sets, f"{where}unidentifiable_sets"),
+        {channel: (x.noise, x.size, x.time) for channel, x in content.disturbance.items()},
+        content.platform,
+        [d.on for d in content.residual.depends_on] if content.verdict == "unknown" else [],
         diagnosed,
-        _noise_levels(report),
-        report.platform,
-        tuple(d.on for d in report.residual.depends_on) if report.verdict == "unknown" else (),
         read_reference(vehicle, diagnosed)[0],
-        None if same else vehicle,
     )
+    return found, None if same else vehicle
 
 
-def _hypotheses(report: _Report, where: str) -> list[ScoredSet]:
-    """Return the sets of a report, the unidentifiable ones included, without effects of contact."""
-    found: dict[tuple[str, ...], ScoredSet] = {}
-    rows = [(f"{where}sets[{k}]", row) for k, row in enumerate(report.sets)]
-    for what, row in [
-        *rows,
-        *((f"{where}unidentifiable_sets[{k}]", row) for k, row in enumerate(report.unidentifiable_sets)),
-    ]:
+def _checked(rows: Sequence[_Set], where: str) -> list[ScoredSet]:
+    """Return entries of a report as sets of known effects with values within their bounds."""
+    result = []
+    for k, row in enumerate(rows):
+        what = f"{where}[{k}]"
         unknown = [n for n in row.effects if n not in LIBRARY]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        names = tuple(n for n in row.effects if not LIBRARY[n].contact)
-        for name in names:
+        for name in row.effects:
+            if LIBRARY[name].contact:
+                continue
             if name not in row.values:
                 raise UserError(f"{what}.values.{name} is missing")
             _check_parameters(f"{what}.values.{name}", name, row.values[name])
-            _check_parameters(
-                f"{what}.standard_errors.{name}", name, row.standard_errors.get(name, {}), bounds=False
-            )
-        probability = row.probability + (found[names].probability if names in found else 0.0)
-        errors = {n: row.standard_errors.get(n, {}) for n in names}
-        first = found.get(names, ScoredSet(names, 0.0, {n: row.values[n] for n in names}, errors))
-        found[names] = dataclasses.replace(first, probability=probability)
-    if sum(h.probability for h in found.values()) <= 0.0:
-        raise UserError(f"{where}no set has a probability above 0")
-    return sorted(found.values(), key=lambda h: -h.probability)
+            errors = row.standard_errors.get(name, {})
+            _check_parameters(f"{what}.standard_errors.{name}", name, errors, bounds=False)
+        result.append(ScoredSet(tuple(row.effects), row.probability, row.values, row.standard_errors))
+    return result
 
 
 def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds: bool = True) -> None:
@@ -147,12 +178,11 @@ def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds:
             raise UserError(f"{where}.{key} is {value:g} {unit}; it must be from {low:g} to {high:g}")
 
 
-def _noise_levels(report: _Report) -> NoiseLevels:
-    """Return noise and disturbance of the flights by channel; typical levels where the report has none."""
+def _noise_levels(levels: Mapping[str, Levels]) -> NoiseLevels:
+    """Return noise and disturbance of the flights by channel; typical levels where there are none."""
     typical = NoiseLevels.typical()
     found = np.array([typical.noise, typical.disturbance, typical.time])
     for k, channel in enumerate(CHANNELS):
-        one = report.disturbance.get(channel, _Disturbance())
-        for j, level in enumerate((one.noise, one.size, one.time)):
+        for j, level in enumerate(levels.get(channel, ())):
             found[j, k] = found[j, k] if level is None else level
     return dataclasses.replace(typical, noise=found[0], disturbance=found[1], time=found[2])

@@ -1,101 +1,117 @@
-"""Sentences on a plan: sets in doubt, manoeuvres, expected probabilities."""
+"""Sentences on a plan: effects in doubt, manoeuvres, expected probabilities."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.named import scored_sets
-from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.plan.design import SECONDS, Plan, most_informative_piece, probable_sets
-from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
+from inclined_landing.eval.gap.plan.design import Plan, most_informative_piece, probable_sets
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.pieces import Space
+from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.report.words import label, listed, probability
+from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.models.effects import LIBRARY
 
-SHOWN_ABOVE = 0.02  # probability of a set that is mentioned
+SHOWN_ABOVE = 0.02  # probability of an effect that is mentioned
 
 
-def discriminating_manoeuvre(found: SetPosterior, platform: bool) -> str:
-    """Return sentences on the manoeuvre that discriminates between the probable sets of a posterior."""
-    discrimination = ModelDiscrimination(
-        probable_sets(scored_sets(found)),
-        found.problem.vehicle,
-        NoiseLevels.of(found),
-        found.problem.library,
-        found.problem.reference,
-    )
-    return discrimination_text(discrimination, platform)
+@dataclasses.dataclass(frozen=True)
+class InDoubt:
+    """An effect that may be missing in the model, with its probabilities."""
+
+    name: str
+    probability: float  # before the flight, as in the report
+    if_missing: float  # expected after it, if the model lacks the effect
+    if_not: float  # expected after it, if the model does not
+    left: float  # share of the doubt that the flight is expected to leave
+
+    @property
+    def resolved(self) -> bool:
+        """Return whether the flight is expected to resolve most of the doubt."""
+        return self.left < thresholds.LEFT_IN_DOUBT
 
 
-def discrimination_text(discrimination: ModelDiscrimination, platform: bool) -> str:
-    """Return sentences on the manoeuvre that discriminates best between the sets; "": nothing is in doubt.
+def effects_in_doubt(
+    plan_input: PlanInput, discrimination: ModelDiscrimination, expected: np.ndarray
+) -> list[InDoubt]:
+    """Return the effects that are neither sure nor excluded, most probable first.
 
-    platform: the slab of the vehicle file stands in the arena.
+    expected (K, K): posterior probability of every set j where the set i is true.
     """
-    if discrimination.probabilities.max() >= thresholds.DECIDED:
-        return ""
-    piece, expected = most_informative_piece(discrimination, Space.of(discrimination.vehicle, platform))
-    lines = indistinguishable(discrimination, expected)
-    right, before = discrimination.probabilities @ np.diag(expected), (discrimination.probabilities**2).sum()
-    if right > before + thresholds.LEAST_GAIN:
-        flown = f"{piece.text[0].upper()}{piece.text[1:]}, again and again: after {SECONDS:.0f} s"
-        lines.insert(0, f"{flown} the right one is expected to have a probability of {100 * right:.0f} %.")
-    return " ".join(lines)
+    p, result = discrimination.probabilities, []
+    for name in dict.fromkeys(n for h in discrimination.hypotheses for n in h.effects):
+        before = plan_input.probabilities[name]
+        has = np.array([name in h.effects for h in discrimination.hypotheses])
+        if not SHOWN_ABOVE <= before < thresholds.DECIDED or has.all():
+            continue
+        after = expected[:, has].sum(axis=1)  # of the effect, where each set is true
+        if_missing, if_not = (float(p[true] @ after[true] / p[true].sum()) for true in (has, ~has))
+        q = p[has].sum()
+        doubt = q * (1.0 - if_missing) + (1.0 - q) * if_not  # expected probability of the wrong answer
+        result.append(InDoubt(name, before, if_missing, if_not, float(doubt / (2.0 * q * (1.0 - q)))))
+    return sorted(result, key=lambda one: -one.probability)
 
 
-def _shown(discrimination: ModelDiscrimination) -> tuple[str, dict[int, str]]:
-    """Return a sentence on the effects common to the probable sets, and the rest of each by its index."""
-    shown = {k: h.effects for k, h in enumerate(discrimination.hypotheses) if h.probability >= SHOWN_ABOVE}
-    shared = [n for n in next(iter(shown.values())) if all(n in names for names in shown.values())]
-    rest = {k: [n for n in names if n not in shared] for k, names in shown.items()}
-    texts = {k: " with ".join(names) or "nothing" + " else" * bool(shared) for k, names in rest.items()}
-    return f"Missing in any case: {_joined(shared, 'and')}. " if shared else "", texts
+def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
+    """Return sentences on what is in doubt and the manoeuvre that resolves it, and whether one does.
 
-
-def competing_sets(discrimination: ModelDiscrimination) -> str:
-    """Return a sentence or two on the sets in doubt."""
-    shared, texts = _shown(discrimination)
-    rows = [f"{text} ({discrimination.probabilities[k]:.2f})" for k, text in texts.items()]
-    return f"{shared}In doubt: {_joined(rows, 'or')}."
-
-
-def outcome(discrimination: ModelDiscrimination, expected: np.ndarray) -> str:
-    """Return a sentence on the expected probabilities after a flight."""
-    before, after = discrimination.probabilities, np.diag(expected)
-    rows = [f"{text} from {before[k]:.2f} to {after[k]:.2f}" for k, text in _shown(discrimination)[1].items()]
-    return (
-        f"Expected afterwards: the right one has a probability of {before @ after:.2f}, without a flight "
-        f"{before @ before:.2f} (each if it is right: {', '.join(rows)})."
+    The computation is that of `design`, with one manoeuvre in place of a sequence.
+    """
+    known = probable_sets(plan_input.hypotheses)
+    if plan_input.hypotheses[0].probability >= thresholds.DECIDED or len(known) < 2:
+        return "", bool(plan_input.vary)
+    discrimination = ModelDiscrimination(
+        known, plan_input.vehicle, plan_input.noise_levels, reference=plan_input.reference
     )
+    space = Space.of(plan_input.vehicle, plan_input.platform)
+    piece, gain, expected = most_informative_piece(discrimination, space)
+    found = effects_in_doubt(plan_input, discrimination, expected)
+    lines, worth = [in_doubt(found)] if found else [], gain >= thresholds.LEAST_GAIN
+    least = max(thresholds.LEFT_IN_DOUBT, min((one.left for one in found), default=0.0) + 0.01)
+    told = listed([label(one.name) for one in found if one.left < least], "or")
+    if told and worth:
+        lines.append(f"A flight tells whether the model lacks {told}: {piece.text}, again and again.")
+    return " ".join([*lines, *measured_otherwise(found)]), worth or bool(plan_input.vary)
 
 
-def indistinguishable(discrimination: ModelDiscrimination, expected: np.ndarray) -> list[str]:
-    """Return a sentence for every group of sets that stays indistinguishable, with a remedy."""
-    p, lines, texts = discrimination.probabilities, [], _shown(discrimination)[1]
-    remaining = expected / (expected + np.diag(expected)[:, None])  # of the doubt between two, after
-    pairs = remaining > thresholds.LEFT_IN_DOUBT * p / (p + p[:, None])
-    np.fill_diagonal(pairs, False)
-    count, group = connected_components(pairs & pairs.T, directed=False)
-    for k in range(count):
-        own = [i for i in texts if group[i] == k]
-        if len(own) > 1:
-            names = [discrimination.hypotheses[i].effects for i in own]
-            apart = set().union(*names) - set(names[0]).intersection(*names[1:])
-            shown = dict.fromkeys(t for n in sorted(apart) if (t := LIBRARY[n].told_by))
-            what = _joined(
-                sorted(apart) if len(apart) > 1 else [f"with {name} and without" for name in apart], "and"
-            )
-            first = f"No flight that could be planned separates these candidates: {what}."
-            lines.append(" ".join([first, *shown]))
-    return lines
+def set_label(one: ScoredSet) -> str:
+    """Return the effects of a set as part of a sentence."""
+    return listed([label(name) for name in one.effects]) or "nothing"
+
+
+def in_doubt(found: Sequence[InDoubt]) -> str:
+    """Return a sentence on the effects in doubt."""
+    return f"In doubt: {listed([f'{label(one.name)} ({probability(one.probability)})' for one in found])}."
+
+
+def outcome(found: Sequence[InDoubt]) -> str:
+    """Return a sentence on the expected probabilities after a flight."""
+    rows = [
+        f"{label(one.name)} from {probability(one.probability)} to {probability(one.if_missing)} if the "
+        f"model lacks it, to {probability(one.if_not)} if not"
+        for one in found
+    ]
+    return f"Expected probabilities after the flight: {'; '.join(rows)}."
+
+
+def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:
+    """Return a sentence on the effects that stay in doubt, and how they are measured without a flight."""
+    stays = [one.name for one in found if not one.resolved]
+    remedies = dict.fromkeys(t for n in stays if (t := LIBRARY[n].told_by))
+    beyond = [n for n in stays if LIBRARY[n].scales_thrust or LIBRARY[n].told_by]
+    if not remedies:
+        return []
+    return [" ".join([f"No flight tells {listed([label(n) for n in beyond])} apart.", *remedies])]
 
 
 def variation(names: Sequence[str]) -> str:
     """Return a sentence on the regressors that the flight varies."""
-    what = _joined(list(dict.fromkeys(names)), "and")
+    what = listed(list(dict.fromkeys(names)))
     return f"The residual depends on {what}: the flight varies that as broadly as it can."
 
 
@@ -113,20 +129,16 @@ def why_near(plan: Plan) -> list[str]:
     with_it, without = np.diag(plan.expected), np.diag(plan.without)
     named = [bool(h.effects) for h in plan.discrimination.hypotheses]  # "nothing" needs no going anywhere
     k = int(np.argmax(np.where(named, with_it - without, -1.0)))
-    what = plan.discrimination.hypotheses[k].text
+    what = set_label(plan.discrimination.hypotheses[k])
     surface = "slope" if low.kind == "slope_hover" else "floor"
     return [
-        f"It goes down to {low.height:.2f} m above the {surface} because {what} cannot be told higher up: if "
-        f"that is right, it is expected to have {with_it[k]:.2f} afterwards, without going there "
-        f"{without[k]:.2f}."
+        f"It goes down to {low.height:.2f} m above the {surface}, since {what} cannot be told higher up: if "
+        f"the model lacks that, its expected probability is {probability(with_it[k])}, without going there "
+        f"{probability(without[k])}."
     ]
 
 
-def next_command(flight: str, platform: bool, arena: str | None) -> str:
+def fly_command(flight: Path, platform: bool, arena: Path | None) -> str:
     """Return the command that flies a plan; arena: vehicle file of a room that is not the shipped one."""
     options = ["" if platform else " --no-platform", f" --arena {arena}" if arena else ""]
     return f"landing-eval fly --plan {flight}{''.join(options)} --uri URI --mocap TYPE:HOST:BODY"
-
-
-def _joined(rows: Sequence[str], last: str) -> str:
-    return rows[0] if len(rows) == 1 else f"{', '.join(rows[:-1])} {last} {rows[-1]}"

@@ -12,10 +12,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from inclined_landing.eval.base.style import (
     BLUE,
@@ -30,7 +28,8 @@ from inclined_landing.eval.base.style import (
     styled,
 )
 from inclined_landing.eval.gap.report.tracks import Track
-from inclined_landing.eval.gap.report.words import REGIMES, label, shown
+from inclined_landing.eval.gap.report.words import REGIMES, centimetres, is_identifiable, label, shown
+from inclined_landing.eval.gap.report.words import axis as axis_of
 from inclined_landing.eval.gap.result import (
     Diagnosis,
     HorizonCurve,
@@ -43,13 +42,13 @@ from inclined_landing.eval.gap.result import (
 
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
-WIDTH = 10.4  # inches, of a page
-PANEL = 3.6  # inches, of figures that stand side by side, below each other on a phone
+WIDTH = 9.6  # inches, of a page
+SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
+PANEL = 3.6  # of three
 _ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the noise level, where the colour scale may end
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
-_MAPS = {"before": "before", "after": "after", "floor": "noise and disturbance alone"}
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
 
 
@@ -65,7 +64,7 @@ def svg(figure: Figure) -> str:
 
 
 def where_tables(rows: Sequence[RegimeError]) -> dict[str, Any]:
-    """Return tables of the error by regime and channel: before, after, and by noise and disturbance alone.
+    """Return tables of the error by regime and channel, before and after.
 
     Cells are (text, background, ink); `scale` has the same for multiples of the noise level.
     """
@@ -76,12 +75,12 @@ def where_tables(rows: Sequence[RegimeError]) -> dict[str, Any]:
     norm, last = _where_norm(rows)
     lines = {
         what: [[_cell(cells.get((r, c)), what, norm, last) for c in channels] for r in regimes]
-        for what in _MAPS
+        for what in ("before", "after")
     }
     steps = [1.0, 3.0, *(end for end in _ENDS if end <= last)]
     return {
         "channels": ["touch" if c == "touchdown" else c for c in channels],
-        "maps": [(_MAPS[what], list(zip(_regime_names(rows), lines[what]))) for what in _MAPS],
+        "maps": [(what, list(zip(_regime_names(rows), cells))) for what, cells in lines.items()],
         "scale": [(f"{times:g} ×", *_heat(times, norm, last)) for times in steps],
         "units": _where_units(rows),
     }
@@ -94,12 +93,10 @@ def _heat(times: float, norm: LogNorm, last: float) -> tuple[str, str]:
 
 
 def _cell(row: RegimeError | None, what: str, norm: LogNorm, last: float) -> tuple[str, str, str]:
-    if row is None or not math.isfinite(value := getattr(row, what)):
-        return "–", "none", MUTED if what == "floor" else INK
-    text = _number(shown(row.unit)[0] * value)
-    if what == "floor" or row.floor <= 0:
-        return text, "none", MUTED if what == "floor" else INK
-    return text, *_heat(value / row.floor, norm, last)
+    if row is None or not math.isfinite(error := getattr(row, what)):
+        return "–", "none", INK
+    text = _number(shown(row.unit)[0] * error)
+    return (text, *_heat(error / row.floor, norm, last)) if row.floor > 0 else (text, "none", INK)
 
 
 def _regime_names(rows: Sequence[RegimeError]) -> list[str]:
@@ -108,46 +105,11 @@ def _regime_names(rows: Sequence[RegimeError]) -> list[str]:
     return [f"{REGIMES.get(r, label(r))} ({n})" for r, n in counts.items()]
 
 
-def draw_where(
-    axis: Axes, rows: Sequence[RegimeError], what: str, *, size: float = 7.5, named: bool = True
-) -> None:
-    """Draw one map; what: before, after or floor; colour: error over noise level; named: label regimes."""
-    regimes, channels = _axes_of(rows)
-    cells = {(row.regime, row.channel): row for row in rows}
-    norm, last = _where_norm(rows)
-    for i, regime in enumerate(regimes):
-        for j, channel in enumerate(channels):
-            text, colour, ink = _cell(cells.get((regime, channel)), what, norm, last)
-            axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.2))
-            axis.text(j + 0.5, i + 0.52, text, ha="center", va="center", fontsize=size, color=ink)
-    axis.set(xlim=(0, len(channels)), ylim=(len(regimes), 0))
-    axis.set_xticks(np.arange(len(channels)) + 0.5, ["touch" if c == "touchdown" else c for c in channels])
-    axis.set_yticks([])
-    if named:
-        axis.set_yticks(np.arange(len(regimes)) + 0.5, _regime_names(rows))
-    axis.tick_params(length=0, labelsize=9, top=False)
-    axis.spines[:].set_visible(False)
-    axis.set_title(_MAPS[what], fontsize=9.5)
-
-
 def _where_norm(rows: Sequence[RegimeError]) -> tuple[LogNorm, float]:
     """Return one scale for all maps and its end, the first of _ENDS beyond the worst cell."""
     worst = max((max(row.before, row.after) / row.floor for row in rows if row.floor > 0), default=1.0)
     end = next((end for end in _ENDS if end >= worst), _ENDS[-1])
     return LogNorm(1.0, end), end
-
-
-def _where_scale(
-    figure: Figure, rows: Sequence[RegimeError], left: float, bottom: float, width: float
-) -> None:
-    axis = panel(figure, left, bottom, width, 0.09)
-    norm, last = _where_norm(rows)
-    bar = figure.colorbar(ScalarMappable(norm, _HEAT), cax=axis, orientation="horizontal")
-    bar.outline.set_visible(False)
-    ends = [end for end in _ENDS if end <= last]
-    bar.set_ticks([1, 3, *ends], labels=[f"{times:g} ×" for times in (1, 3, *ends)])
-    bar.ax.tick_params(labelsize=8.5, length=0, colors=MUTED)
-    bar.minorticks_off()
 
 
 def _where_units(rows: Sequence[RegimeError]) -> str:
@@ -176,8 +138,8 @@ def _number(value: float) -> str:
 
 def horizon(curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> Figure:
     """Return the position error against the horizon as the effects are added, with the noise floor."""
-    figure = Figure(figsize=(7.0, 3.7))
-    draw_horizon(panel(figure, 0.75, 0.55, 3.9, 3.0), curves, gap)
+    figure = Figure(figsize=(5.6, 3.5))
+    draw_horizon(panel(figure, 0.6, 0.55, 2.9, 2.8), curves, gap)
     return figure
 
 
@@ -188,12 +150,12 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
         colour = BEFORE if k == 0 else AFTER if k == len(curves) - 1 else _STEPS[(k - 1) % len(_STEPS)]
         axis.plot(curve.horizon, 100 * curve.error, color=colour, linewidth=2.2, zorder=3 + k)
         name = "nominal model" if k == 0 else curve.label.replace("_", " ")
-        ends.append((100 * curve.error[-1], f"{name}  {100 * curve.error[-1]:.1f} cm", colour))
+        ends.append((100 * curve.error[-1], f"{name}  {centimetres(curve.error[-1])}", colour))
     if curves:
         last = curves[-1]
         axis.plot(last.horizon, 100 * last.floor, color=INK, linewidth=1.3, linestyle=(0, (1, 1.6)), zorder=3)
         axis.fill_between(last.horizon, 0, 100 * last.floor, color=RULE, alpha=0.6, linewidth=0)
-        ends.append((100 * last.floor[-1], f"noise alone  {100 * last.floor[-1]:.1f} cm", INK))
+        ends.append((100 * last.floor[-1], f"noise alone  {centimetres(last.floor[-1])}", INK))
     if "mujoco" in gap:
         g = gap["mujoco"]
         look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
@@ -227,45 +189,36 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
         )
 
 
-def track(one: Track) -> Figure:
-    """Return a held-out flight with the predictions from every second of it, before and after."""
-    figure = Figure(figsize=(WIDTH, 4.6))
-    low = panel(figure, 0.75, 0.5, WIDTH - 0.9, 1.75)
-    high = panel(figure, 0.75, 2.45, WIDTH - 0.9, 1.75)
-    first, second = one.worst_axes()
-    draw_track(high, one, first)
-    draw_track(low, one, second)
-    high.set_xticklabels([])
-    low.set_xlabel("time [s]")
-    high.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    high.set_title(_flown(one), loc="left")
-    return figure
+def before_after(one: Track) -> list[Figure]:
+    """Return the predictions along a flight, before and after the correction, in two figures."""
+    figures = []
+    for after in (False, True):
+        figure = Figure(figsize=(SIDE, 3.3))
+        draw_predictions(panel(figure, 0.62, 0.5, SIDE - 0.75, 2.1), one, after)
+        figures.append(figure)
+    return figures
 
 
-def _flown(one: Track) -> str:
-    return f"{literal(one.flight)}, {'left out of' if one.held_out else 'part of'} the fit"
-
-
-def draw_track(axis: Axes, one: Track, k: int) -> None:
-    """Draw one coordinate (0, 1, 2: x, y, z) of a flight and its predictions."""
-    drawn = [("measured", [(one.t, one.position)], INK, 3.4)]
-    for word, which, colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
-        pieces = list(zip(one.times, which))
-        drawn.append((f"predicted {one.seconds:g} s ahead, {word}", pieces, colour, 1.5))
-    for name, pieces, colour, width in drawn:
-        for j, (t, p) in enumerate(pieces):
-            look: dict[str, Any] = {"linewidth": width, "label": None if j else name}
-            axis.plot(t, p[:, k], color=colour, solid_capstyle="round", **look)
-            if colour != INK:
-                axis.plot(t[-1], p[-1, k], "o", color=colour, markersize=3)
+def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
+    """Draw the coordinate of the largest error before the correction, and predictions before or after it."""
+    k = one.worst_axis
+    axis.plot(one.t, one.position[:, k], color=INK, linewidth=3.0, label="measured")
+    label = f"predicted {one.seconds:g} s ahead"
+    for t, p in zip(one.times, one.after if after else one.before):
+        axis.plot(t, p[:, k], color=AFTER if after else BEFORE, linewidth=1.5, label=label)
+        axis.plot(t[-1], p[-1, k], "o", color=AFTER if after else BEFORE, markersize=3)
+        label = ""
     low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
     # All of the measurement, and of the predictions what lies within its range once more.
     reach = np.concatenate([p[:, k] for p in (*one.before, *one.after)])
     span = max(high - low, 0.1)
     low = max(low - 0.8 * span, min(low, reach.min())) - 0.04 * span
     high = min(high + 0.8 * span, max(high, reach.max())) + 0.04 * span
-    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low, high), ylabel=f"{'xyz'[k]} [m]")
+    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low, high), xlabel="time [s]")
+    axis.set_ylabel(f"{'xyz'[k]} [m]", labelpad=2)
     axis.grid()
+    axis.set_title("corrected model" if after else "model before", loc="left", pad=22, fontweight="bold")
+    axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)
 
 
 def window_curves(windows: Sequence[WindowCurves]) -> list[Figure]:
@@ -307,7 +260,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Fi
     """Return each parameter's estimates in single flights with 95 % intervals, over that of all flights."""
     line = max(1.1, 0.17 * len(flights))
     figures = []
-    parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
+    parts = [(e, name, p) for e in effects for name, p in e.parameters.items() if is_identifiable(p)]
     for effect, name, p in parts if flights else []:
         figure = Figure(figsize=(PANEL, line + 1.05))
         axis = panel(figure, 0.85, 0.55, PANEL - 1.0, line)
@@ -354,7 +307,7 @@ def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
 def residual(left: ResidualAnalysis) -> list[Figure]:
     """Return the functions of the residual over the input that explains most of each."""
     figures = []
-    for d in [d for d in left.depends_on if len(d.x)][:4]:
+    for d in [d for d in left.depends_on if len(d.x) and left.material(d)][:4]:
         figure = Figure(figsize=(PANEL, 2.6))
         plot = panel(figure, 0.75, 0.55, PANEL - 0.9, 1.7)
         factor, unit = shown(d.unit)
@@ -362,7 +315,7 @@ def residual(left: ResidualAnalysis) -> list[Figure]:
         plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
         plot.set_xlabel(d.against)
         plot.set_ylabel(f"{d.channel} [{unit}]", labelpad=1)
-        plot.set_title(f"{_number(factor * d.size)} {unit}", loc="left")
+        plot.set_title(f"residual {axis_of(d)}: {_number(factor * d.size)} {unit}", loc="left")
         plot.grid()
         figures.append(figure)
     return figures
@@ -372,31 +325,12 @@ def residual(left: ResidualAnalysis) -> list[Figure]:
 
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
-    """Return the overview: error against horizon, errors by regime and channel, a held-out flight."""
-    wide, below = 9.6, 2.9 if one is not None else 0.0
-    rows = [r for r in d.where if r.regime != "all" and r.channel != "touchdown"]
-    maps = 0.3 * len(_axes_of(rows)[0])
-    low = below + 0.65
-    high = low + maps + 1.35
-    figure = Figure(figsize=(wide, high + 2.75))
-    draw_horizon(panel(figure, 0.75, high, 6.1, 2.3), d.horizon, d.gap)
-    titles = [(high + 2.45, "Position error as effects are added")]
-    if rows:
-        width = 3.3
-        for k, what in enumerate(("before", "after")):
-            axis = panel(figure, 2.05 + k * (width + 0.15), low, width, maps)
-            draw_where(axis, rows, what, size=9, named=k == 0)
-        _where_scale(figure, rows, 2.05, low - 0.35, 2 * width + 0.15)
-        titles.append((low + maps + 0.38, "Errors by regime and channel"))
-        note = f"{_where_units(rows)}; colour: error over noise level"
-        figure.text((wide - 0.1) / wide, (low + maps + 0.4) / (high + 2.75), note, color=MUTED, ha="right")
+    """Return a flight with predictions before and after the correction, above the error by horizon."""
+    below = 3.35
+    figure = Figure(figsize=(WIDTH, below + (2.9 if one is not None else 0.0)))
+    draw_horizon(panel(figure, 0.75, 0.55, 6.6, 2.4), d.horizon, d.gap)
     if one is not None:
-        axis = panel(figure, 0.75, 0.5, wide - 0.85, 1.8)
-        draw_track(axis, one, one.worst_axes()[0])
-        axis.set_xlabel("time [s]")
-        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-        titles.append((2.4, _flown(one)))
-    for y, text in titles:
-        place = (0.1 / wide, y / (high + 2.75))
-        figure.text(*place, text, fontsize=11, fontweight="bold", va="bottom")
+        for k in range(2):
+            left = 0.75 + 0.5 * WIDTH * k
+            draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
     return figure

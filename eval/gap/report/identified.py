@@ -64,7 +64,7 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
     """Return one row of text for each effect: standard error, confounded effects, exciting regimes."""
     rows = []
     for one in found.identifiable:
-        confounded = [words.label(name) for name in one.confounded[: words.NAMED]]
+        confounded = [words.label(name) for name in one.confounded[: words.NAMES]]
         regimes = [words.REGIMES[r] for r in one.regimes]
         share = f"{min(one.share, 1.0):.0%}".replace("%", " %")
         rows.append(

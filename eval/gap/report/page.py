@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from matplotlib.figure import Figure
+
 from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.report import figures, words
@@ -13,46 +15,53 @@ from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.effects import LIBRARY
 
 
-def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[str] = ()) -> str:
+def page(
+    d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[str] = (), flight: str = ""
+) -> str:
     """Return the HTML page of a diagnosis.
 
-    track: one flight with predictions along it. notes: sentences on the logs.
+    track: one flight with predictions along it. notes: sentences on the logs. flight: on the most informative
+    flight.
     """
     with styled():
-        drawn = {
+        drawn: dict[str, Sequence[Figure]] = {
+            "before_after": figures.before_after(track) if track else (),
             "estimates": figures.estimates(d.effects, d.flights),
-            "horizon": figures.horizon(d.horizon, d.gap) if d.horizon else None,
-            "track": figures.track(track) if track else None,
+            "horizon": [figures.horizon(d.horizon, d.gap)] if d.horizon else (),
             "windows": figures.window_curves(d.windows),
             "residual": figures.residual(d.residual),
         }
     rows = []
     for effect in d.effects:
-        for k, (name, p) in enumerate(effect.parameters.items()):
-            value = words.rounded(p.value, p.ci95, p.unit)
-            row = (name, value, words.interval(p.ci95, p.unit), words.exact(p.neutral, p.unit))
-            first, last = ("", "") if k else (words.label(effect.name), LIBRARY[effect.name].formula)
+        first, last = words.label(effect.name), LIBRARY[effect.name].formula
+        for name, p in effect.parameters.items():
+            ends = words.interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
+            row = (name, words.value(p), ends, words.exact(p.neutral, p.unit))
             rows.append((first, *row, last))
+            first = last = ""
+    caption = track and (
+        f"{track.flight}, {'left out of' if track.held_out else 'part of'} the fit. Every {EVERY:g} s a "
+        "prediction starts from the measured state, driven by the commands alone."
+    )
     return render(
         "gap.html.j2",
         command="gap",
         title=words.headline(d),
-        lead=[words.gap("analytic", d.gap["analytic"])] if "analytic" in d.gap else [],
+        lead=[text for text in (words.gain_sentence(d),) if text],
+        caption=caption,
+        answers=words.answers(d),
+        flight=flight or words.possible_sentence(d),
         d=d,
         inconsistent_flights=d.inconsistent_flights,
         set_aside=d.set_aside,
         words=words,
         rows=rows,
-        answer=words.answer_rows(d),
-        sets=words.set_rows(d),
+        effect_rows=words.probability_rows(d),
+        set_rows=words.set_rows(d),
         noise_rows=words.noise_rows(d.disturbance),
         where=figures.where_tables(d.where),
-        figures={
-            name: [figures.svg(one) for one in some] if isinstance(some, list) else some and figures.svg(some)
-            for name, some in drawn.items()
-        },
+        figures={name: [figures.svg(one) for one in some] for name, some in drawn.items()},
         colours=(figures.BEFORE, figures.AFTER),
-        every=EVERY,
         vehicle=VEHICLE,
         mjcf=MJCF,
         flights=d.flights,

@@ -1,4 +1,4 @@
-"""A diagnosis in the terminal: the numbers, then the first lines of the page, the answer last."""
+"""An answer in the terminal: the limits, the sentences and the table of the page, the headline last."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from inclined_landing.eval.gap.answer.identify import Identification
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis
 
+_HEADS = ("what is wrong", "size", "95 % interval", "how sure", "costs after 1 s")
 
-def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:
-    """Print effects, limits, ties, remedies, gap and verdict; report: the folder with the page."""
-    rows = new_table(None, "effect", "parameter", "value", "95 % interval", "probability", "closes", labels=2)
-    for effect in d.effects:
-        ends = (words.label(effect.name), words.probability(effect.probability), words.share(effect.gain))
-        for name, p in effect.parameters.items():
-            value = words.rounded(p.value, p.ci95, p.unit)
-            rows.add_row(ends[0], name, value, words.interval(p.ci95, p.unit), *ends[1:])
-            ends = ("", "", "")
-    answer = new_table(None, *words.ANSWER_HEADS, labels=4)
-    for row in words.answer_rows(d):
-        answer.add_row(*row)
-    lines = words.sentences(d)
-    headline, following = words.headline(d), ""
-    if report is not None:
-        headline += f" The report is {report / 'report.html'}."
-        following = words.plan_command(d, report)
-    notes = (*d.notes, *notes)
-    print_answer(headline, lines, rows, notes, d, answer, following)
+
+def show(
+    d: Diagnosis,
+    notes: Sequence[str] = (),
+    report: Path | None = None,
+    flight: str = "",
+    following: str = "",
+) -> None:
+    """Print limits, sentences, the table of effects and the headline.
+
+    report: the folder with the page. flight: on the most informative flight; following: the command for it.
+    """
+    answer = new_table(None, *_HEADS)
+    for one in words.answers(d):
+        last = (one.how, one.cost)
+        for parameter, number, ends in one.sizes:
+            answer.add_row(one.title + f", {parameter}" * bool(parameter), number, ends, *last)
+            last = ("", "")
+    headline = words.headline(d) + (f" The report is {report / 'report.html'}." if report else "")
+    print_answer(headline, words.sentences(d, flight), answer, (*d.notes, *notes), d, following)
 
 
 def print_answer(
@@ -40,16 +42,13 @@ def print_answer(
     rows: Table,
     notes: Sequence[str],
     found: Diagnosis | Identification,
-    answer: Table | None = None,
     following: str = "",
 ) -> None:
-    """Print an answer, the numbers first and the headline last; repeated notes are removed."""
+    """Print an answer, the notes first and the headline last; repeated notes are removed."""
+    say(*(f"Note: {words.plain(note)}" for note in dict.fromkeys(notes)), style="dim")
     if rows.row_count:
         show_table(rows)
-    say(*(f"Note: {words.plain(note)}" for note in dict.fromkeys(notes)), style="dim")
     say(*sentences)
-    if answer is not None and answer.row_count:
-        show_table(answer)
     for aside in found.set_aside:
         say(f"{aside.flight} is set aside, and nothing is computed with it: {aside.reason}", style="bold")
     for one in found.inconsistent_flights:

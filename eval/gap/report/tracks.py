@@ -29,14 +29,14 @@ class Track:
     before: tuple[np.ndarray, ...]  # (k, 3) m, nominal vehicle
     after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
 
-    def worst_axes(self) -> tuple[int, int]:
-        """Return the two coordinates (0, 1, 2) of the largest errors of the nominal vehicle."""
+    @property
+    def worst_axis(self) -> int:
+        """Return the coordinate (0, 1, 2) of the largest errors of the nominal vehicle."""
         missed = np.zeros(3)
         for t, p in zip(self.times, self.before):
             end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]
             missed += (p[-1] - end) ** 2
-        first, second, _ = np.argsort(-missed)
-        return int(first), int(second)
+        return int(np.argmax(missed))
 
 
 def of(

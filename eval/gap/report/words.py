@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
-from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -16,8 +14,6 @@ from inclined_landing.eval.gap.result import (
     Estimate,
     InconsistentFlights,
     NamedEffect,
-    PlantGap,
-    ScoredSet,
 )
 from inclined_landing.models.effects import LIBRARY
 
@@ -37,7 +33,7 @@ SHOWN = {
     "s2/m2": (1.0, "s²/m²"),
 }
 SETS = 7  # rows of the table of sets
-NAMED = 3  # names of an equivalence class in the headline
+NAMES = 3  # of an equivalence class in its title
 PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
 REGIMES = {
     "hover": "hover",
@@ -94,13 +90,12 @@ def interval(ends: Sequence[float], unit: str) -> str:
 
 
 def rounded(value: float, ends: Sequence[float], unit: str) -> str:
-    """Return a number with one digit more than its interval."""
+    """Return a number with the decimal places of its interval."""
     factor, name = shown(unit)
     width = factor * (ends[1] - ends[0])
-    if not math.isfinite(width):
+    if not (math.isfinite(width) and width):
         return quantity(value, unit)
-    places = _places(max(width, 1e-2 * abs(factor * value)))
-    return f"{_fixed_point(factor * value, places + 1)} {name}".rstrip()
+    return f"{_fixed_point(factor * value, _places(max(width, 1e-3 * abs(factor * value))))} {name}".rstrip()
 
 
 def _places(width: float) -> int:
@@ -109,42 +104,66 @@ def _places(width: float) -> int:
 
 
 def _fixed_point(value: float, places: int) -> str:
-    """Return a number rounded to decimal places; negative: tens, hundreds."""
-    return f"{round(value, places):.{max(0, places)}f}"
+    """Return a number rounded to decimal places, never -0; negative places: tens, hundreds."""
+    return f"{round(value, places) + 0.0:.{max(0, places)}f}" if value else "0"
 
 
-def meaning(effect: NamedEffect) -> str:
-    """Return the physical meaning of a named effect with its values, as part of a sentence."""
-    values = {name: _value_text(p) for name, p in effect.parameters.items()}
-    return LIBRARY[effect.name].says.format(**values)
+def value(p: Estimate) -> str:
+    """Return the size of a parameter as all of the report shows it."""
+    return rounded(p.value, p.ci95, p.unit)
 
 
-def _value_text(p: Estimate) -> str:
-    """Return a value with three digits, or the significant ones of its interval."""
-    return min(quantity(p.value, p.unit), rounded(p.value, p.ci95, p.unit), key=len)
+def title(effect: NamedEffect) -> str:
+    """Return the name of an equivalence class: `rotor drag`, `mocap tilt or wind`, `thrust over mass`."""
+    names = [label(name) for name in effect.members]
+    if is_ratio(effect):
+        return "thrust over mass"
+    more = len(names) - NAMES
+    return listed(names if more < 2 else [*names[:NAMES], f"{more} others"], "or")
+
+
+def is_ratio(effect: NamedEffect) -> bool:
+    """Return whether an equivalence class is the ratio of thrust to mass, which free flight shows alone."""
+    own = next(iter(effect.parameters.values()))
+    scales = all(LIBRARY[name].scales_thrust for name in effect.members if name in LIBRARY)
+    return len(effect.members) > 1 and scales and own.neutral == 1.0
+
+
+def sizes(effect: NamedEffect) -> dict[str, Estimate]:
+    """Return what an equivalence class is measured by: its parameters, or the one ratio of thrust to mass."""
+    if not is_ratio(effect):
+        return effect.parameters
+    (p,) = effect.parameters.values()
+    if effect.name == "mass":
+        low, high = p.ci95
+        p = dataclasses.replace(p, value=1.0 / p.value, ci95=(1.0 / high, 1.0 / low))
+    return {"ratio": p}
+
+
+def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
+    """Return parameter ("" for one alone), value and 95 % interval of the sizes of an equivalence class."""
+    parts = {name: p for name, p in sizes(effect).items() if is_identifiable(p)}
+    return tuple(
+        (label(name) if len(parts) > 1 else "", value(p), interval(p.ci95, p.unit))
+        for name, p in parts.items()
+    )
+
+
+def is_identifiable(p: Estimate) -> bool:
+    """Return whether the flights show a parameter: not what an effect is relative to."""
+    return any(map(math.isfinite, p.per_flight))
 
 
 def sentence(effect: NamedEffect) -> str:
-    """Return the physical meaning of a named effect as a sentence."""
-    text = meaning(effect)
+    """Return the physical meaning of a named effect with its size, as a sentence."""
+    parts = sizes(effect)
+    if len(parts) == 1 and (p := next(iter(parts.values()))).neutral == 1.0:
+        factor = float(value(p))
+        change = f"{abs(round(100 * (factor - 1)))} % {'higher' if factor > 1 else 'lower'} than modelled"
+        text = f"{title(effect)} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled'}"
+    else:
+        text = LIBRARY[effect.name].says.format(**{name: value(p) for name, p in parts.items()})
     return text[0].upper() + text[1:] + "."
-
-
-def confounding_sentence(effect: NamedEffect) -> str:
-    """Return a sentence on the effects confounded with a named one; empty where there are none."""
-    others = [label(name) for name in effect.members if name != effect.name]
-    if not others:
-        return ""
-    if _only_the_ratio(effect.members):
-        return (
-            f"It may as well be {listed(others, 'or')}: free flight shows only the ratio of thrust to mass."
-        )
-    return f"On these flights {listed(others, 'or')} may take the place of {label(effect.name)}."
-
-
-def _only_the_ratio(names: Sequence[str]) -> bool:
-    """Return whether all effects scale the thrust: only the ratio of thrust to mass is identifiable."""
-    return all(LIBRARY[name].scales_thrust for name in names if name in LIBRARY)
 
 
 def probability(part: float) -> str:
@@ -154,85 +173,105 @@ def probability(part: float) -> str:
     return "under 1 %" if part < 0.01 else f"{100 * part:.0f} %"
 
 
-def _shortened(names: Sequence[str]) -> list[str]:
-    """Return the first names, and the number of the others."""
-    more = len(names) - NAMED
-    return list(names) if more < 2 else [*names[:NAMED], f"{more} others"]
+def how_sure(effect: NamedEffect) -> str:
+    """Return the verdict on a named effect with the probability of its equivalence class."""
+    at_bound = "; as large as it can be" * any(p.at_bound for p in effect.parameters.values())
+    return f"{'sure' if effect.sure else 'possible'}, {probability(effect.probability)}{at_bound}"
 
 
-def _headline_entry(effect: NamedEffect) -> str:
-    """Return a named effect for the headline: `rotor drag (98 %)`, `mass or thrust scale (99 %: ...)`."""
-    names = listed(_shortened([label(name) for name in effect.members]), "or")
-    why = (
-        ": flights show only their ratio"
-        if len(effect.members) > 1 and _only_the_ratio(effect.members)
-        else ""
-    )
-    return f"{names} ({probability(effect.probability)}{why})"
+def confounding_sentence(d: Diagnosis, effect: NamedEffect) -> str:
+    """Return a sentence on the probability of each effect of an equivalence class; empty for one alone."""
+    if len(effect.members) < 2:
+        return ""
+    each = [f"{label(name)} ({probability(d.probability(name))})" for name in effect.members]
+    shows = "free flight shows only the ratio of thrust to mass" if is_ratio(effect) else ""
+    return f"It is {listed(each, 'or')}: {shows or 'these flights do not tell them apart'}."
 
 
 def headline(d: Diagnosis) -> str:
-    """Return the verdict in one sentence."""
-    if d.verdict == "nothing":
-        lines = f" ({probability(d.nothing)})" if d.sets else ""
+    """Return what is wrong with the model in a sentence or two."""
+    unknown = "something is wrong that no effect explains"
+    if not d.effects:
+        if d.verdict == "unknown":
+            return unknown[0].upper() + unknown[1:] + "."
+        how = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
-            return f"Nothing is missing that all flights share{lines}."
+            return f"Nothing is missing that all flights share{how}."
         if d.possible and d.nothing < 0.5:
             name, part = next(iter(d.possible.items()))
             return (
                 f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but those left "
                 "out are predicted no better with it."
             )
-        as_well = "the model explains these flights as well as noise and disturbances allow"
-        return f"Nothing is missing{lines}: {as_well}."
-    sure = listed([_headline_entry(e) for e in d.effects if e.sure])
-    rest = listed([_headline_entry(e) for e in d.effects if not e.sure])
-    if rest and not sure and d.verdict != "unknown":
-        return f"Possibly wrong or missing in the model: {rest}."
-    parts = [part for part in (sure, rest and f"possibly {rest}") if part]
-    if not parts:
-        return "Something is missing that no effect of the library explains."
-    if d.verdict == "unknown":
-        parts.append("something that no effect of the library explains")
+        well = "the model explains these flights as well as noise and disturbances allow"
+        return f"Nothing is missing{how}: {well}."
+    first, *others = sorted(d.effects, key=lambda e: not e.sure)  # by gain already
+    text = sentence(first) if first.sure else f"Possibly, {sentence(first)[0].lower()}{sentence(first)[1:]}"
+    sure = [title(e) for e in others if e.sure]
+    rest = [title(e) for e in others if not e.sure]
+    if sure:
+        text += f" Also wrong or missing: {listed(sure)}."
+    if rest:
+        text += f" Possibly also: {listed(rest, 'or')}."
+    return f"{text} In addition, {unknown}." if d.verdict == "unknown" else text
+
+
+def gain_sentence(d: Diagnosis) -> str:
+    """Return a sentence on the error before and after the correction; empty where it was not measured."""
+    if not d.gap:
+        return ""
+    g = next(iter(d.gap.values()))
+    before, after = centimetres(g.before), centimetres(g.after)
+    ahead = "one second" if f"{g.horizon:g}" == "1" else f"{g.horizon:g} s"
+    noise = f"measurement noise alone makes {centimetres(g.floor)}"
+    if before == after:
+        return f"The position error {ahead} ahead is {before}; {noise}."
+    change = "falls" if g.after < g.before else "grows"
+    it = "it" if len(d.effects) == 1 else "these"
     return (
-        f"Wrong or missing in the model: {listed(parts, 'and') if len(parts) < 3 else ', and '.join(parts)}."
+        f"With {it} corrected, the position error {ahead} ahead {change} from {before} to {after}; {noise}."
     )
 
 
-ANSWER_HEADS = ("what is wrong", "how sure", "costs after 1 s", "what to do")
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """A named effect, or a function of the residual, as words."""
+
+    title: str
+    how: str  # sure or possible, with the probability
+    sizes: tuple[tuple[str, str, str], ...]  # parameter ("" for one alone), value, 95 % interval
+    cost: str  # position error one second ahead; "" where it was not measured
+    remedy: str
+    says: str = ""  # the physical meaning, a sentence
+    notes: tuple[str, ...] = ()  # sentences on what limits the name
+
+    @property
+    def size(self) -> str:
+        """Return the sizes with their intervals on one line."""
+        return ", ".join(f"{f'{name} {number}'.strip()} ({ends})" for name, number, ends in self.sizes)
 
 
-def answer_rows(d: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """Return the rows under ANSWER_HEADS: the named effects, then the functions of the residual."""
-    rows = []
+def answers(d: Diagnosis) -> list[Answer]:
+    """Return the named effects, then the material functions of the residual."""
+    found = []
     for e in d.effects:
-        names = listed(_shortened([label(name) for name in e.members]), "or")
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
-        how = f"{'sure' if e.sure else 'possible'}, {probability(e.probability)}"
-        if any(p.at_bound for p in e.parameters.values()):
-            how += "; as large as it can be"
-        rows.append((names, how, cost, plain(e.remedy)))
+        notes = tuple(text for text in (confounding_sentence(d, e), plain(e.note)) if text)
+        found.append(Answer(title(e), how_sure(e), size_rows(e), cost, e.remedy, sentence(e), notes))
     for one in d.residual.depends_on:
         if d.residual.material(one):
-            low, high = one.displacement_ci95
-            cost = f"{centimetres(one.displacement)} ({100 * low:.1f} to {100 * high:.1f})"
-            rows.append(
-                (
-                    f"unknown, {axis(one)}: depends on {one.on}",
-                    "repeats on held-out flights",
-                    cost,
-                    "landing-eval plan designs a more informative flight.",
-                )
-            )
-    return rows
+            ends = interval(one.displacement_ci95, "m")
+            moved = ("displacement in 1 s", quantity(one.displacement, "m"), ends)
+            name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
+            remedy = "landing-eval plan designs a more informative flight."
+            found.append(Answer(name, how, (moved,), centimetres(one.displacement), remedy))
+    return found
 
 
 def possible_sentence(d: Diagnosis) -> str:
     """Return a sentence on the effects that are possible though not named; empty for none."""
-    if not d.possible:
-        return ""
     names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
-    return f"Not named, but possible: {listed(names, 'or')}."
+    return f"Not named, but possible: {listed(names, 'or')}." if names else ""
 
 
 def inconsistency(c: InconsistentFlights) -> list[str]:
@@ -248,9 +287,8 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
     return [
         subject,
         *(_difference_sentence(c, one) for one in c.differences),
-        f"Another vehicle, or another day's calibration? What is said below mixes the two: {apart} "
-        "(landing-eval gap with the logs of each). Where all flights agree, such a thing is said by chance "
-        f"in {100 * c.false_alarms:g} % of diagnoses.",
+        f"Another vehicle, or another day's calibration? The result below mixes the two: {apart} "
+        f"(landing-eval gap with the logs of each). False-alarm rate: {100 * c.false_alarms:g} %.",
     ]
 
 
@@ -273,30 +311,23 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
         f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{interval(x, effect.parameter(name).unit)}"
         for name, x in one.ci95.items()
     ]
-    lines = f"Beside a model of {model}, in {there} {effect.says.format(**values)}"
+    lines = f"Compared with {model}, in {there} {effect.says.format(**values)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
     others = [label(name) for name in one.confounded_with]
     return f"{lines} What differs may as well be {listed(others, 'or')}." if others else lines
 
 
-def set_rows(d: Diagnosis) -> list[tuple[str, float, str, bool]]:
-    """Return (effects, probability, sizes, whether most probable) of the most probable sets."""
-    rows = [
-        (" + ".join(map(label, one.effects)) or "nothing", one.probability, _sizes(one), k == 0)
-        for k, one in enumerate(d.sets[:SETS])
-    ]
+def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
+    """Return the effects that are named or possible with their probabilities, most probable first."""
+    names = dict.fromkeys([*(n for e in d.effects for n in e.members), *d.possible])
+    return sorted(((label(n), d.probability(n)) for n in names), key=lambda row: -row[1])
+
+
+def set_rows(d: Diagnosis) -> list[tuple[str, float]]:
+    """Return the most probable sets of effects with their probabilities."""
+    rows = [(" + ".join(map(label, one.effects)) or "nothing", one.probability) for one in d.sets[:SETS]]
     rest = 1.0 - sum(one.probability for one in d.sets[:SETS])
-    return [*rows, ("all other sets", rest, "", False)] if rows and rest > 0.005 else rows
-
-
-def _sizes(one: ScoredSet) -> str:
-    """Return the parameter values of a set as text."""
-    parts = []
-    for name, values in one.values.items():
-        effect = LIBRARY[name]
-        lines = [f"{label(p)} {quantity(x, effect.parameter(p).unit)}" for p, x in values.items()]
-        parts.append(", ".join(lines))
-    return "; ".join(parts)
+    return [*rows, ("all other sets", rest)] if rows and rest > 0.005 else rows
 
 
 NOISE_HEADS = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
@@ -332,19 +363,6 @@ def dependence_sentence(d: Dependence) -> str:
     return f"{quantity(d.size, d.unit)} {axis(d)} depends on {d.on}{where}; {cost}, on held-out flights."
 
 
-def gap(plant: str, g: PlantGap) -> str:
-    """Return a sentence on the gap before and after in one plant."""
-    before, after = centimetres(g.before), centimetres(g.after)
-    worth_closing = math.isfinite(g.closed) and g.before > 1.2 * g.floor and before != after
-    closed = f" ({share(g.closed)} of the gap closed)" if worth_closing else ""
-    change = f"goes from {before} to {after}{closed}" if before != after else f"is {before}"
-    return (
-        f"{g.horizon:g} s ahead, on held-out flights, the position error in "
-        f"{PLANTS[plant]} {change}; "
-        f"the measurement noise alone makes {centimetres(g.floor)}."
-    )
-
-
 def centimetres(metres: float) -> str:
     """Return a length as `6.2 cm`."""
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
@@ -356,59 +374,28 @@ def share(part: float) -> str:
     return f"{100 * part:.0f} %" if whole else f"{100 * part:.1f} %"
 
 
-def manoeuvre(d: Diagnosis) -> str:
-    """Return the sentences on the discriminating manoeuvre, repetitions removed."""
-    parts = re.split(r"(?<=[.!?])\s+", plain(d.separating_manoeuvre or ""))
-    return " ".join(dict.fromkeys(parts))
-
-
-def sentences(d: Diagnosis) -> list[str]:
-    """Return the first sentences of the report, after the headline and its table."""
+def sentences(d: Diagnosis, flight: str = "") -> list[str]:
+    """Return the sentences below the headline; flight: on the flight that tells apart what is in doubt."""
     lines = []
-    for effect in d.effects:
-        lines += [s for s in (sentence(effect), confounding_sentence(effect), plain(effect.note)) if s]
-    if d.separating_manoeuvre:
-        lines.append(f"To discriminate: {manoeuvre(d)}")
-    if d.estimated:
-        lines.append(
-            "Beside that all constants of the identified vehicle were estimated again, as these flights show "
-            "other sides of them; the vehicle file has them."
-        )
-    lines += [gap(plant, g) for plant, g in d.gap.items()]
-    return lines + residual_sentences(d)
-
-
-def plan_command(d: Diagnosis, report: Path) -> str:
-    """Return the command that plans the flight to tell sets apart; "" where none is in doubt or none tells.
-
-    report: the folder that holds the diagnosis.
-    """
-    apart: dict[tuple[str, ...], float] = {}  # touchdown effects need landings, which are not planned
-    for one in d.sets:
-        free = tuple(n for n in one.effects if not LIBRARY[n].contact)
-        apart[free] = apart.get(free, 0.0) + one.probability
-    doubt = bool(apart) and max(apart.values()) < thresholds.DECIDED
-    weighed = (d.separating_manoeuvre or "").startswith("No flight")
-    if d.verdict != "unknown" and (weighed or not doubt):
-        return ""
-    return f"landing-eval plan {report} --out {report.with_name(report.name + '-flight')}"
+    for one in answers(d):
+        lines.append(" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]))
+    lines += [flight or possible_sentence(d), *residual_sentences(d), gain_sentence(d)]
+    return [text for text in lines if text]
 
 
 def residual_sentences(d: Diagnosis) -> list[str]:
-    """Return sentences on possible effects and on the residual's functions, large and small."""
-    residual, lines = d.residual, [possible_sentence(d)] if d.possible else []
-    lines += [dependence_sentence(one) for one in residual.depends_on if residual.material(one)]
-    small = [one for one in residual.depends_on if not residual.material(one) and one.displacement > 0.0]
+    """Return sentences on the residual's functions, large and small."""
+    residual = d.residual
+    lines = [dependence_sentence(one) for one in residual.depends_on if residual.material(one)]
+    small = [one for one in residual.depends_on if not residual.material(one)]
     if small:
         most = max(small, key=lambda one: one.displacement)
-        lines.append(
-            f"{len(small)} smaller dependence{'s are' if len(small) > 1 else ' is'} significant too, at most "
-            f"{centimetres(most.displacement)} within a second ({axis(most)}, on {most.on})"
-            + (f", of a remaining {centimetres(residual.error)}." if math.isfinite(residual.error) else ".")
-        )
+        size = quantity(most.size, most.unit)
+        more = f"A smaller part of the residual {axis(most)} depends on {most.on} ({size}"
+        moved = f", {centimetres(most.displacement)} within a second" if most.displacement > 0.0 else ""
+        lines.append(f"{more}{moved}).")
     if not (residual.depends_on or d.inconsistent_flights):
-        cause = "sensor noise and air disturbances"
-        lines.append(f"The remaining error is unrelated to any logged signal: {cause}.")
+        lines.append("What remains is unrelated to any logged signal, as noise and air disturbances are.")
     return lines
 
 

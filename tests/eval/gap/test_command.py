@@ -209,5 +209,5 @@ def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, 
     monkeypatch.setattr(pathlib.Path, "write_bytes", full)
     assert cli.main(["gap", *files, "--out", str(tmp_path / "out")]) == 2
     shown = capsys.readouterr()
-    assert "no space left" in shown.err and "Wrong or missing in the model:" in shown.out
+    assert "no space left" in shown.err and "Thrust over mass is 12 % lower" in shown.out
     assert sorted(str(p) for p in tmp_path.iterdir()) == files

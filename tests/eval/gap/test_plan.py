@@ -13,7 +13,7 @@ from inclined_landing.eval.gap.model.reference import ReferenceResidual, Vehicle
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
-from inclined_landing.eval.gap.plan.reading import read_report
+from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
@@ -27,6 +27,12 @@ DRAG = ScoredSet(("rotor_drag",), 0.5, {"rotor_drag": {"lateral": 1.6, "axial": 
 BODY = ScoredSet(("body_drag",), 0.5, {"body_drag": {"coefficient": 0.005}})
 MASS = ScoredSet(("mass",), 0.5, {"mass": {"scale": 1.05}})
 THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
+
+
+def plan_input(*hypotheses):
+    """The input of a plan for a report with these sets."""
+    levels, reference = {}, VehiclePosterior.of_file(None, VEHICLE)
+    return PlanInput._of(hypotheses, (), levels, False, (), VEHICLE, reference)
 
 
 def gram(discrimination, setpoints):
@@ -178,7 +184,9 @@ def test_the_design_is_safe_repeatable_and_tells(plan):
 def test_the_scale_tells_mass_from_thrust():
     discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
     expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
-    assert "Weigh the vehicle" in " ".join(words.indistinguishable(discrimination, expected))
+    found = words.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)
+    assert not any(one.resolved for one in found)
+    assert "Weigh the vehicle" in " ".join(words.measured_otherwise(found))
 
 
 def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
@@ -192,7 +200,7 @@ def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
     assert near and max(piece.height for piece in near) > 0.1
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
     (said,) = words.why_near(low)
-    assert "because ground_effect cannot be told higher up" in said
+    assert "since ground effect cannot be told higher up" in said
 
 
 def test_what_is_promised_is_that_of_the_closed_loop(plan):
@@ -225,7 +233,7 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     folder, out = report(tmp_path, DRAG, BODY), tmp_path / "flight"
     assert main(["plan", str(folder), "--out", str(out), "--seconds", "10"]) == 0
     said = capsys.readouterr().out
-    assert "rotor_drag (0.50) or body_drag (0.50)" in said and "Expected afterwards" in said
+    assert "rotor drag (50 %) and body drag (50 %)" in said and "Expected probabilities" in said
     assert {p.name for p in out.iterdir()} == {"flight.csv", "plan.json", "plan.png"}
     assert (out / "flight.csv").read_text() == plan.points.reference.csv()
     log = read_log(out / "flight.csv")
@@ -241,8 +249,8 @@ def test_what_flights_could_not_show_is_sought_too(tmp_path):
     ground = ScoredSet(("ground_effect",), 0.03, {"ground_effect": LIBRARY["ground_effect"].plausible})
     row = {"effects": ["ground_effect"], "probability": 0.03, "values": ground.values}
     folder = report(tmp_path, ScoredSet((), 0.9, {}), unidentifiable_sets=[row])
-    doubt = read_report(folder)
-    assert [h.text for h in doubt.hypotheses] == ["nothing", "ground_effect"]
+    doubt, _ = read_report(folder)
+    assert [h.effects for h in doubt.hypotheses] == [(), ("ground_effect",)]
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
     gains = {k: discrimination.gain(gram(discrimination, points(k))) for k in ("low_hover", "run")}
     assert gains["low_hover"] > 3 * abs(gains["run"])
@@ -252,7 +260,7 @@ def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
     out = tmp_path / "flight"
     alone = report(tmp_path, dataclasses.replace(DRAG, probability=0.97))
     assert main(["plan", str(alone), "--out", str(out)]) == 0
-    assert "No flight is needed: rotor_drag has a probability of 0.97." in capsys.readouterr().out
+    assert "No flight is needed: rotor drag has a probability of 97 %." in capsys.readouterr().out
     assert not out.exists()
 
 
@@ -316,12 +324,11 @@ def test_an_unknown_remainder_is_excited_broadly():
 
 def test_the_short_text_names_a_piece_the_scale_or_nothing():
     def said(*hypotheses):
-        return words.discrimination_text(
-            ModelDiscrimination(hypotheses, VEHICLE, NoiseLevels.typical()), platform=False
-        )
+        return words.most_informative_flight(plan_input(*hypotheses))
 
-    assert "again and again: after 20 s the right one" in said(DRAG, BODY)
-    assert said(MASS, THRUST).startswith("No flight") and "Weigh the vehicle" in said(MASS, THRUST)
-    assert (
-        said(dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)) == ""
-    )
+    text, worth = said(DRAG, BODY)
+    assert worth and "A flight tells whether the model lacks rotor drag or body drag:" in text
+    text, worth = said(MASS, THRUST)
+    assert not worth and "No flight tells mass and thrust scale apart. Weigh the vehicle" in text
+    decided = dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)
+    assert said(*decided) == ("", False)

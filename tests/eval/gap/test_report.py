@@ -9,6 +9,9 @@ import sys
 import numpy as np
 import pytest
 
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
+from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report import figures, model, terminal, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
@@ -46,7 +49,8 @@ def estimate(effect, name, value):
 
 def named(name, values, gain=0.5, *alike):
     parameters = {p: estimate(name, p, x) for p, x in values.items()}
-    return NamedEffect(name, (name, *alike), 0.97, parameters, gain, LIBRARY[name].remedy)
+    probability = 0.99 if name == "thrust_scale" else 0.97  # as of the sets of `example`
+    return NamedEffect(name, (name, *alike), probability, parameters, gain, LIBRARY[name].remedy)
 
 
 def example(verdict="effects"):
@@ -75,7 +79,6 @@ def example(verdict="effects"):
         verdict=verdict,
         effects=said,
         corrected=effects.apply(load_vehicle(), {e.name: e.values() for e in said}),
-        separating_manoeuvre="Weigh the vehicle. To tell thrust_scale from mass: weigh." if said else None,
         where=tuple(
             RegimeError(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
             for r in ("hover", "all")
@@ -140,42 +143,44 @@ def test_a_size_that_may_be_zero_is_not_sure():
 
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
-        text = words.meaning(named(name, effect.plausible))
+        text = words.sentence(named(name, effect.plausible))
         assert len(re.findall(r"-?\d[\d.]*", text)) == len(effect.parameters) and "_" not in text
-    late = words.meaning(named("thrust_delay", {"delay": 0.012}))
-    assert late == "thrust commands act 12.0 ms after they were sent"
+    assert words.sentence(named("thrust_delay", {"delay": 0.012})) == (
+        "Thrust commands act 12.0 ms after they were sent."
+    )
+    assert words.sentence(named("attitude_gain", {"scale": 0.87})) == (
+        "Attitude gain is 13 % lower than modelled."
+    )
+    heavy = named("mass", {"scale": 1.25}, 0.5, "thrust_scale")
+    assert words.sentence(heavy) == "Thrust over mass is 20 % lower than modelled."
+    assert words.size_rows(heavy) == (("", "0.800", "0.784 to 0.816"),)
 
 
 def test_headlines_say_what_is_known_and_what_is_not():
-    ratio = "thrust scale or mass (97 %: flights show only their ratio)"
-    assert words.headline(example()) == f"Wrong or missing in the model: {ratio} and attitude trim (97 %)."
-    assert words.headline(example("unknown")).endswith("something that no effect of the library explains.")
+    ratio = "Thrust over mass is 12 % lower than modelled."
+    assert words.headline(example()) == f"{ratio} Also wrong or missing: attitude trim."
+    assert words.headline(example("unknown")).endswith("something is wrong that no effect explains.")
     assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
     certain = (ScoredSet(("wind",), 0.98, {}, {}), ScoredSet((), 0.02, {}, {}))
     useless = words.headline(dataclasses.replace(example("nothing"), sets=certain))
     assert useless.startswith("Nothing to correct: wind (98 %) fits these flights, but")
-    little = dataclasses.replace(
-        example(), effects=(named("wind", {"x": 0.3, "y": 0.0}, 0.5), example().effects[1])
-    )
-    little = dataclasses.replace(little, effects=(little.effects[0], named("attitude_trim", TRIM, 0.001)))
-    assert words.headline(little) == "Wrong or missing in the model: wind (97 %) and attitude trim (97 %)."
-    unsure = dataclasses.replace(little, effects=(dataclasses.replace(little.effects[0], probability=0.6),))
-    assert words.headline(unsure) == "Possibly wrong or missing in the model: wind (60 %)."
-    assert words.answer_rows(unsure)[0][:2] == ("wind", "possible, 60 %")
-    assert "Something is missing" in words.headline(
-        dataclasses.replace(example("nothing"), verdict="unknown")
-    )
+    wind = dataclasses.replace(named("wind", {"x": 0.3, "y": 0.0}), probability=0.6)
+    unsure = dataclasses.replace(example(), effects=(wind, example().effects[1]))
+    assert words.headline(unsure).endswith("Possibly also: wind.")
+    alone = dataclasses.replace(example(), effects=(wind,))
+    assert words.headline(alone).startswith("Possibly, the air moves with 0.300 m/s")
+    assert words.answers(alone)[0].how == "possible, 60 %"
+    nameless = dataclasses.replace(example("nothing"), verdict="unknown")
+    assert words.headline(nameless) == "Something is wrong that no effect explains."
 
 
-def test_the_first_sentences_hold_class_remedy_manoeuvre_and_gap():
-    text = " ".join(words.sentences(example()))
-    assert "the rotors give 0.880 times the modelled thrust" in text.lower()
-    assert "It may as well be mass: free flight shows only the ratio" in text
-    assert "To tell thrust scale from mass: weigh." in text
-    assert "from 49 cm to 4.0 cm (94 % of the gap closed); the measurement noise alone makes 1.0 cm" in text
-    assert "in MuJoCo" in text
-    rows = words.answer_rows(example())
-    assert LIBRARY["attitude_trim"].remedy in rows[1] and rows[1][1] == "sure, 97 %"
+def test_the_first_sentences_hold_gain_class_and_flight():
+    text = " ".join(words.sentences(example(), "Weigh it."))
+    assert "With these corrected, the position error one second ahead falls from 49 cm to 4.0 cm" in text
+    assert "measurement noise alone makes 1.0 cm" in text and "Weigh it." in text
+    assert "It is thrust scale (82 %) or mass (17 %): free flight shows only the ratio" in text
+    answer = words.answers(example())[1]
+    assert (answer.remedy, answer.how) == (LIBRARY["attitude_trim"].remedy, "sure, 97 %")
 
 
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
@@ -184,7 +189,7 @@ def test_the_page_stands_alone(verdict, track):
     text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",)).replace("\u00a0", " ")
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == {"effects": 6, "unknown": 7, "nothing": 3}[verdict]
+    assert text.count("data:image/svg+xml") == {"effects": 7, "unknown": 8, "nothing": 4}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
     assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")
@@ -214,10 +219,45 @@ def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
 def test_the_terminal_says_the_same(capsys):
     terminal.show(example(), ("hover thrust differs",))
     out = " ".join(capsys.readouterr().out.split())
-    assert out.endswith(words.headline(example()))
-    assert (
-        "thrust scale scale 0.8800 0.868 to 0.892 97 % 80 %" in out and "Note: hover thrust differs." in out
-    )
+    assert out.endswith(words.headline(example())) and "Note: hover thrust differs." in out
+    assert "thrust over mass 0.880 0.868 to 0.892 sure, 99 %" in out
+
+
+def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
+    """Page, terminal, report.json and plan: one number for each effect, set and size."""
+    d = example()
+    record = json.loads(storage.to_json(d.to_json()))
+    vehicle = load_vehicle()
+    plan_input = PlanInput.of(d, vehicle, VehiclePosterior.of_file(None, vehicle))
+    flight, _ = most_informative_flight(plan_input)
+    text = page(d, None, versions={}, flight=flight).replace("\u00a0", " ")
+    body = re.sub(r"<[^>]+>", " ", text[text.index("<body>") :])
+    terminal.show(d, flight=flight)
+    seen = [" ".join(one.split()) for one in (body, capsys.readouterr().out)]
+    # Effects: marginal over the sets, of the class as of each member.
+    for name in ("thrust_scale", "mass", "attitude_trim"):
+        marginal = sum(one["probability"] for one in record["sets"] if name in one["effects"])
+        assert d.probability(name) == plan_input.probabilities[name] == pytest.approx(marginal)
+        rows = dict(words.probability_rows(d))
+        assert rows[words.label(name)] == d.probability(name)
+    for one in seen:
+        for name in ("thrust_scale", "mass"):
+            shown = set(re.findall(rf"{words.label(name)} \((\d+) %\)", one))
+            assert shown == {f"{100 * d.probability(name):.0f}"}
+    for effect, entry in zip(d.effects, record["effects"]):
+        assert entry["probability"] == effect.probability == pytest.approx(d.probability(*effect.members))
+        for _, number, ends in words.size_rows(effect):
+            assert f"{number} ({ends})" in seen[0] and f"{number} {ends}" in seen[1]
+        assert all(words.title(effect) in one and words.how_sure(effect) in one for one in seen)
+        for name, p in effect.parameters.items():
+            assert entry["parameters"][name]["value"] == p.value
+            assert f"{words.value(p)} {words.interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
+    for names, part in words.set_rows(d):
+        assert f"{names} {words.probability(part)}" in seen[0]
+    # Sizes: every decimal of the effects' sentences is that of the size with its interval.
+    for effect in d.effects:
+        said = re.findall(r"\d+\.\d+", words.sentence(effect))
+        assert set(said) <= set(re.findall(r"\d+\.\d+", str(words.size_rows(effect))))
 
 
 def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
@@ -230,14 +270,14 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
     )
     terminal.show(d)
     out = " ".join(capsys.readouterr().out.split())
-    who = "b contradicts the other 2 flights. Beside a model of the others, in b the rotors give"
-    assert out.index(who) < out.index("Wrong or missing in the model:")
-    assert "0.8600 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
+    who = "b contradicts the other 2 flights. Compared with the others, in b the rotors give"
+    assert out.index(who) < out.rindex("Thrust over mass is 12 % lower")
+    assert "0.860 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
     assert "What differs may as well be mass." in out
-    assert "Beside a model of b, in the others thrust commands act 10.00 ms after" in out
+    assert "Compared with b, in the others thrust commands act 10.0 ms after" in out
     text = page(d, None, versions={}).replace("\u00a0", " ")
     assert text.index("b contradicts the other 2 flights.") < text.index(
-        "Wrong or missing in the model:", text.index("<body>")
+        "Thrust over mass is 12 % lower", text.index("<body>")
     )
     record = json.loads(storage.to_json(d.to_json()))["inconsistent_flights"][0]
     assert record["flights"] == ["b"] and record["differences"][0]["ci95"]["scale"] == [0.84, 0.88]
@@ -275,7 +315,7 @@ def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
 
 def test_the_json_has_the_promised_keys():
     record = json.loads(storage.to_json(example().to_json()))
-    promised = ("verdict", "effects", "separating_manoeuvre", "where", "gap", "residual", "seconds")
+    promised = ("version", "verdict", "effects", "where", "gap", "residual", "seconds")
     assert set(promised) <= set(record)
     assert set(record["effects"][0]) >= {"name", "members", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}
