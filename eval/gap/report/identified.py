@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from inclined_landing.envs.shared.tables import new_table
-from inclined_landing.eval.base.style import MUTED, panel
+from inclined_landing.eval.base.style import BLUE, MUTED, panel, styled
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report import figures, words
-from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, WIDTH, name_rows
+from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
@@ -29,32 +30,29 @@ _HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights
 
 
 def headline(found: Identification) -> str:
-    """Return the fit of the identified vehicle in one sentence."""
-    text = ", ".join(f"{channel} {_percent(fit['after'])}" for channel, fit in found.fit.items())
-    return f"The identified model follows the flights it was not fitted to by {text}."
+    """Return how many constants differ from the nominal model, as a sentence."""
+    n, changed = len(found.parameters), len(changed_parameters(found))
+    return f"{changed or 'None'} of {n} constants differ{'s' * (changed == 1)} from the nominal model."
 
 
 def sentences(found: Identification) -> list[str]:
-    """Return the fit of the nominal vehicle, and the definition of the fit."""
-    before = ", ".join(f"{channel} {_percent(fit['before'])}" for channel, fit in found.fit.items())
-    lines = [
-        f"The nominal model: {before}. The paper reports {PAPER['fit']:g} % for the attitude. Fit is "
-        "100 % minus the error as a share of the signal's own variation; x, y and z: velocity changes over "
-        "1 s, angles: open loop.",
-    ]
-    return lines
-
-
-def changes(found: Identification) -> str:
-    """Return a sentence on the constants whose interval excludes the nominal value."""
-    changed = [p for p in found.parameters if not p.ci95[0] <= p.before <= p.ci95[1]]
-    if not changed:
-        return "No constant differs from the nominal model by more than its 95 % interval."
-    values = (
+    """Return the constants that differ, and the fit of the nominal and the identified model."""
+    values = [
         f"{p.name} {words.rounded(p.value, p.ci95, p.unit)} (nominal {words.exact(p.before, p.unit)})"
-        for p in changed
-    )
-    return f"Different from the nominal model: {', '.join(values)}."
+        for p in changed_parameters(found)
+    ]
+    fits = [
+        f"{channel} {_percent(fit['after'])} (nominal {_percent(fit['before'])})"
+        for channel, fit in found.fit.items()
+    ]
+    paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
+    fit = f"Fit on flights left out: {', '.join(fits)}. {paper}"
+    return [f"They are {words.listed(values)}.", fit] if values else [fit]
+
+
+def changed_parameters(found: Identification) -> list[Identified]:
+    """Return the constants whose 95 % interval excludes the nominal value."""
+    return [p for p in found.parameters if not p.ci95[0] <= p.before <= p.ci95[1]]
 
 
 IDENTIFIABLE = ("effect", "standard error", "confounded with", "excited by")
@@ -76,19 +74,20 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
 def identifiability(found: Identification) -> Figure:
     """Return the figure of the standard errors of all effects, over their prior standard deviations."""
     n = len(found.identifiable)
-    figure = Figure(figsize=(WIDTH, 0.22 * n + 0.7))
-    axis = panel(figure, 2.0, 0.5, WIDTH - 2.3, 0.22 * n)
-    for k, one in enumerate(found.identifiable):
-        colour = AFTER if one.share <= thresholds.ROUGH else "#c9b458"
-        if one.share > thresholds.UNIDENTIFIABLE:
-            colour = BEFORE
-        axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
-    axis.axvline(thresholds.ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
-    axis.set_xlim(0.0, 1.0)
-    axis.set_xlabel("standard error / prior standard deviation [1]")
-    name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
-    axis.grid(axis="x")
-    axis.set_axisbelow(True)
+    with styled():
+        figure = Figure(figsize=(6.2, 0.2 * n + 0.9))
+        axis = panel(figure, 2.1, 0.5, 4.0, 0.2 * n)
+        for k, one in enumerate(found.identifiable):
+            colour = AFTER if one.share <= thresholds.ROUGH else BLUE
+            colour = BEFORE if one.share > thresholds.UNIDENTIFIABLE else colour
+            axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
+        axis.axvline(thresholds.ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
+        axis.set(xlim=(0.0, 1.0), xlabel="standard error / prior standard deviation [1]")
+        name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
+        axis.grid(axis="x")
+        looks = (("well identified", AFTER), ("roughly", BLUE), ("not identifiable", BEFORE))
+        handles = [Patch(color=colour, label=text) for text, colour in looks]
+        axis.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderpad=0.1)
     return figure
 
 
@@ -116,7 +115,8 @@ def page(
         paper=PAPER["fit"],
         colours=(BEFORE, AFTER),
         heads=_HEADS,
-        rows=rows(found),
+        rows=rows(found.parameters),
+        changed=rows(changed_parameters(found)),
         noise_rows=words.noise_rows(found.disturbance),
         words=words,
         vehicle=VEHICLE,
@@ -128,7 +128,7 @@ def page(
     )
 
 
-def rows(found: Identification) -> list[tuple[str, ...]]:
+def rows(parameters: Sequence[Identified]) -> list[tuple[str, ...]]:
     """Return one row of text for each constant."""
     return [
         (
@@ -139,18 +139,17 @@ def rows(found: Identification) -> list[tuple[str, ...]]:
             words.exact(float(f"{p.spread:.2g}"), p.unit) if math.isfinite(p.spread) else "",
             words.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
         )
-        for p in found.parameters
+        for p in parameters
     ]
 
 
 def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None = None) -> None:
     """Print constants, notes and headline; vehicle: the file that was written."""
     constants = new_table(None, *_HEADS)
-    for row in rows(found):
+    for row in rows(found.parameters):
         constants.add_row(*row)
-    lines = (*sentences(found), changes(found))
     answer = headline(found) + ("" if vehicle is None else f" It is {vehicle}.")
-    print_answer(answer, lines, constants, (*found.notes, *notes), found)
+    print_answer(answer, sentences(found), constants, (*found.notes, *notes), found)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

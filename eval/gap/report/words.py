@@ -48,8 +48,9 @@ REGIMES = {
 
 
 def label(name: str) -> str:
-    """Return the name of an effect with spaces."""
-    return name.replace("_", " ")
+    """Return the name of an effect as a person reads it."""
+    text = name.replace("_", " ")
+    return text.replace("mocap", "motion capture").replace("com offset", "centre of mass offset")
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

@@ -62,7 +62,7 @@ def test_one_flight_of_another_vehicle(flown):
     assert low < 1.15 < high and high - low < 0.1
     text = " ".join(words.inconsistency(one))
     assert text.startswith(
-        "flight_07 contradicts the other 9 flights. Beside a model of the others, in flight_07"
+        "flight_07 contradicts the other 9 flights. Compared with the others, in flight_07"
     )
     assert (
         "diagnose flight_07 apart, and the other 9 flights without it" in text
