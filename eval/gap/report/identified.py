@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Ide
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
-from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields
+from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields, rounded, rounded_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
 from inclined_landing.models import storage
@@ -38,7 +38,8 @@ def headline(found: Identification) -> str:
 def sentences(found: Identification) -> list[str]:
     """Return the constants that differ, and the fit of the nominal and the identified model."""
     values = [
-        f"{p.name} {words.rounded(p.value, p.ci95, p.unit)} (nominal {words.exact(p.before, p.unit)})"
+        f"{words.label(p.name)} {words.rounded(p.value, p.ci95, p.unit)} "
+        f"(nominal {words.exact(p.before, p.unit)})"
         for p in changed_parameters(found)
     ]
     fits = [
@@ -47,7 +48,7 @@ def sentences(found: Identification) -> list[str]:
     ]
     paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
     fit = f"Fit on flights left out: {', '.join(fits)}. {paper}"
-    return [f"They are {words.listed(values)}.", fit] if values else [fit]
+    return [f"{'They are' if len(values) > 1 else 'It is'} {words.listed(values)}.", fit] if values else [fit]
 
 
 def changed_parameters(found: Identification) -> list[Identified]:
@@ -132,11 +133,11 @@ def rows(parameters: Sequence[Identified]) -> list[tuple[str, ...]]:
     """Return one row of text for each constant."""
     return [
         (
-            p.name + (f" ({p.note})" if p.note else ""),
+            words.label(p.name) + (f" ({p.note})" if p.note else ""),
             words.exact(p.before, p.unit),
             words.rounded(p.value, p.ci95, p.unit),
             words.interval(p.ci95, p.unit),
-            words.exact(float(f"{p.spread:.2g}"), p.unit) if math.isfinite(p.spread) else "",
+            words.quantity(p.spread, p.unit) if math.isfinite(p.spread) else "",
             words.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
         )
         for p in parameters
@@ -180,9 +181,9 @@ def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str,
     disturbance, widths = disturbance_fields(found.disturbance)
     lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
     return (
-        dataclasses.replace(found.vehicle, **disturbance),
+        dataclasses.replace(rounded_fields(found.vehicle, found.fields), **disturbance),
         sources | dict.fromkeys(disturbance, lines),
-        found.fields | widths,
+        {field: rounded(width) for field, width in found.fields.items()} | widths,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     from inclined_landing.models.scene import build_spec
 
     sources, uncertainties = provenance(d, vehicle)
+    corrected = rounded_fields(d.corrected, sources)
     disturbance, widths = disturbance_fields(d.disturbance)
     estimated = f"estimated by landing-eval gap from {len(d.flights)} flight{'s' * (len(d.flights) != 1)}"
     sources |= dict.fromkeys(disturbance, estimated)
@@ -34,13 +35,13 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     names = ", ".join(effect.name for effect in d.effects) or "no effect"
     write_vehicle(
         folder / VEHICLE,
-        dataclasses.replace(d.corrected, **disturbance),
+        dataclasses.replace(corrected, **disturbance),
         sources,
         uncertainties,
         base=base,
         heading=f"Corrected by landing-eval gap: {names}.\nEvery command takes it with --vehicle.",
     )
-    spec = build_spec(d.corrected)
+    spec = build_spec(corrected)
     spec.compile()  # to_xml needs it
     storage.write_text(folder / MJCF, spec.to_xml())
 
@@ -55,8 +56,8 @@ def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str
             sources[field] += _source(effect)
             squares[field] = squares.get(field, 0.0) + squared
     for field, width in d.half_widths.items():
-        again = "estimated again by landing-eval gap, with all others"
-        sources[field] = f"{sources[field]}; {again}" if field in sources else again
+        names = [e.name for e in d.effects if field in _squared_half_widths(e, vehicle)]
+        sources[field] = "; ".join(["estimated by landing-eval gap jointly with all constants", *names])
         squares[field] = np.square(width)
     return sources, {field: _half_width(squared) for field, squared in squares.items()}
 
@@ -74,13 +75,21 @@ def disturbance_fields(disturbance: Mapping[str, Disturbance]) -> tuple[dict[str
         ]
         for field, of in ((f"disturbance_{name}", "size"), (f"disturbance_{name}_time", "time")):
             ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in channels_]
-            fields[field] = tuple(_three_digits(getattr(d, of)) if d else 0.0 for d in channels_)
-            widths[field] = tuple(_three_digits(round(0.5 * (high - low), 9)) for low, high in ends)
+            fields[field] = tuple(rounded(getattr(d, of)) if d else 0.0 for d in channels_)
+            widths[field] = tuple(rounded(round(0.5 * (high - low), 9)) for low, high in ends)
     return fields, widths
 
 
-def _three_digits(value: float) -> float:
-    return float(f"{value:.3g}")
+def rounded_fields(vehicle: Vehicle, names: Iterable[str]) -> Vehicle:
+    """Return the vehicle with six digits of the numbers in these fields: a file that a person can read."""
+    return dataclasses.replace(vehicle, **{name: rounded(getattr(vehicle, name), 6) for name in names})
+
+
+def rounded(value: float | tuple[float, ...], digits: int = 3) -> Any:
+    """Return a number, or each of several, with so many significant digits and never as -0."""
+    if isinstance(value, tuple):
+        return tuple(rounded(x, digits) for x in value)
+    return float(f"{value:.{digits}g}") + 0.0
 
 
 def _source(effect: NamedEffect) -> str:
@@ -113,5 +122,4 @@ def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.
 def _half_width(squared: np.ndarray) -> Uncertainty:
     if not np.all(np.isfinite(squared)):
         return "not known"
-    rounded = [_three_digits(x) for x in np.sqrt(np.atleast_1d(squared))]
-    return tuple(rounded) if squared.ndim else rounded[0]
+    return rounded(tuple(np.sqrt(squared)) if squared.ndim else float(np.sqrt(squared)))

@@ -84,7 +84,7 @@ def interval(ends: Sequence[float], unit: str) -> str:
     low, high = (factor * x for x in ends)
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
-    if low == high:
+    if high - low <= 1e-6 * abs(high):
         return quantity(ends[0], unit)
     places = _places(max(high - low, 1e-3 * abs(high)))
     return f"{_fixed_point(low, places)} to {_fixed_point(high, places)} {name}".rstrip()

@@ -66,7 +66,7 @@ def test_one_flight_of_another_vehicle(flown):
     )
     assert (
         "diagnose flight_07 apart, and the other 9 flights without it" in text
-        and "by chance in 1 % of diagnoses" in text
+        and "False-alarm rate: 1 %." in text
     )
 
 
