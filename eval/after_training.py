@@ -7,8 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
@@ -85,18 +83,7 @@ def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) 
     table = success.evaluate(final, thrust_scales=_LANDING_SCALES if task.table in LANDINGS else (1.0,))
     storage.write_json(folder / "success.json", table)
     metrics["success"] = {"final": [headline(task, c) for c in table["conditions"]]}
-    if (folder / "best.zip").exists():
-        best = load(folder / "best.zip")
-        flown = table if _same_network(best, final) else success.evaluate(best)
-        plain = [c for c in flown["conditions"] if c["thrust_scale"] == 1.0]
-        metrics["success"]["best"] = [headline(task, c) for c in plain]
     return lambda: success.show({"final": table})
-
-
-def _same_network(one: Policy, other: Policy) -> bool:
-    """Return whether two policies of the same run have the same weights."""
-    arrays = ((*policy.weights, *policy.biases) for policy in (one, other))
-    return all(map(np.array_equal, *arrays))
 
 
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
