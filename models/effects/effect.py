@@ -244,7 +244,7 @@ class Effect:
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
-    # Errors of its formula that are free while it is named (`eval/gap/model/form.py`), and the standard
+    # Errors of its formula that are free while it is named (`eval/gap/model/columns.py`), and the standard
     # deviation of their weights: from simulators of other forms (docs/gap_blind.md, development families).
     forms: tuple[str, ...] = ()
     form: float = 0.05

@@ -24,7 +24,7 @@ from scipy.signal import savgol_filter
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.base.style import GREEN, INK, MUTED, save_figure, styled
-from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numba
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
 from inclined_landing.eval.gap.model.prediction import as_flown, delayed_commands, predict, without_delays
 from inclined_landing.eval.gap.result import PlantGap
+from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.errors import UserError
@@ -217,12 +218,12 @@ def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return np.sqrt(((simulated[..., :3] - measured[..., :3])[:, 1:] ** 2).sum(axis=2).mean(axis=0))
 
 
-def noise_floor(starts: RolloutWindows, vehicle: Vehicle, seed: int = 0) -> np.ndarray:
+def noise_floor(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     """Return the error (rows,) [m] of a perfect model: noise of the start state and of the measurement.
 
     By simulation of `vehicle` from start states with and without the noise that smoothing leaves.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     scale = np.stack([start_state_noise(f) for f in starts.flights])[starts.flight_of]
     a = simulate(starts, vehicle)
     b = simulate(starts, vehicle, perturbation=scale * rng.standard_normal(scale.shape))
@@ -262,15 +263,14 @@ def plant_gap(
     starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
     """Return the errors at the end of the horizon; `after`: one vehicle, or one per flight of `starts`."""
-    (first, first_translation), (second, second_translation) = (
-        errors_by_flight(starts, vehicle, plant) for vehicle in (before, after)
-    )
+    ends = [[float(x[-1]) for x in errors_by_flight(starts, v, plant)] for v in (before, after)]
+    (first, first_translation), (second, second_translation) = ends
     return PlantGap(
-        before=float(first[-1]),
-        after=float(second[-1]),
+        before=first,
+        after=second,
         floor=float(floor[-1]),
-        translation_before=float(first_translation[-1]),
-        translation_after=float(second_translation[-1]),
+        translation_before=first_translation,
+        translation_after=second_translation,
         windows=len(starts),
         horizon=starts.rows * starts.dt,
     )
@@ -303,9 +303,14 @@ def pose_errors(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarr
 
 
 def measure_gap(
-    vehicle: Vehicle, flights: Sequence, horizon: float = HORIZON, plant: str = "analytic", *, platform=False
+    vehicle: Vehicle,
+    flights: Sequence[FlightLog],
+    horizon: float = HORIZON,
+    plant: str = "analytic",
+    *,
+    platform=False,
 ) -> dict:
-    """Return the open-loop position error of a vehicle on measured flights (`FlightLog`s).
+    """Return the open-loop position error of a vehicle on measured flights.
 
     {error, floor, translation, windows, horizon, curve}: root mean square distance [m] after `horizon`
     seconds, that of noise alone, the error with the measured attitude in place of the simulated one, the
@@ -313,13 +318,9 @@ def measure_gap(
     Raises UserError when no flight has a usable stretch of that length.
     """
     vehicle = as_vehicle(vehicle)
-    prepared = [
-        f if isinstance(f, MeasuredFlight) else prepare(f, vehicle, platform=platform)
-        for f in (flights if isinstance(flights, Iterable) else [flights])
-    ]
-    if not prepared:
+    if not flights:
         raise UserError("no flight given")
-    starts = RolloutWindows.of(prepared, horizon)
+    starts = RolloutWindows.of([prepare(f, vehicle, platform=platform) for f in flights], horizon)
     error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {

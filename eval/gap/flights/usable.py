@@ -1,26 +1,80 @@
-"""The flights that can be used, cut into windows; others are set aside by name.
+"""The flights of a command: read, checked, and those that can be used cut into windows.
 
-Set aside are crashes, touches of what no model has, and failed sensors: nothing is computed with them.
+Nothing is computed with crashes, touches of what no model has, and failed sensors: they are set aside by
+name.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.windows import IDLE, MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import SetAside
-from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs import FlightLog, read_log
+from inclined_landing.eval.logs.checks import check_fleet
+from inclined_landing.eval.logs.command import parse_units
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.values import failed_speed_sensors
-from inclined_landing.models.errors import UserError, first_of
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, first_of, shown
 from inclined_landing.models.vehicle import Vehicle
 
 MOMENT = 0.1  # s: a vehicle that hits something stops within
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
+
+
+def read_flights(
+    files: Sequence[str],
+    heldout: Sequence[str] = (),
+    *,
+    mapping: str | None = None,
+    units: Sequence[str] = (),
+    tick: Callable[[str], None] = lambda name: None,
+) -> tuple[list[FlightLog], list[FlightLog], tuple[str, ...]]:
+    """Return the flights to fit, the held-out flights, and notes on their common limits.
+
+    units: as `roll=deg`. tick: called with the name of each file before it is read.
+    Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
+    different vehicles.
+    """
+    given = parse_units(units)
+    every = [*files, *heldout]
+    check_apart(every)
+    logs = []
+    for file, name in zip(every, _names(every)):
+        tick(name)
+        logs.append(read_log(file, mapping=mapping, units=given, name=name))
+    together = check_fleet(logs)
+    for finding in together:
+        if finding.decision == "refuse":
+            raise UserError(finding.text)
+    notes = tuple(finding.text for finding in together if finding.decision == "limit")
+    return logs[: len(files)], logs[len(files) :], notes
+
+
+def check_apart(*groups: Sequence[str]) -> None:
+    """Raise UserError for a file that is given more than once."""
+    every = [file for group in groups for file in group]
+    where = [storage.real(file) for file in every]
+    for file, path in zip(every, where):
+        if where.count(path) > 1:
+            raise UserError(f"{file} is given more than once; fit and judgement need different flights")
+
+
+def _names(files: Sequence[str]) -> list[str]:
+    """Return the file names without suffix; with their folder where two are equal."""
+
+    def stem(file: str) -> str:
+        return shown(Path(file).name).removesuffix(".gz").removesuffix(".csv")
+
+    count = Counter(map(stem, files))
+    return [stem(f) if count[stem(f)] == 1 else f"{shown(Path(f).parent.name)}/{stem(f)}" for f in files]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -113,39 +113,17 @@ class MeasuredFlight:
     @property
     def measured(self) -> np.ndarray:
         """Return what is predicted, as measured (m, C): the pose and the motors' requests."""
-        return self.pose if self.requests is None else np.hstack([self.pose, self.requests.differences])
+        return np.hstack([self.pose, self.requests.differences]) if self.requests else self.pose
 
     @property
     def request_differences(self) -> np.ndarray | None:
         """Return the differences of the motors' requests (m, 3), None where they were not logged."""
-        return None if self.requests is None else self.requests.differences
-
-    def without_requests(self) -> MeasuredFlight:
-        """Return the flight without what its motors were requested to give."""
-        if self.requests is None:
-            return self
-        responses = ErrorResponses(
-            self.error_responses.projection[:6], self.error_responses.impulse[:6], self.dt
-        )
-        noise = self.noise[:6]
-        return dataclasses.replace(
-            self,
-            requests=None,
-            logged=self.logged[:6],
-            noise=noise,
-            error_responses=responses,
-            whitening=Whitening.of(responses, noise, self.acceleration_noise),
-        )
+        return self.requests and self.requests.differences
 
     def whitened(self, error_responses: ErrorResponses, noise_model: NoiseModel) -> MeasuredFlight:
         """Return the flight whitened with measurement noise and disturbance of a noise model."""
-        whitening = Whitening.of(
-            error_responses,
-            self.noise * noise_model.noise,
-            self.acceleration_noise,
-            noise_model.size,
-            noise_model.time,
-        )
+        noise, of = self.noise * noise_model.noise, noise_model
+        whitening = Whitening.of(error_responses, noise, self.acceleration_noise, of.size, of.time)
         return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
     def without_tilt(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -295,9 +273,8 @@ def _resampled(log: FlightLog) -> FlightLog:
     """Return the log on an even time grid of at most RATE."""
     step = np.diff(log.t)
     dt = float(np.median(step))
-    if np.abs(step - dt).max() > 0.02 * dt or 1.0 / dt > 1.05 * RATE:
-        return log.resampled(min(RATE, round(1.0 / dt, 3)))
-    return log
+    uneven = np.abs(step - dt).max() > 0.02 * dt or 1.0 / dt > 1.05 * RATE
+    return log.resampled(min(RATE, round(1.0 / dt, 3))) if uneven else log
 
 
 def prepare_all(
@@ -313,18 +290,18 @@ def prepare_all(
     for log in logs:
         try:
             flights.append(prepare(log, vehicle, platform=platform))
+            notes += [f"{log.name}: {note}" for note in log.notes]
         except UserError as error:
             refused.append(str(error))
-            continue
-        notes += [f"{log.name}: {note}" for note in log.notes]
     if not flights:
         raise UserError(first_of(refused))
     if len({f.thrust_is_measured for f in flights}) > 1:
         raise UserError(
             "some flights have the thrust by measured rotor speeds, others by command: take one of them"
         )
-    if any(f.requests is None for f in flights):
-        flights = [f.without_requests() for f in flights]
+    if len({f.requests is None for f in flights}) > 1:
+        silent = [dataclasses.replace(log, requests=None) for log in logs]
+        return prepare_all(silent, vehicle, platform)
     return flights, (*notes, *(f"left out: {reason}" for reason in refused))
 
 

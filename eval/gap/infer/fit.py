@@ -67,30 +67,28 @@ def fit_least_squares(
     columns += problem.columns([BASE] if BASE in names else ())
     fit = LeastSquaresFit(start, problem.linearise(start, columns))
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
+
+    def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2
+        return float(((problem.coordinates(at, columns) / width) ** 2).sum())
+
     # Damping lambda as by Marquardt: a tenth after a step that decreases the cost, else ten times as much.
     for _ in range(iterations if names else 0):
         improved = False
         while damping < 1e4:
             trial = _damped_step(problem, fit, damping, width)
             gain = fit.squares - problem.squares(trial)
-            gain += _prior_penalty(problem, columns, fit.values, width) - _prior_penalty(
-                problem, columns, trial, width
-            )
+            gain += penalty(fit.values) - penalty(trial)
             if gain > 0.0:
                 fit, improved = LeastSquaresFit(trial, problem.linearise(trial, columns)), True
                 damping = max(1e-9, damping / 10.0)
                 break
-            if fit.squares - _predicted_squares(problem, fit, trial) < tolerance:
+            step = problem.coordinates(trial, columns) - problem.coordinates(fit.values, columns)
+            if fit.squares - fit.linear.predicted_squares(step) < tolerance:
                 break
             damping *= 10.0
         if not improved or gain < tolerance:
             break
     return fit
-
-
-def _prior_penalty(problem: Problem, columns: Sequence[Column], values: Values, width: np.ndarray) -> float:
-    """Return the prior penalty sum_k (x_k / width_k)^2 (ridge)."""
-    return float(((problem.coordinates(values, columns) / width) ** 2).sum())
 
 
 def _damped_step(problem: Problem, fit: LeastSquaresFit, damping: float, width: np.ndarray) -> FittedValues:
@@ -101,16 +99,13 @@ def _damped_step(problem: Problem, fit: LeastSquaresFit, damping: float, width: 
     at = problem.coordinates(fit.values, fit.linear.columns)
     parameters = [problem.parameter(c) for c in fit.linear.columns]
     bounds = np.array([[p.coordinate(x) for x in p.possible] for p in parameters]).reshape(-1, 2).T
-    step = active_set_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds, np.ones(len(at), bool))
+    step = active_set_step(a + damping * np.diag(np.diag(a)), a, b, at, bounds)
     return _values_after(problem, fit, step)
 
 
-def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
-    """Return the step of the `free` columns by the active-set method.
-
-    Columns that would leave their bounds are fixed there, and the others solved for again.
-    """
-    free, step = free.copy(), np.zeros(len(at))
+def active_set_step(damped, a, b, at, bounds) -> np.ndarray:
+    """Return the step by the active-set method: columns that would leave their bounds are fixed there."""
+    free, step = np.ones(len(at), bool), np.zeros(len(at))
     for _ in range(len(at) + 1):
         k = np.flatnonzero(free)
         step[k] = solve(damped[np.ix_(k, k)], b[k] - a[np.ix_(k, ~free)] @ step[~free])
@@ -120,12 +115,6 @@ def active_set_step(damped, a, b, at, bounds, free) -> np.ndarray:
         step[outside] = np.clip(at + step, *bounds)[outside] - at[outside]
         free &= ~outside
     return step
-
-
-def _predicted_squares(problem: Problem, fit: LeastSquaresFit, trial: Values) -> float:
-    """Return the squared error that the linearisation predicts at trial values."""
-    there, here = (problem.coordinates(v, fit.linear.columns) for v in (trial, fit.values))
-    return fit.linear.predicted_squares(there - here)
 
 
 def _values_after(problem: Problem, fit: LeastSquaresFit, step: np.ndarray) -> FittedValues:

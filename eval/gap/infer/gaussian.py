@@ -5,7 +5,7 @@
 theta ~ N(m, Sigma): error of the identified vehicle, with the posterior covariance of its identification.
 delta: change since then. Its prior is the *slab* for an effect of the set, as wide as real vehicles differ,
 and the *spike* for every other, as wide as a negligible error: no model is exact. u ~ N(0, between^2): random
-effect of every flight. Model errors of the formulas are columns of J as well (`model.form`).
+effect of every flight. Model errors of the formulas are columns of J as well (`model.columns`).
 
 Probabilities are averaged over bootstrap samples of the flights (bagged posterior: Huggins and Miller 2023),
 since no set is exactly true: the posterior under misspecification would be overconfident.
@@ -49,26 +49,21 @@ Key = tuple[str, str]
 class Spread:
     """How far flights differ in every parameter, and what its information is shared among, by key."""
 
-    between: Mapping[Key, float]  # between-flight standard deviation
-    confounded: Mapping[Key, float]  # effective number of columns collinear with it, at least 1
-    excitation: Mapping[Key, float]  # effective number of flights that excite it, at least 1
+    # Between-flight standard deviation; effective number of columns collinear with it, and of flights that
+    # excite it, both at least 1.
+    between: Mapping[Key, float] = dataclasses.field(default_factory=dict)
+    confounded: Mapping[Key, float] = dataclasses.field(default_factory=dict)
+    excitation: Mapping[Key, float] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(problem: Problem, linear: Linearisation) -> Spread:
         """Return the spread that the flights show, linearised at a joint fit of all effects."""
         confounded = confounding(linear)
         between = _between_by_em(problem, linear, _negligible_sizes(problem, linear.columns, confounded))
-        # A flight g counts as min(1, a_gkk between^2): the information of one that resolves the differences
-        # is 1.
-        known = Spread(between, confounded, {})
-        sd = known.between_deviations(problem, linear.columns)
+        # A flight g counts as min(1, a_gkk between^2): as 1 where it resolves the differences.
+        sd = Spread(between, confounded).between_deviations(problem, linear.columns)
         share = np.minimum(1.0, np.einsum("gkk->gk", linear.a) * sd**2).sum(axis=0)
         return Spread(between, confounded, {c.key: max(1.0, float(x)) for c, x in zip(linear.columns, share)})
-
-    @staticmethod
-    def unknown() -> Spread:
-        """Return the least spread, before the flights have shown any."""
-        return Spread({}, {}, {})
 
     def between_deviations(self, problem: Problem, columns: Sequence[Column]) -> np.ndarray:
         """Return the between-flight standard deviations (P,)."""
@@ -233,12 +228,9 @@ class LinearGaussian:
         """Return the model linearised at `values`."""
         columns = linear.columns
         unit = spread.spike_deviations(problem, columns)
-        at = problem.coordinates(values, columns) / unit
-        a = linear.a * np.outer(unit, unit)
-        b = linear.b * unit
-        c = linear.c
+        units = np.outer(unit, unit)
+        a, b, c = linear.a * units, linear.b * unit, linear.c
         flight_a, flight_b = linear.by_flight()
-        flight_a, flight_b = flight_a * np.outer(unit, unit), flight_b * unit
         between = (spread.between_deviations(problem, columns) / unit) ** 2
         # Marginal over the random effect u ~ N(0, B) of each flight, B diagonal, with M = (1 + a B)^-1:
         #   a -> M a,   b -> M b,   c -> c - b' B M b
@@ -251,18 +243,18 @@ class LinearGaussian:
         return LinearGaussian(
             candidates=problem,
             columns=columns,
-            at=at,
+            at=problem.coordinates(values, columns) / unit,
             a=a,
             b=b,
             c=c,
             unit=unit,
-            slab=slab_covariance(problem, columns) / np.outer(unit, unit),
+            slab=slab_covariance(problem, columns) / units,
             bounds=Bounds.of(problem, columns, unit),
             theta_mean=mean / unit,
-            theta_covariance=covariance / np.outer(unit, unit),
+            theta_covariance=covariance / units,
             between=between,
-            flight_a=flight_a,
-            flight_b=flight_b,
+            flight_a=flight_a * units,
+            flight_b=flight_b * unit,
         )
 
     def with_wide_slabs(self, names: EffectSet) -> LinearGaussian:
@@ -299,10 +291,7 @@ class LinearGaussian:
     def evidence(self, weights: np.ndarray | None = None) -> Evidence:
         """Return the log marginal likelihood as a function of a set; `weights` (g,): bootstrap counts."""
         w = np.ones(len(self.c)) if weights is None else weights
-        mean, covariance = self.prior(frozenset())
-        return Evidence.of(
-            self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c), mean, covariance
-        )
+        return Evidence.of(self, np.tensordot(w, self.a, axes=1), w @ self.b, float(w @ self.c))
 
     def posterior(self, names: EffectSet, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the posterior mean (P,) of z, from the linearisation point, and covariance, in spikes."""
@@ -388,8 +377,9 @@ class Evidence:
     bounds: Bounds
 
     @staticmethod
-    def of(local: LinearGaussian, a, b, c: float, mean: np.ndarray, covariance: np.ndarray) -> Evidence:
-        """Return the evidence for Gram matrices a, b, c summed over flights and the empty set's prior."""
+    def of(local: LinearGaussian, a: np.ndarray, b: np.ndarray, c: float) -> Evidence:
+        """Return the evidence for Gram matrices a, b, c summed over flights."""
+        mean, covariance = local.prior(frozenset())
         # Evidence of a linear model (Bishop 3.86), prior N(m, K) of the empty set, a, b, c taken about m:
         #   log p = -1/2 [c - b' K M b + log det(1 + a K)],  M = (1 + a K)^-1
         # and, for what a set has in addition, the same with a -> M a, b -> M b.
@@ -454,10 +444,7 @@ class Evidence:
         return at, score + log_ratio
 
 
-def flight_weights(groups: int, seed: int = 0) -> np.ndarray:
-    """Return the bootstrap counts (DRAWS, g) of the flights."""
-    return (
-        np.random.default_rng(seed)
-        .multinomial(groups, np.full(groups, 1.0 / groups), BOOTSTRAP_SAMPLES)
-        .astype(float)
-    )
+def flight_weights(groups: int) -> np.ndarray:
+    """Return bootstrap counts (BOOTSTRAP_SAMPLES, g) of the flights."""
+    rng, shares = np.random.default_rng(0), np.full(groups, 1.0 / groups)
+    return rng.multinomial(groups, shares, BOOTSTRAP_SAMPLES).astype(float)

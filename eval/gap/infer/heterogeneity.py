@@ -177,6 +177,10 @@ class _Split:
     level: float  # p-value, corrected for multiple testing
     tested: int  # number of effects tested
 
+    def membership(self, flights: Sequence[int]) -> np.ndarray:
+        """Return the membership (1, n) of the smaller group among some flights."""
+        return np.isin(flights, self.group)[None]
+
 
 def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) -> _Split | None:
     """Return the most significant split; None where none is significant."""
@@ -186,7 +190,12 @@ def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) ->
     for name, flights in exciting.items():
         part = table.part(table.own[name], flights)
         members = part.candidate_groups()
-        p = part.p_value(members) * _multiplicity(members) * len(exciting)
+        # Bonferroni: groups of m flights share the part (1/m) / H of the level, H = sum_m 1/m: small groups
+        # are likelier.
+        n, sizes = members.shape[1], members.sum(axis=1)
+        count = np.array([math.comb(n, m) * (0.5 if 2 * m == n else 1.0) for m in sizes])
+        harmonic = sum(1.0 / m for m in range(1, n // 2 + 1))
+        p = part.p_value(members) * (count * sizes * harmonic) * len(exciting)
         k = int(np.argmin(p))
         if p[k] < thresholds.INCONSISTENT and (best is None or p[k] < best.level):
             group = tuple(map(int, flights[members[k]]))
@@ -195,21 +204,16 @@ def _most_significant_split(table: _FlightInformation, remaining: np.ndarray) ->
     return best
 
 
-def _multiplicity(members: np.ndarray) -> np.ndarray:
-    """Return the multiple-testing (Bonferroni) factor (s,) of groups (s, n)."""
-    # Groups of m flights share the part (1/m) / H of the level, H = sum_m 1/m: small groups are likelier.
-    n, sizes = members.shape[1], members.sum(axis=1)
-    harmonic = sum(1.0 / m for m in range(1, n // 2 + 1))
-    count = np.array([math.comb(n, m) * (0.5 if 2 * m == n else 1.0) for m in sizes])
-    return count * sizes * harmonic
-
-
 def _described_split(
     problem: Problem, table: _FlightInformation, split: _Split, values: Values
 ) -> InconsistentFlights:
     """Return the contrast of two groups in effects chosen by forward selection and fitted jointly."""
     chosen, confounded = [split.name], {}
-    known = [name for name in table.own if _excited_in_both(table, split, name)]
+    flights, known = split.group + split.others, []  # effects that both groups excite
+    for name in table.own:
+        exciting = set(table.exciting(name, np.array(flights)))
+        if exciting >= set(split.group) and len(exciting & set(split.others)) > 1:
+            known.append(name)
     while True:
         last, rest = chosen[-1], [name for name in known if name not in chosen]
         after = [_conditional_test(table, split, chosen, name) for name in rest]
@@ -227,8 +231,7 @@ def _described_split(
             break
         chosen.append(min(more, key=lambda r: (r.p_value, -r.likelihood)).name)
     index = np.concatenate([table.own[name] for name in chosen])
-    flights = split.group + split.others
-    _, difference, covariance = table.part(index, flights).difference(_membership(split, flights))
+    _, difference, covariance = table.part(index, flights).difference(split.membership(flights))
     size = difference[0] * table.unit[index]
     half = np.sqrt(covariance[0].diagonal()) * table.unit[index]
     differences, at = [], 0
@@ -258,47 +261,30 @@ class _ConditionalTest:
     own: float  # share of its information that is not confounded with the effects already chosen
 
 
-def _excited_in_both(table: _FlightInformation, split: _Split, name: str) -> bool:
-    """Return whether both groups excite an effect, with enough flights for its variance."""
-    exciting = set(table.exciting(name, np.array(split.group + split.others)))
-    return exciting >= set(split.group) and len(exciting & set(split.others)) > 1
-
-
-def _membership(split: _Split, flights: Sequence[int]) -> np.ndarray:
-    """Return the membership (1, n) of the smaller group among some flights."""
-    return np.isin(flights, split.group)[None]
-
-
 def _conditional_test(
     table: _FlightInformation, split: _Split, chosen: Sequence[str], name: str
 ) -> _ConditionalTest:
     """Return the F test of one more effect as a contrast between the groups of a split."""
     flights = table.exciting(name, np.array(split.group + split.others))
-    members, own = _membership(split, flights), table.own[name]
+    members, own = split.membership(flights), table.own[name]
     part, share = table.part(own, flights), 1.0
     gain = float(part.difference(members)[0][0])
     if chosen:
         before = np.concatenate([table.own[n] for n in chosen])
         both = np.concatenate([before, own])
         less, more = (table.part(x, flights).difference(members)[0][0] for x in (before, both))
-        gain, share = max(0.0, float(more - less)), _unconfounded_share(table, split, before, own)
+        # Share of its information not confounded with those chosen, by the Schur complement:
+        #   tr[a_oo^+ (a_oo - a_ob a_bb^+ a_bo)] / d
+        k, a = len(before), table.a[list(split.group)].sum(axis=0)[np.ix_(both, both)]
+        schur = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
+        gain = max(0.0, float(more - less))
+        share = float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
     mean_square, d = float(part.mean_square(members)[0]), len(own)
     p_value = float(stats.f.sf(gain / d / mean_square, d, part.degrees_of_freedom))
     # Variance unknown (Student t):  log L = (nu + d) / 2 log(1 + gain / (nu s^2))
     nu = part.degrees_of_freedom
     likelihood = 0.5 * (nu + d) * math.log1p(gain / mean_square / nu)
     return _ConditionalTest(name, p_value, likelihood, mean_square, nu, share)
-
-
-def _unconfounded_share(
-    table: _FlightInformation, split: _Split, before: np.ndarray, own: np.ndarray
-) -> float:
-    """Return the share of the information on the columns `own` not confounded with the columns `before`."""
-    # Schur complement:  tr[a_oo^+ (a_oo - a_ob a_bb^+ a_bo)] / d
-    index, k = np.concatenate([before, own]), len(before)
-    a = table.a[list(split.group)].sum(axis=0)[np.ix_(index, index)]
-    schur = a[k:, k:] - a[k:, :k] @ np.linalg.pinv(a[:k, :k]) @ a[:k, k:]
-    return float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
 
 
 def _difference(

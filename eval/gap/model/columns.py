@@ -1,4 +1,11 @@
-"""Candidate effects of a vehicle, and the columns of the Jacobian: their parameters and model errors."""
+"""Candidate effects of a vehicle, and the columns of the Jacobian: their parameters and model (form) errors.
+
+No formula is exact. True thrust, drag and loop responses are some percent larger or smaller with the load,
+at speed, in a climb, late in a flight or along one axis. Each of these is a column, the base model's
+contribution times a quantity of order one, with a normal prior on its weight. Without them a structural error
+of the base model would be evidence for an effect, more so with more flights. An effect may have such errors
+of its own (`Effect.forms`), free while it is in the set.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +14,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
+from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.model import form
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value; BASE -> model error -> weight
@@ -21,6 +30,21 @@ SLAB = 1.0  # standard deviation of the slab, in plausible sizes
 SHAPE_COVARIANCE = np.array(
     [[0.3125, 0.1875], [0.1875, 0.3125]]
 )  # covariance of a unit size at both sides: see `slab_covariance`
+LATE = 0.03  # s, by which a contribution may come later
+_LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s, s: quantities of order one
+_ANGLE, _TURN = 0.2, 1.0  # rad, rad/s
+_MOTOR = 0.065  # s, lag of the load
+_HOVER = load_vehicle().hover_pwm  # the same for all vehicles and flights, so that weights mean the same
+# Errors of the base model, with the standard deviations of their weights: from development families.
+BASE_DEVIATIONS = {
+    **{f"thrust {what}": 0.02 for what in ("load", "speed", "climb", "time")},
+    **{f"drag {what}": 0.1 for what in ("load", "speed", "climb", "x")},
+    **{f"attitude {what}": 0.05 for what in ("angle", "load", "time", "roll")},
+    "attitude bend": 0.3,
+    **{f"yaw {what}": 0.05 for what in ("turn", "time")},
+}
+ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
+_CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,10 +73,14 @@ class FormColumn:
         """Return its name; no `Values` have its weight."""
         return self.effect, self.form
 
+    def along(self, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
+        """Return the column (m, C) along a flight, to whose prediction the effect contributes (m, C)."""
+        return _form_column(self.form, contribution, flight)
+
 
 @dataclasses.dataclass(frozen=True)
 class BaseColumn:
-    """A column of the Jacobian: a model (form) error of the base model, see `form.DEVIATIONS`."""
+    """A column of the Jacobian: a model (form) error of the base model, see BASE_DEVIATIONS."""
 
     form: str
     effect: ClassVar[str] = BASE
@@ -61,6 +89,22 @@ class BaseColumn:
     def key(self) -> tuple[str, str]:
         """Return where its weight stands among `Values`."""
         return BASE, self.form
+
+    def along(self, predicted: np.ndarray, gravity: float, flight: MeasuredFlight) -> np.ndarray:
+        """Return the column (m, C) along a flight, for which the base model predicts (m, C)."""
+        group, what = self.form.split()
+        if group not in ("thrust", "drag"):
+            return _form_column(self.form, predicted, flight)
+        # Of the acceleration without gravity, thrust is what lies along the body's z axis, drag the rest.
+        moved = np.diff(predicted[:, :3], 2, axis=0)
+        moved[:, 2] += gravity * flight.dt**2
+        rotation = flight.middle_rotation[1:]
+        axial = np.einsum("ki,ki->k", rotation[:, :, 2], moved)[:, None] * rotation[:, :, 2]
+        result, part = np.zeros_like(predicted), axial if group == "thrust" else moved - axial
+        if what == "x":
+            part = np.einsum("ki,ki->k", rotation[:, :, 0], part)[:, None] * rotation[:, :, 0]
+        result[:, :3] = _moved(part, what, flight)
+        return result
 
 
 Column = ParameterColumn | FormColumn | BaseColumn
@@ -94,7 +138,7 @@ class Candidates:
     def parameter(self, column: Column) -> Parameter:
         """Return the parameter of a column; of a model error, its weight."""
         if isinstance(column, BaseColumn):
-            sd = form.DEVIATIONS[column.form]
+            sd = BASE_DEVIATIONS[column.form]
             return Parameter(
                 column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF, manoeuvre=0.5 * sd
             )
@@ -107,7 +151,7 @@ class Candidates:
 
     def neutral(self, name: str) -> dict[str, float]:
         """Return the neutral values of an effect; for the base model, zero model errors."""
-        return dict.fromkeys(form.DEVIATIONS, 0.0) if name == BASE else self.library[name].neutral
+        return dict.fromkeys(BASE_DEVIATIONS, 0.0) if name == BASE else self.library[name].neutral
 
     def sizes(self, name: str, values: Values) -> np.ndarray:
         """Return the distance of every parameter of an effect from neutral."""
@@ -123,7 +167,7 @@ class Candidates:
         result: list[Column] = []
         for name in names:
             if name == BASE:
-                result += map(BaseColumn, form.DEVIATIONS)
+                result += map(BaseColumn, BASE_DEVIATIONS)
                 continue
             effect = self.library[name]
             if (about := effect.reference) is not None:
@@ -210,3 +254,44 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
             if at_an_end(one) and one.key == other.key:
                 shape[i, j] = SHAPE_COVARIANCE[0, int(i != j)]
     return shape * np.outer(width, width)
+
+
+def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
+    group, what = name.split()
+    own = _CHANNELS[group]
+    result, part = np.zeros_like(contribution), contribution[:, own]
+    if what == "late":
+        result[:, own] = -LATE * np.gradient(part, flight.dt, axis=0)
+    elif what == "bend":  # one order more of a loop's answer
+        result[:, own] = LATE**2 * np.gradient(np.gradient(part, flight.dt, axis=0), flight.dt, axis=0)
+    elif what == "roll":
+        result[:, 3] = contribution[:, 3]
+    elif group == "translation":
+        result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
+    else:
+        result[:, own] = part * _quantity(what, flight)[:, None]
+    return result
+
+
+def _moved(second: np.ndarray, what: str, flight: MeasuredFlight) -> np.ndarray:
+    """Return the positions (m, 3): double sum of second differences (m - 2, 3) times a quantity."""
+    bent = second if what == "x" else second * _quantity(what, flight)[1:-1, None]
+    return np.vstack([np.zeros((2, 3)), np.cumsum(np.cumsum(bent, axis=0), axis=0)])
+
+
+def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
+    """Return the quantity (m,) of order one that a model error is proportional to."""
+    if what == "load":
+        pwm = flight.command[:, 0]
+        share = np.exp(-flight.dt / _MOTOR)
+        lagged = lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
+        return (lagged / _HOVER - 1.0) / _LOAD
+    if what == "speed":
+        return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED
+    if what == "climb":
+        return flight.velocity[:, 2] / _CLIMB
+    if what == "time":
+        return flight.t / _TIME
+    if what == "angle":
+        return np.hypot(flight.command[:, 1], flight.command[:, 2]) / _ANGLE
+    return np.abs(flight.command[:, 3]) / _TURN

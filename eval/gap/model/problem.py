@@ -15,9 +15,10 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
-from inclined_landing.eval.gap.model import form
 from inclined_landing.eval.gap.model.columns import (
+    ALONE,
     BASE,
+    BASE_DEVIATIONS,
     BaseColumn,
     Candidates,
     Column,
@@ -65,7 +66,7 @@ class Problem(Candidates):
         vehicle: Vehicle,
         library: Mapping[str, Effect],
         reference: VehiclePosterior | None = None,
-        model_errors: float = form.ALONE,
+        model_errors: float = ALONE,
     ) -> Problem:
         """Return the problem before its noise is estimated: measurement noise alone, windows of equal weight.
 
@@ -164,7 +165,7 @@ class Problem(Candidates):
         if self.reference is not None:
             return self.reference.along(columns)
         sd = [
-            self.model_errors * form.DEVIATIONS[c.form] if isinstance(c, BaseColumn) else 0.0 for c in columns
+            self.model_errors * BASE_DEVIATIONS[c.form] if isinstance(c, BaseColumn) else 0.0 for c in columns
         ]
         return np.zeros(len(columns)), np.diag(np.square(sd))
 
@@ -223,7 +224,7 @@ class Problem(Candidates):
 
         It returns the flight's prediction (m, C) at `values`, then its Jacobian's columns.
         """
-        vehicle, order = self.corrected(values), list(form.DEVIATIONS)
+        vehicle, order = self.corrected(values), list(BASE_DEVIATIONS)
         differences = {
             c: self.one_sided_difference(values, c) for c in columns if isinstance(c, ParameterColumn)
         }
@@ -239,7 +240,7 @@ class Problem(Candidates):
                 if isinstance(column, BaseColumn):
                     result.append(form_jacobian[order.index(column.form)])
                 elif isinstance(column, FormColumn):
-                    result.append(form.column(column.form, contribution[column.effect], flight))
+                    result.append(column.along(contribution[column.effect], flight))
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
                     moved, step = differences[column]
                     same = translation if self.library[column.effect].in_the_loops else None
@@ -283,7 +284,7 @@ def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tupl
 
     def of(flight: MeasuredFlight) -> np.ndarray:
         gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
-        return np.stack([form.base_column(f, predicted, gravity, flight) for f in form.DEVIATIONS])
+        return np.stack([BaseColumn(f).along(predicted, gravity, flight) for f in BASE_DEVIATIONS])
 
     return tuple(_POOL.map(of, flights))
 
@@ -293,7 +294,7 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     weights = values.get(BASE, {})
     if not any(weights.values()):
         return predicted
-    return predicted + np.tensordot([weights[f] for f in form.DEVIATIONS], form_jacobian, axes=1)
+    return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], form_jacobian, axes=1)
 
 
 def _groups(flights: Sequence[MeasuredFlight]) -> np.ndarray:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.gap.model import form
 from inclined_landing.eval.gap.model.columns import (
+    ALONE,
     BASE,
     BaseColumn,
     Candidates,
@@ -267,7 +267,7 @@ def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Cons
     # Linear propagation: a constant c with the 95 % half-width h gives sigma = h / (1.96 |dc/dx|); the
     # smallest of all that the column changes.
     if not isinstance(column, ParameterColumn):  # without flights confounded with effects: they stay small
-        return form.ALONE * problem.parameter(column).plausible
+        return ALONE * problem.parameter(column).plausible
     if column.fixed:
         return 0.0
     moved, step = problem.one_sided_difference({}, column)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.base.progress import stages
-from inclined_landing.eval.gap.flights.reading import check_apart, read_flights
+from inclined_landing.eval.gap.flights.usable import check_apart, read_flights
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import storage
 

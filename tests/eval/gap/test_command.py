@@ -12,7 +12,7 @@ import pytest
 
 from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.flights.reading import read_flights
+from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.models.parameters import load_vehicle
 from tests.proof.gap_blind.causes import Drawn

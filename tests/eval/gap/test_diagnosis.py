@@ -216,7 +216,7 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
     )
     problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, library, reference)
     names = frozenset({"wind"})
-    values, local = fit_vehicle(problem, Spread.unknown(), {}, names)
+    values, local = fit_vehicle(problem, Spread(), {}, names)
     moved = vehicles_a_half_width_away(problem, local, names, values)
     widths = field_half_widths(VEHICLE, problem.corrected(values), moved)
     for one in (values, *leave_one_out_modes(problem, local, names)):
@@ -449,9 +449,8 @@ def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():
     a, b = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 0.0])
     bounds = np.array([[-10.0, -1.0], [10.0, 1.0]])
-    step = active_set_step(a, a, b, np.zeros(2), bounds, np.ones(2, bool))
+    step = active_set_step(a, a, b, np.zeros(2), bounds)
     assert step == pytest.approx([1.9, -1.0])
-    assert active_set_step(a, a, b, np.zeros(2), bounds, np.array([True, False])) == pytest.approx([1.0, 0.0])
 
 
 def _crashed(log, name, *, angle=0.0, fall=0.0, beside=0.0):

@@ -19,9 +19,10 @@ from inclined_landing.eval.gap.infer.fit import model_error_weights
 from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.infer.sets import SetProbability, _relevant_subsets
-from inclined_landing.eval.gap.model import form
 from inclined_landing.eval.gap.model.columns import (
     BASE,
+    BASE_DEVIATIONS,
+    LATE,
     SHAPE_COVARIANCE,
     BaseColumn,
     FormColumn,
@@ -210,7 +211,7 @@ def test_flips_of_signs_raise_few_false_alarms():
     rng = np.random.default_rng(3)
     blocks, rows, width, ridge = 12, 20, 5, 1.0
     flight_of = np.arange(blocks) // 2
-    signs, alarms = _sign_flips(blocks, 0), 0
+    signs, alarms = _sign_flips(blocks), 0
     for _ in range(300):
         errors = rng.standard_normal((blocks, rows))
         scores = []
@@ -370,12 +371,12 @@ def test_a_contribution_that_comes_later_is_a_shift_to_first_order():
         return 0.2 * np.sin(frequency * (t - late))
 
     for group, own in (("translation", slice(0, 3)), ("attitude", slice(3, 5)), ("yaw", slice(5, 6))):
-        column = form.column(f"{group} late", contribution(0.0), flight)
+        column = FormColumn("", f"{group} late").along(contribution(0.0), flight)
         others = np.delete(column, np.arange(6)[own], axis=1)
-        shifted = contribution(form.LAG) - contribution(0.0)
+        shifted = contribution(LATE) - contribution(0.0)
         assert not others.any()
         np.testing.assert_allclose(
-            column[5:-5, own], shifted[5:-5, own], atol=0.6 * 0.2 * (frequency * form.LAG) ** 2
+            column[5:-5, own], shifted[5:-5, own], atol=0.6 * 0.2 * (frequency * LATE) ** 2
         )
         np.testing.assert_allclose(column[:, own], shifted[:, own], atol=0.1 * np.abs(shifted).max())
 
@@ -386,13 +387,13 @@ def test_errors_of_a_contribution_are_of_its_own_size():
     flight = rolling(rng)
     contribution = np.cumsum(np.cumsum(rng.standard_normal((300, 6)), axis=0), axis=0) * DT**2
     for name in ("translation speed", "translation climb"):
-        column = form.column(name, contribution, flight)
+        column = FormColumn("", name).along(contribution, flight)
         second = [np.diff(x[:, :3], 2, axis=0) for x in (column, contribution)]
         np.testing.assert_allclose(*second, atol=1e-12)
         assert not column[:, 3:].any()
     for effect in LIBRARY.values():
         for name in effect.forms:
-            column = form.column(name, contribution, flight)
+            column = FormColumn("", name).along(contribution, flight)
             assert column.any() and np.isfinite(column).all()
 
 
@@ -404,7 +405,7 @@ def test_thrust_and_drag_are_the_acceleration_without_gravity():
     second = np.diff(predicted[:, :3], 2, axis=0) + [0.0, 0.0, gravity * DT**2]
 
     def part(name):
-        column = form.base_column(name, predicted, gravity, flight)
+        column = BaseColumn(name).along(predicted, gravity, flight)
         assert not column[:, 3:].any()
         return np.diff(column[:, :3], 2, axis=0)
 
@@ -416,8 +417,8 @@ def test_thrust_and_drag_are_the_acceleration_without_gravity():
     np.testing.assert_allclose(
         along, np.einsum("ki,ki->k", drag, axes[:, :, 0])[:, None] * axes[:, :, 0], atol=1e-12
     )
-    for name in form.DEVIATIONS:
-        assert np.isfinite(form.base_column(name, predicted, gravity, flight)).all()
+    for name in BASE_DEVIATIONS:
+        assert np.isfinite(BaseColumn(name).along(predicted, gravity, flight)).all()
 
 
 @pytest.fixture(scope="module")
@@ -538,7 +539,7 @@ def test_a_vehicle_file_alone_is_as_uncertain_as_its_entries_say():
     (mass,) = (c for c in constants() if c.field == "body_mass")
     # Slopes are taken over a step of 0.5 %, of a logarithm: half of that in the mean.
     assert deviation["mass", "scale"] == pytest.approx(mass.uncertainty / 1.96 / mass.value, rel=3e-3)
-    assert 0.0 < deviation[BASE, "drag x"] <= form.DEVIATIONS["drag x"]
+    assert 0.0 < deviation[BASE, "drag x"] <= BASE_DEVIATIONS["drag x"]
 
 
 def test_every_threshold_says_what_it_decides_and_what_was_measured():

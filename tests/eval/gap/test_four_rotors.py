@@ -159,7 +159,7 @@ def test_measured_rotor_speeds_lag_behind_nothing():
 
 def test_how_a_battery_was_put_in_is_shared_by_the_flights_of_a_day():
     """Many flights do not average it out: it is no change of the vehicle, where requests show it."""
-    spikes = Spread.unknown().spike_deviations
+    spikes = Spread().spike_deviations
     few, many = (
         Problem.of(flights, V, identifiable_effects(LIBRARY, flights)[0])
         for flights in (prepare_all([flown(V, k) for k in range(n)], V, False)[0] for n in (2, 6))
@@ -212,7 +212,7 @@ def test_slabs_stay_wider_than_spikes_however_much_flights_differ():
     flights = prepare_all([flown(V, 1)], V, False)[0]
     problem = Problem.of(flights, V, identifiable_effects(LIBRARY, flights)[0])
     columns = problem.columns(problem.library)
-    spread = dataclasses.replace(Spread.unknown(), between={c.key: 1e3 for c in columns})
+    spread = dataclasses.replace(Spread(), between={c.key: 1e3 for c in columns})
     spike = spread.spike_deviations(problem, columns)
     added = slab_covariance(problem, columns) / np.outer(spike, spike) - np.eye(len(columns))
     assert np.linalg.eigvalsh(added).min() > 0.1
