@@ -96,7 +96,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
 def test_every_control_step_is_the_engines(case, seed):
     """From the same state: vehicles that the engine flew bit for bit, the others to the plants' difference.

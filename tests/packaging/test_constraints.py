@@ -34,7 +34,7 @@ def resolve(python: str, constraints: Path) -> subprocess.CompletedProcess:
     return uv("pyproject.toml", *extras, *where, *wheels, "-c", str(constraints))
 
 
-@pytest.mark.parametrize("python", [OLDEST, NEWEST])
+@pytest.mark.parametrize("python", [OLDEST, pytest.param(NEWEST, marks=pytest.mark.slow)])
 def test_it_goes_together(python):
     done = resolve(python, ROOT / "constraints.txt")
     assert done.returncode == 0, done.stderr  # names the package
