@@ -12,17 +12,25 @@ from pathlib import Path
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Folder
+from inclined_landing.models import storage
+
+HIDDEN = """# What is hidden in these flights: landing-eval gap should name these effects, with these sizes.
+thrust_scale = { scale = 0.9 }  # worn propellers
+rotor_drag = { lateral = 3.0, axial = 3.0 }  # a vehicle that is not streamlined
+ground_effect = { strength = 5.0 }  # a floor that nobody modelled
+"""
 
 
 def command(out: Folder) -> None:
     """Twenty flights with hidden effects, of an independent simulator, to try gap.
 
     Args:
-        out: new folder for fit/*.csv and heldout/*.csv.
+        out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which says what is hidden in them.
     """
     flights = resources.files(__package__).joinpath("example_flights.zip")
     with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
         archive.extractall(folder)
+        storage.write_text(folder / "hidden.toml", HIDDEN)
     introduce(out)
 
 
@@ -30,4 +38,7 @@ def introduce(out: Path) -> None:
     """Print what the flights in a folder are, and the command that is given them."""
     command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
     print(f"To name the effects that the model lacks: {command}")
-    say(f"Twenty flights with hidden effects are in {out}, those of its folder heldout to judge with.")
+    say(
+        f"Twenty flights with hidden effects are in {out}, those of its folder heldout to judge with. "
+        f"{out / 'hidden.toml'} says what was hidden: read it afterwards."
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 
@@ -28,7 +29,14 @@ from inclined_landing.eval.gap.infer.sets import search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, NamedEffect, ResidualAnalysis, Touchdowns, Verdict
+from inclined_landing.eval.gap.result import (
+    Diagnosis,
+    NamedEffect,
+    ResidualAnalysis,
+    Touchdowns,
+    Verdict,
+    marginal,
+)
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.attitude import LAG, STATE_SIZE
@@ -86,16 +94,21 @@ def diagnose(
     clock("errors")
     contact = contact_answer(use, vehicle, correction.vehicle, candidates)
     clock("touchdown")
+    posterior = contact.sets(scored_sets(found))
+    effects = tuple(
+        dataclasses.replace(e, probability=marginal(posterior, e.members))
+        for e in (*ahead.effects, *contact.effects)
+    )
     return Diagnosis(
-        verdict=_verdict((*effects, *contact.effects), residual, contact.touchdowns),
+        verdict=_verdict(effects, residual, contact.touchdowns),
         set_aside=use.set_aside,
         inconsistent_flights=inconsistent,
-        effects=(*ahead.effects, *contact.effects),
+        effects=effects,
         estimated=correction.values if correction.again else {},
         half_widths=correction.half_widths,
         corrected=contact.vehicle,
         where=(*regime_errors(evaluation), *contact.where),
-        sets=contact.sets(scored_sets(found)),
+        sets=posterior,
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
         disturbance=disturbances(found.problem),

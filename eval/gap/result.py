@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -177,6 +177,11 @@ class ScoredSet:
     standard_errors: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
 
+def marginal(sets: Sequence[ScoredSet], names: Sequence[str]) -> float:
+    """Return the marginal probability that at least one of some effects is missing."""
+    return sum(s.probability for s in sets if not set(names).isdisjoint(s.effects))
+
+
 @dataclasses.dataclass(frozen=True)
 class Difference:
     """Contrast of an effect between groups of flights: its values in a model of the others."""
@@ -268,7 +273,7 @@ class Diagnosis:
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
-        return sum(s.probability for s in self.sets if set(names) & set(s.effects))
+        return marginal(self.sets, names)
 
     @property
     def possible(self) -> dict[str, float]:

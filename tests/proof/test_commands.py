@@ -54,7 +54,7 @@ def test_the_shipped_flights_are_what_the_generator_makes(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.replace("copied", "made") for line in lines[:2]] == lines[2:]
     folders = [tmp_path / "copied", tmp_path / "made"]
-    names = [sorted(p.relative_to(folder) for p in folder.rglob("*.*")) for folder in folders]
+    names = [sorted(p.relative_to(folder) for p in folder.rglob("*.csv")) for folder in folders]
     assert names[0] == names[1] and len(names[0]) == 20
     for name in names[0]:
         flights = [pandas.read_csv(folder / name) for folder in folders]

@@ -108,10 +108,11 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
 
 def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:
     """Return the product of the posteriors of free-flight and contact sets, most probable first."""
+    total = sum(other.probability for other in found.sets)
     both = [
         ScoredSet(
             (*one.effects, *other.values),
-            one.probability * other.probability,
+            one.probability * other.probability / total,
             {**one.values, **other.values},
             one.standard_errors,
         )
@@ -119,7 +120,8 @@ def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[S
         for other in found.sets
     ]
     both.sort(key=lambda one: -one.probability)
-    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED)
+    # Many small products together are not small: all that could change a marginal probability stay.
+    return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED**2)
 
 
 def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:

@@ -69,7 +69,7 @@ def command(
         say(words.in_doubt(found), *beyond)
         say("No flight was planned: none within the safe space would tell these apart.")
         return
-    lines = [words.in_doubt(found), words.outcome(found)] if found else []
+    lines = [words.in_doubt(found), *filter(None, [words.outcome(found)])] if found else []
     lines += beyond
     if plan_input.vary:
         lines.append(words.variation(plan_input.vary))

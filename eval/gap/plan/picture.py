@@ -38,42 +38,36 @@ _LETTERS = 18  # in a line of the name of an effect
 def picture(plan: Plan, found: Sequence[InDoubt], platform: bool) -> Figure:
     """Return the figure; found: the effects in doubt; platform: the slab stands in the arena."""
     vehicle = plan.discrimination.vehicle
-    bars = 0.42 * max(len(found), 1)
     with styled():
-        figure = Figure(figsize=(WIDTH, 6.2))
-        above = panel(figure, 0.7, 3.9, 4.4, 1.9)
-        side = panel(figure, 0.7, 2.5, 4.4, 1.2)
-        _way(above, plan, vehicle, platform, 1)
-        _way(side, plan, vehicle, platform, 2)
-        above.set_xticklabels([])
-        above.set_xlabel("")
-        above.set_title("Planned path, dark to light; grey: simulated flights", loc="left")
-        _probabilities(panel(figure, 6.9, 5.8 - min(bars, 3.0), WIDTH - 7.5, min(bars, 3.0)), found)
-        _timeline(panel(figure, 0.7, 0.5, WIDTH - 1.5, 1.2), plan)
+        figure = Figure(figsize=(WIDTH, 5.1))
+        for k, title in ((1, "Path from above"), (2, "from the side")):
+            axes = panel(figure, 0.65 + 2.75 * (k - 1), 2.65, 2.1, 2.1)
+            _path(axes, plan, vehicle, platform, k)
+            axes.set_title(title, loc="left")
+        rows = min(0.42 * len(found) + 0.1, 1.5)
+        _probabilities(panel(figure, 7.1, 4.75 - rows, WIDTH - 7.3, rows), found)
+        _timeline(panel(figure, 0.65, 0.5, WIDTH - 1.35, 1.15), plan)
     return figure
 
 
-def _way(axes: Axes, plan: Plan, v: Vehicle, platform: bool, across: int) -> None:
-    """Draw the path from above (across 1: y over x) or from the side (2: z over x)."""
-    ends = (v.arena_y, v.arena_z)[across - 1]
+def _path(axes: Axes, plan: Plan, v: Vehicle, platform: bool, across: int) -> None:
+    """Draw the path from above (across 1: y over x) or from the side (2: z over x), dark to light in time."""
     axes.set_facecolor(AIR)
     axes.grid(True)
     if platform:
         _slab(axes, v, across)
     for states in plan.trajectories:
         for flight in states:
-            axes.plot(flight[:, 0], flight[:, across], color=MUTED, lw=0.4, alpha=0.4)
-    position = plan.path.position
-    colours = time_colours(np.linspace(0, 1, len(position) - 1)[::10])
-    for k, colour in zip(range(0, len(position) - 1, 10), colours):
-        axes.plot(position[k : k + 11, 0], position[k : k + 11, across], color=colour, lw=1.6)
-    axes.plot(position[0, 0], position[0, across], "o", color=INK, ms=4)
-    axes.set(xlim=v.arena_x, ylim=ends, aspect="equal", xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
-    axes.add_patch(
-        Rectangle(
-            (v.arena_x[0], ends[0]), np.ptp(v.arena_x), np.ptp(ends), fill=False, ec=INK, lw=1.2, zorder=5
-        )
-    )
+            axes.plot(flight[:, 0], flight[:, across], color=MUTED, lw=0.5, alpha=0.4)
+    x, y = plan.path.position[:, 0], plan.path.position[:, across]
+    colours = time_colours(np.linspace(0, 1, len(x) - 1)[::10])
+    for k, colour in zip(range(0, len(x) - 1, 10), colours):
+        axes.plot(x[k : k + 11], y[k : k + 11], color=colour, lw=1.6)
+    axes.plot(x[0], y[0], "o", color=INK, ms=4)
+    middle = [0.5 * (p.min() + p.max()) for p in (x, y)]
+    half = max(0.6, *(0.5 * np.ptp(p) + 0.25 for p in (x, y)))
+    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.set(aspect="equal", xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
 
 
 def _slab(axes: Axes, v: Vehicle, across: int) -> None:
@@ -106,8 +100,8 @@ def _probabilities(axes: Axes, found: Sequence[InDoubt]) -> None:
     axes.set_yticks(y, [textwrap.fill(label(one.name), _LETTERS) for one in found], fontsize=9)
     axes.set(xlim=(0, 1), ylim=(len(found) - 0.5, -0.5), xticks=[0, 0.5, 1], xlabel="probability")
     axes.grid(axis="x")
-    axes.set_title("Is the effect missing in the model?", loc="left")
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.45 / axes.bbox.height * axes.figure.dpi))
+    axes.set_title("Does the model lack it?", loc="left")
+    axes.legend(loc="upper left", bbox_to_anchor=(-0.05, -0.45 * axes.figure.dpi / axes.bbox.height))
 
 
 def _timeline(axes: Axes, plan: Plan) -> None:

@@ -95,18 +95,24 @@ def outcome(found: Sequence[InDoubt]) -> str:
         f"{label(one.name)} from {probability(one.probability)} to {probability(one.if_missing)} if the "
         f"model lacks it, to {probability(one.if_not)} if not"
         for one in found
+        if one.name not in _beyond_flights(found)
     ]
-    return f"Expected probabilities after the flight: {'; '.join(rows)}."
+    return f"Expected probabilities after the flight: {'; '.join(rows)}." if rows else ""
 
 
 def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the effects that stay in doubt, and how they are measured without a flight."""
-    stays = [one.name for one in found if not one.resolved]
-    remedies = dict.fromkeys(t for n in stays if (t := LIBRARY[n].told_by))
-    beyond = [n for n in stays if LIBRARY[n].scales_thrust or LIBRARY[n].told_by]
+    beyond = _beyond_flights(found)
+    remedies = dict.fromkeys(t for n in beyond if (t := LIBRARY[n].told_by))
     if not remedies:
         return []
     return [" ".join([f"No flight tells {listed([label(n) for n in beyond])} apart.", *remedies])]
+
+
+def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
+    """Return the effects that stay in doubt and that a flight shows only together."""
+    others = {name for name, effect in LIBRARY.items() if effect.scales_thrust or effect.told_by}
+    return [one.name for one in found if not one.resolved and one.name in others]
 
 
 def variation(names: Sequence[str]) -> str:
