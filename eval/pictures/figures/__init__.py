@@ -1,1 +1,0 @@
-"""Figures on paper: trajectories, curricula, missions. Curves, shapes and text are vectors."""
