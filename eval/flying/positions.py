@@ -71,13 +71,13 @@ def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionC
             check=True,
         )
         system = motioncapture.connect(kind, {"hostname": host})
-    except subprocess.TimeoutExpired:
-        raise UserError(f"no motion capture at {shown(name, 80)}: no answer in {CONNECTING:g} s") from None
-    except subprocess.CalledProcessError as error:
-        said = (error.stderr.strip() or f"it ended with {error.returncode}").splitlines()[-1]
-        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}") from error
     except Exception as error:  # the library raises whatever its SDKs do
-        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(error, 200)}") from error
+        said: object = error
+        if isinstance(error, subprocess.TimeoutExpired):
+            said = f"no answer in {CONNECTING:g} s"
+        elif isinstance(error, subprocess.CalledProcessError):
+            said = (error.stderr.strip() or f"it ended with {error.returncode}").splitlines()[-1]
+        raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}") from error
     tracked = TrackedBody(system, body, clock, latency)
     tracked.await_first()
     return tracked

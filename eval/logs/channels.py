@@ -81,11 +81,16 @@ def _on_its_clock(
         raise UserError(f'{where}: no time column ({called}); in a mapping file, t = "NAME" says which it is')
     names = list(record.columns)
     asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
-    record, t = clock.sorted_rows(record, time.value, asked - {time.column})
+    t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])
+    if rows is not None:
+        late = int((t < np.maximum.accumulate(t)).sum())
+        note = f"{late} rows came later than rows of a later time: sorted by it"
+        columns = {name: values[rows] for name, values in record.columns.items()}
+        record, t = dataclasses.replace(record, columns=columns, notes=(*record.notes, note)), t[rows]
     clock.check(where, t, f"column {time.column}")
     if t[0] == t[-1]:
-        rows = f"{len(t)} row{'s' if len(t) > 1 else ''}"
-        raise UserError(f"{where}: {rows}, all at {t[0]:g} s ({time.column}): not a flight")
+        count = f"{len(t)} row{'s' if len(t) > 1 else ''}"
+        raise UserError(f"{where}: {count}, all at {t[0]:g} s ({time.column}): not a flight")
     return dataclasses.replace(record, times=dict.fromkeys(names, t), is_table=True)
 
 

@@ -125,17 +125,6 @@ def _in_order(t: np.ndarray) -> bool:
     return bool((between <= 1.5 * behind / step + 3).all())
 
 
-def sorted_rows(record: Record, t: np.ndarray, names: Iterable[str]) -> tuple[Record, np.ndarray]:
-    """Return a table and its clock t (m,), sorted where that is safe, and noted. names: columns in use."""
-    rows = order(t, [record.columns[name] for name in names])
-    if rows is None:
-        return record, t
-    late = int((t < np.maximum.accumulate(t)).sum())
-    note = f"{late} rows came later than rows of a later time: sorted by it"
-    columns: Mapping[str, np.ndarray] = {name: values[rows] for name, values in record.columns.items()}
-    return dataclasses.replace(record, columns=columns, notes=(*record.notes, note)), t[rows]
-
-
 def check(where: str, t: np.ndarray, column: str) -> None:
     """Raise UserError, with what to do, for times that are no flight's."""
     bad = np.flatnonzero(~np.isfinite(t))

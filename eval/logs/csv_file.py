@@ -242,8 +242,12 @@ def _numbers(
         return column.to_numpy(float), "", None
     text = column.astype("string").str.strip()
     first = str(text.dropna().head(1).squeeze())
-    if re.fullmatch(_DATE, first) or re.fullmatch(_TIME_OF_DAY, first):
-        return _seconds(text, first), "s", None
+    if re.fullmatch(_TIME_OF_DAY, first):  # s since midnight
+        return pandas.to_timedelta(text, errors="coerce").dt.total_seconds().to_numpy(float), "s", None
+    if re.fullmatch(_DATE, first):  # s since 1970
+        dates = pandas.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
+        seconds = (dates - pandas.Timestamp(0, tz="UTC")).dt.total_seconds()
+        return seconds.to_numpy(float), "s", None
     lower = text.str.lower()
     text = text.mask(lower == "true", "1").mask(lower == "false", "0")
     marks = " '\u2019\u00a0\u202f" + ("," if decimal == "." else ".")
@@ -263,14 +267,6 @@ def _numbers(
     row = int(np.argmax(bad.to_numpy()))
     mixed = values.notna().sum() > bad.sum()
     return None if mixed else np.full(len(numbers), np.nan), "", (row, str(text.iloc[row]))
-
-
-def _seconds(text: pandas.Series, first: str) -> np.ndarray:
-    """Return dates as seconds since 1970, times of day as seconds since midnight; NaN where there is none."""
-    if re.fullmatch(_TIME_OF_DAY, first):
-        return pandas.to_timedelta(text, errors="coerce").dt.total_seconds().to_numpy(float)
-    dates = pandas.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
-    return (dates - pandas.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(float)
 
 
 def _is_number(cell: str) -> bool:

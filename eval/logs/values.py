@@ -52,7 +52,9 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _check_thrust(log)
     yield from _check_attitude_commands(log)
     yield from _check_voltage(log)
-    yield from _check_rotor_speeds(log)
+    for rotor, text in failed_speed_sensors(log).items():
+        more = " Thrust by rotor speeds is wrong then" if log.thrust_is_measured else ""
+        yield limit(f"m{rotor}_speed", text + more)
 
 
 def _check_time(log: FlightLog) -> Iterator[Finding]:
@@ -259,13 +261,6 @@ def _check_voltage(log: FlightLog) -> Iterator[Finding]:
         yield limit("vbat", text, without="voltage")
     elif low < 2.5 or high > 4.5:
         yield limit("vbat", f"battery voltage runs from {low:.3g} to {high:.3g} V: not a single-cell battery")
-
-
-def _check_rotor_speeds(log: FlightLog) -> Iterator[Finding]:
-    for rotor, text in failed_speed_sensors(log).items():
-        if log.thrust_is_measured:
-            text += " Thrust by rotor speeds is wrong then"
-        yield limit(f"m{rotor}_speed", text)
 
 
 def failed_speed_sensors(log: FlightLog) -> dict[int, str]:

@@ -135,8 +135,6 @@ class Services:
                 yield 0, struct.pack("<BH", 0x8C, fly.info)
             case Port.SUPERVISOR, 1, 1:
                 yield 1, bytes([0x81, fly.request_arming(bool(data[1])), fly.armed])
-            case Port.SUPERVISOR, 1, 2:
-                yield 1, bytes([0x82, fly.request_recovery(), not fly.crashed])
             case ((Port.SUPERVISOR | Port.LOCALIZATION), 1, 3):
                 fly.stop_now()
             case ((Port.SUPERVISOR | Port.LOCALIZATION), 1, 4):

@@ -11,7 +11,7 @@ from inclined_landing.models.errors import UserError, shown
 SWAP = 0.3  # m by which the pose jumps when markers are swapped
 BURST_LOSS, BURST_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]
 DEAD_MAN_DELAY = 0.12  # s from the pilot's end to the stop of `DeadManSwitch`: the slowest of six over UDP
-EVENTS = ("start", "air", "low", "near")
+EVENTS = ("start", "air")
 
 
 FAULTS = {  # what goes wrong; `World.begin` lets it
@@ -36,8 +36,7 @@ FAULTS = {  # what goes wrong; `World.begin` lets it
 class Fault:
     """One fault of FAULTS, `after` seconds [s] after an event.
 
-    start: 1 s after the vehicle was switched on; air: its feet leave the floor; near: it comes
-    within 0.5 m of the platform's centre after having been farther; low: it was above 0.3 m and sinks below.
+    start: 1 s after the vehicle was switched on; air: its feet leave the floor.
     """
 
     name: str

@@ -113,13 +113,6 @@ class Firmware:
         self.armed = arm
         return True
 
-    def request_recovery(self) -> bool:
-        """Recover from a crash; return whether it was granted."""
-        if self.crashed and self.tumbled:
-            return False
-        self.crashed = False
-        return True
-
     def stop_now(self) -> None:
         """Stop in an emergency; only a restart undoes it."""
         self.emergency = True
@@ -206,7 +199,6 @@ class Firmware:
             case State.FREE_FALL:
                 yield State.LOCKED, True
             case State.CRASHED:
-                yield State.CHECKS_NOT_PASSED, not (self.crashed or tumbled)
                 yield State.LOCKED, emergency
 
     def _is_tumbled(self, time: float, up: float, norm: float) -> bool:

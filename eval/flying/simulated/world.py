@@ -41,7 +41,6 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 BOOT = 1.0  # s from switching on until somebody connects
-_NEAR, _LOW = 0.5, 0.3  # m, of the events that faults wait for
 # Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
 _ANSWERED_AT_ONCE = {
     *((Port.LINK, 0), (Port.LINK, 1), (Port.PLATFORM, 1), (Port.SUPERVISOR, 0), (Port.MEM, 0)),
@@ -134,7 +133,7 @@ class World:
         self._last_battery_reading, self._voltage = -math.inf, self.body.voltage
         self._waiting = list(faults)
         self.begun_faults: list[tuple[float, str]] = []  # faults so far: when, which
-        self._flown = self._been_far = self._been_high = False
+        self._flown = False
         self._rows: list[tuple] = []
         self.advance(BOOT)
         self._trigger("start")
@@ -296,20 +295,11 @@ class World:
 
     def _watch(self) -> None:
         """Trigger the faults whose events have occurred."""
-        state, v = self.body.state, self.setting.vehicle
-        lifted = not self.body.touching[FLOOR] and state[Z] > self.body.plant.foot_height + 0.01
+        body = self.body
+        lifted = not body.touching[FLOOR] and body.state[Z] > body.plant.foot_height + 0.01
         if lifted and not self._flown:
             self._flown = True
             self._trigger("air")
-        if not self._flown or not self._waiting:
-            return
-        far = math.hypot(state[X], state[Z] - v.platform_surface_height) > _NEAR
-        if self._been_far and not far:
-            self._trigger("near")
-        if self._been_high and state[Z] < _LOW:
-            self._trigger("low")
-        self._been_far |= far
-        self._been_high |= state[Z] > _LOW
 
     def _trigger(self, event: str) -> None:
         for fault in [f for f in self._waiting if f.event == event]:
