@@ -46,18 +46,15 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
                 fields_by_topic.setdefault(found, []).append(field)
         for topic, fields in fields_by_topic.items():
             try:
-                stamps, received, values = _read_topic(reader, topic, fields)
+                stamps, received, values, wrong = _read_topic(reader, topic, fields)
             except UserError as error:
                 unreadable |= {f"{topic}:{field}": str(error) for field in fields}
                 continue
             if not len(received):
                 continue
             clocks[topic] = stamps, received
-            for field, found in zip(fields, values):
-                if isinstance(found, str):
-                    unreadable[f"{topic}:{field}"] = found
-                else:
-                    columns[f"{topic}:{field}"] = found
+            columns |= {f"{topic}:{field}": value for field, value in values.items()}
+            unreadable |= {f"{topic}:{field}": why for field, why in wrong.items()}
     dated = _date(clocks, notes)
     times = {}
     for column in columns:
@@ -69,33 +66,30 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
 
 def _read_topic(
     reader: AnyReader, topic: str, fields: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray, list[np.ndarray | str]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, str]]:
     """Return the stamps and times of receipt (m,) of a topic's messages [s], and each field's values (m,).
 
-    A stamp is NaN where there is none; in place of a field without numbers stands why.
+    A stamp is NaN where there is none. The last: why, by field, for those without numbers.
     Raises UserError, without the path, for messages that cannot be decoded.
     """
-    stamps, received = [], []
-    values: list[list[float]] = [[] for _ in fields]
-    wrong: dict[int, str] = {}
+    stamps, received, wrong = [], [], {}
+    values: dict[str, list[float]] = {field: [] for field in fields}
     for message, timestamp in _messages(reader, topic):
         stamps.append(_header_time(message))
         received.append(1e-9 * timestamp)
-        for k, field in enumerate(fields):
-            if k in wrong:
-                continue
+        for field in (field for field in values if field not in wrong):
             try:
-                values[k].append(_field_value(message, field))
+                values[field].append(_field_value(message, field))
             except IndexError:  # fewer elements than in other messages: tracking was lost
-                values[k].append(np.nan)
+                values[field].append(np.nan)
             except (AttributeError, TypeError, ValueError) as error:
                 kind = str(getattr(message, "__msgtype__", "a type of its own"))
-                wrong[k] = f"topic {topic} has no number {field} (of {shown(kind)}: {_reason(error)})"
-    found: list[np.ndarray | str] = [np.array(column, float) for column in values]
-    for k, field in enumerate(fields):
-        if k not in wrong and len(received) and "[" in field and np.isnan(found[k]).all():
-            wrong[k] = f"topic {topic} has no element {field} in any message"
-    return np.array(stamps), np.array(received), [wrong.get(k, column) for k, column in enumerate(found)]
+                wrong[field] = f"topic {topic} has no number {field} (of {shown(kind)}: {_reason(error)})"
+    for field, column in values.items():
+        if field not in wrong and received and "[" in field and np.isnan(column).all():
+            wrong[field] = f"topic {topic} has no element {field} in any message"
+    columns = {field: np.array(column, float) for field, column in values.items() if field not in wrong}
+    return np.array(stamps), np.array(received), columns, wrong
 
 
 def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str]) -> dict[str, np.ndarray]:
