@@ -31,8 +31,9 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
     noted. An element that an array lacks in some messages is NaN there. What cannot be read is `unreadable`,
     each with its reason. Raises UserError when the bag cannot be opened.
     """
-    columns, clocks, unreadable = {}, {}, {}
-    notes: list[str] = []
+    columns: dict[str, np.ndarray] = {}
+    unreadable: dict[str, str] = {}
+    clocks, notes = {}, list[str]()
     with _open_bag(path) as reader:
         fields_by_topic: dict[str, list[str]] = {}
         for pattern in dict.fromkeys(patterns):
