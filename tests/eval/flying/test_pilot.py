@@ -241,7 +241,7 @@ def test_whatever_raises_the_motors_stop(where, policies, tmp_path):
                 elif where == "setpoint":
                     object.__setattr__(pilot.plan.setpoint, "predict", lambda o: np.full((len(o), 3), np.nan))
                 else:
-                    fail() if where == "interrupt" else pilot._say("anything")
+                    fail() if where == "interrupt" else pilot._print("anything")
             return step(estimate)
 
         pilot._command = command
