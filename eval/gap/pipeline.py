@@ -63,7 +63,7 @@ def diagnose(
     reference: posterior of the vehicle's identification; None: its constants are exact, its formulas nearly.
     heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
     the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
-    has contacts). plants: measure the gap in these. curves: also error against horizon and single windows.
+    has contacts). plants: measure the gap in these. curves: also error against horizon.
 
     Raises UserError when no flight can be used.
     """
@@ -113,7 +113,6 @@ def diagnose(
         touchdowns=contact.touchdowns,
         disturbance=disturbances(found.problem),
         horizon=ahead.horizon,
-        windows=ahead.windows,
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
         platform=platform,

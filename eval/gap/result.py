@@ -15,7 +15,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 Verdict = Literal["effects", "nothing", "unknown"]
 VERSION = 1  # of report.json
-_DRAWN = {"corrected", "horizon", "windows"}  # not in report.json: the vehicle file, and curves of figures
+_DRAWN = {"corrected", "horizon"}  # not in report.json: the vehicle file, and curves of a figure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,19 +92,6 @@ class HorizonCurve:
     horizon: np.ndarray  # (h,) s
     error: np.ndarray  # (h,) m, root mean square over windows of held-out flights
     floor: np.ndarray  # (h,) m
-
-
-@dataclasses.dataclass(frozen=True)
-class WindowCurves:
-    """Measured against predicted in one window (the one with the largest error of a regime)."""
-
-    flight: str
-    regime: str
-    start: float  # s, in the flight's own time
-    t: np.ndarray  # (k,) s from the start of the window
-    measured: np.ndarray  # (k, 6): x, y, z [m], roll, pitch, yaw [rad]
-    before: np.ndarray  # (k, 6) nominal vehicle
-    after: np.ndarray  # (k, 6) corrected vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,7 +230,6 @@ class Diagnosis:
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     horizon: tuple[HorizonCurve, ...]
-    windows: tuple[WindowCurves, ...]
     residual: ResidualAnalysis
     gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty until `with_gap`
     platform: bool  # the slab stood in the arena

@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.infer import residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError, WindowCurves
+from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
@@ -46,7 +46,6 @@ class OpenLoopErrors:
     effects: tuple[NamedEffect, ...]  # with what each costs
     error: float = math.nan  # m, of the position after the longest horizon, corrected
     horizon: tuple[HorizonCurve, ...] = ()
-    windows: tuple[WindowCurves, ...] = ()
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant
     notes: tuple[str, ...] = ()
 
@@ -69,13 +68,11 @@ def open_loop_errors(
     error = float(rollout.errors_by_flight(starts, after)[0][-1])
     effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
     horizon: tuple[HorizonCurve, ...] = ()
-    windows: tuple[WindowCurves, ...] = ()
     if curves:
         horizon = _horizon(problem, starts, effects, after, floor, correction.again)
-        windows = _window_curves(starts, problem.vehicle, correction.vehicle)
     vehicles = after if evaluation.left_out else correction.vehicle
     gap = {plant: rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor) for plant in plants}
-    return OpenLoopErrors(effects, error, horizon, windows, gap)
+    return OpenLoopErrors(effects, error, horizon, gap)
 
 
 def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:
@@ -121,23 +118,3 @@ def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect
         vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
     without, whole = (rollout.position_error(rollout.simulate(starts, v), measured)[-1] for v in vehicles)
     return dataclasses.replace(one, cost=float(np.sqrt(max(0.0, without**2 - whole**2))))
-
-
-def _window_curves(starts, vehicle: Vehicle, corrected: Vehicle) -> tuple[WindowCurves, ...]:
-    """Return, for every regime, the window of the largest error before correction."""
-    measured = starts.measured()
-    before, after = rollout.simulate(starts, vehicle), rollout.simulate(starts, corrected)
-    error = ((before - measured)[:, -1, :3] ** 2).sum(axis=1)
-    t = np.arange(starts.rows + 1) * starts.dt
-    shown = np.zeros((len(starts), len(REGIMES)), bool)  # the regimes of the window that a start lies in
-    for i, (f, first) in enumerate(zip(starts.flight_of, starts.first)):
-        k = int(np.searchsorted(starts.flights[f].starts, first, side="right")) - 1
-        shown[i] = k >= 0 and starts.flights[f].regimes[k]
-    result = []
-    for regime, member in zip(REGIMES, shown.T):
-        if member.any():
-            i = int(np.argmax(np.where(member, error, -1.0)))
-            flight = starts.flights[starts.flight_of[i]]
-            begins = float(flight.t[starts.first[i]])
-            result.append(WindowCurves(flight.name, regime, begins, t, measured[i], before[i], after[i]))
-    return tuple(result)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,7 +36,6 @@ from inclined_landing.eval.gap.result import (
     PlantGap,
     RegimeError,
     ResidualAnalysis,
-    WindowCurves,
 )
 
 BEFORE, AFTER = ORANGE, GREEN
@@ -219,41 +217,6 @@ def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     axis.grid()
     axis.set_title("corrected model" if after else "model before", loc="left", pad=22, fontweight="bold")
     axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)
-
-
-def window_curves(windows: Sequence[WindowCurves]) -> list[Figure]:
-    """Return the coordinate and the angle of the largest error in each of the worst windows."""
-    worst = sorted(windows, key=lambda w: -np.max(np.abs(w.before[:, :3] - w.measured[:, :3])))
-    regimes: dict[tuple[str, float], list[str]] = {}
-    for w in worst:
-        regimes.setdefault((w.flight, w.start), []).append(REGIMES.get(w.regime, w.regime))
-    figures = []
-    for w in list({(w.flight, w.start): w for w in worst}.values())[:4]:
-        figure = Figure(figsize=(PANEL, 4.45))
-        high = panel(figure, 0.65, 2.3, PANEL - 0.8, 1.2)
-        low = panel(figure, 0.65, 0.5, PANEL - 0.8, 1.5)
-        _draw_window(high, w, (0, 1, 2), 100.0, "cm")
-        _draw_window(low, w, (3, 4, 5), 180 / np.pi, "deg")
-        title = textwrap.fill(", ".join(regimes[w.flight, w.start]), 38)
-        high.set_title(f"{title}\n{literal(w.flight)}, {w.start:.1f} s", loc="left", fontsize=9)
-        low.set_xlabel("time in the window [s]")
-        lines = high.get_legend_handles_labels()
-        figure.legend(*lines, loc="upper left", ncols=3, handlelength=1.2, columnspacing=0.9)
-        figures.append(figure)
-    return figures
-
-
-def _draw_window(axis: Axes, w: WindowCurves, channels: Sequence[int], factor: float, unit: str) -> None:
-    """Draw the one of `channels` with the largest error of the nominal vehicle."""
-    k = max(channels, key=lambda c: np.max(np.abs(w.before[:, c] - w.measured[:, c])))
-    start = w.measured[0, k] if k < 3 else 0.0
-    wide = 2.8 if k < 3 else 1.1  # angles are noisy
-    axis.plot(w.t, factor * (w.measured[:, k] - start), color=INK, linewidth=wide, label="measured")
-    axis.plot(w.t, factor * (w.before[:, k] - start), color=BEFORE, label="before")
-    axis.plot(w.t, factor * (w.after[:, k] - start), color=AFTER, label="after")
-    axis.set_ylabel(f"{CHANNELS[k]} [{unit}]", labelpad=2)
-    axis.set_xlim(w.t[0], w.t[-1])
-    axis.grid()
 
 
 def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Figure]:

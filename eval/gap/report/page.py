@@ -28,7 +28,6 @@ def page(
             "before_after": figures.before_after(track) if track else (),
             "estimates": figures.estimates(d.effects, d.flights),
             "horizon": [figures.horizon(d.horizon, d.gap)] if d.horizon else (),
-            "windows": figures.window_curves(d.windows),
             "residual": figures.residual(d.residual),
         }
     rows = []

@@ -369,12 +369,6 @@ def centimetres(metres: float) -> str:
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
 
 
-def share(part: float) -> str:
-    """Return a share in percent."""
-    whole = 0.0995 <= part < 0.995 or part in (0.0, 1.0)
-    return f"{100 * part:.0f} %" if whole else f"{100 * part:.1f} %"
-
-
 def sentences(d: Diagnosis, flight: str = "") -> list[str]:
     """Return the sentences below the headline; flight: on the flight that tells apart what is in doubt."""
     lines = []

@@ -28,7 +28,6 @@ from inclined_landing.eval.gap.result import (
     RegimeError,
     ResidualAnalysis,
     ScoredSet,
-    WindowCurves,
 )
 from inclined_landing.models import effects, storage
 from inclined_landing.models.effects import LIBRARY
@@ -58,7 +57,6 @@ def example(verdict="effects"):
     if verdict != "nothing":
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
     t = np.linspace(0.01, 1.0, 20)
-    shape = np.outer(t, np.ones(6))
     bins = np.arange(3.0)
     moved = (0.05, (0.03, 0.08))
     left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, {"hover": 0.4}, "position z", bins, bins)
@@ -93,7 +91,6 @@ def example(verdict="effects"):
             HorizonCurve("nominal", (), t, 0.5 * t**2, 0.01 * t),
             HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
         ),
-        windows=(WindowCurves("a", "hover", 3.0, t, shape, shape + t[:, None] ** 2, shape),),
         residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), 0.1),
         gap={
             "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
@@ -189,7 +186,7 @@ def test_the_page_stands_alone(verdict, track):
     text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",)).replace("\u00a0", " ")
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == {"effects": 7, "unknown": 8, "nothing": 4}[verdict]
+    assert text.count("data:image/svg+xml") == {"effects": 6, "unknown": 7, "nothing": 3}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
     assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")
@@ -208,7 +205,7 @@ def test_the_page_escapes_names_of_flights_and_notes(track):
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), sets=(), disturbance={}, horizon=(), windows=(), gap={},
+        example("nothing"), where=(), sets=(), disturbance={}, horizon=(), gap={},
         heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
