@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,12 @@ from typing import Any
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
+from inclined_landing.envs.tasks import InclinedLanding
+from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import figure, video
 from inclined_landing.eval.pictures.curves import learning_curves
+from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import flight_view, strobe, write_picture, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
@@ -24,15 +27,16 @@ from inclined_landing.eval.policies.moving.scenario import read_scenario, shippe
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
+Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions
 _LOOK: dict[str, Any] = {"width": 960, "height": 540}  # of video and picture
 _LANDING_SCALES = (1.0, 1.05, 0.95)  # of the thrust, in the table of a landing policy
 _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 
 
-def report(folder: Path, metrics: dict, vehicle: Path | None) -> None:
+def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
-    vehicle: the run's vehicle file, if it has one.
+    vehicle: the run's vehicle file, if it has one. stages: of its curriculum.
 
     The table is flown in the plain MuJoCo plant, for landings from the frozen grid, which training never
     saw; its one number of each condition is added to metrics.json. Everything flies the run's vehicle.
@@ -44,7 +48,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None) -> None:
     final = load(folder / "final.zip")
     task = final.task
     with ThreadPoolExecutor(1) as pool:  # of the table, whose time is the engine's
-        pictures = pool.submit(_draw, folder, final)
+        pictures = pool.submit(_draw, folder, final, stages)
         show = _TABLES.get(task.table, _success)(folder, metrics, load)
         for path in pictures.result():
             print(path)
@@ -53,10 +57,12 @@ def report(folder: Path, metrics: dict, vehicle: Path | None) -> None:
     say(f"Everything about this run is in {folder}.")
 
 
-def _draw(folder: Path, policy: Policy) -> list[Path]:
+def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     """Write curves, figures, a video and a picture, and return their files."""
     task = policy.task
     files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
+    if stages and isinstance(task, InclinedLanding):
+        files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
     flights = fly_from(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
     for name, flight in zip(task.figure_starts, flights):
         files += figure.draw(flight, folder, name)

@@ -93,4 +93,4 @@ def _report(run: Run, metrics: dict) -> None:
         print(f"landing-train: no report, as {error}{again}", file=sys.stderr)
         return
     vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
-    report(run.folder, metrics, vehicle)
+    report(run.folder, metrics, vehicle, run.curriculum.stages())

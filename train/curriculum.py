@@ -7,6 +7,7 @@ and never changes them.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections import deque
 from collections.abc import Callable
@@ -62,6 +63,7 @@ class Curriculum:
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
     kept: tuple[str, ...] = ()  # attributes that `state` has
+    moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
@@ -71,6 +73,15 @@ class Curriculum:
     def stage(self) -> Any:
         """Return the conditions of the moment, before anything is left out; None where the task has none."""
         return self._the_task
+
+    def stages(self) -> list[tuple[str, Any]]:
+        """Return titles and conditions of some moments; none where the task has no conditions."""
+        found = []
+        for title, attributes in self.moments:
+            other = copy.copy(self)
+            vars(other).update(attributes)
+            found.append((title, other.conditions()))
+        return [(title, conditions) for title, conditions in found if conditions is not None]
 
     def conditions(self) -> Any:
         """Return the conditions of the next episodes; None where the task has none."""
@@ -150,6 +161,7 @@ class AdaptiveCurriculum(Curriculum):
 
     name = "adaptive"
     kept = ("level", "full_at")
+    moments = tuple((f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
 
     def __init__(
         self,
@@ -252,6 +264,12 @@ class PaperCurriculum(Curriculum):
 
     name = "paper"
     kept = ("episodes", "tilting_episodes", "steps")
+    moments = (  # of its schedule, at the usual length of episodes
+        ("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
+        ("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
+        ("700 k steps", {"episodes": 9000, "tilting_episodes": 3000, "steps": 700_000}),
+        ("3 M steps", {"episodes": 19_000, "tilting_episodes": 6000, "steps": 3_000_000}),
+    )
 
     def __init__(self):
         super().__init__(RISING)

@@ -7,8 +7,8 @@ from pathlib import Path
 from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
 from inclined_landing.eval.base.style import save_figure
+from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.flights import fly_from, say_outcomes, start_points
-from inclined_landing.eval.pictures.trajectory import trajectory_figure
 from inclined_landing.models import storage
 
 

@@ -1,4 +1,4 @@
-"""`landing-eval video`: flights as .mp4 or .gif."""
+"""`landing-eval video`: flights, or their touchdowns with the contact forces, as .mp4 or .gif."""
 
 from __future__ import annotations
 
@@ -35,6 +35,8 @@ from inclined_landing.eval.pictures.frames import (
     render_flight,
     write_videos,
 )
+from inclined_landing.eval.pictures.touchdown import STEP, Touchdown, record_touchdown
+from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -54,6 +56,7 @@ def command(
     look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
     gif: Flag = False,
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
+    forces: Flag = False,
     until: Until = "rest",
     beside: Beside = (),
     flown: Flat[Flown] = Flown(),
@@ -69,37 +72,67 @@ def command(
         seed: of the random starts.
         gif: write a .gif beside the .mp4.
         slow: 2 plays at half speed; the picture says so.
+        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. A landing
+            policy's motors are cut in the goal box. Best with --slow 16 and --camera touch, a fixed view of
+            the touchdown from close by.
         until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
             MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
         beside: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
     check_random_starts(drawn, start)
     storage.check_file(out)
-    if out.suffix.lower() not in (".mp4", ".gif"):
-        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
-    if look.width % 2 or look.height % 2:
-        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
-    if beside and flown.vehicle is not None:
-        raise UserError("--beside names the vehicles that are flown: leave --vehicle out")
-    shown = dataclasses.asdict(checked_look(look))
+    look = _checked(out, look, forces, until, flown)
+    if beside and (forces or flown.vehicle is not None):
+        raise UserError(
+            "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
+        )
     loaded = flown.load(policy)
-    sampled = min(FPS, (GIF_FPS if out.suffix.lower() == ".gif" else FPS) * slow)  # there are no more states
-    if beside:
-        others = [dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside]
-        rows = [fly_from(other, start_points(start, other.task), flown.plant) for other in others]
-        rows = [continue_flights(row, until) for row in rows]
-        flights = list(itertools.chain(*rows))
-        frames, total, rate = film_side_by_side(list(zip(*rows)), beside, sampled, slow, **shown)
+    if forces and not loaded.task.has_platform:
+        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
+    others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
+    where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
+    flights = [] if beside else record_flights(loaded, flown.plant, where)
+    shown = dataclasses.asdict(look)
+    if forces:
+        frames, total, rate = film_touchdowns([record_touchdown(flight) for flight in flights], slow, **shown)
     else:
-        where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
-        flights = continue_flights(record_flights(loaded, flown.plant, where), until)
-        frames, total, rate = film(flights, sampled, slow, **shown)
+        most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
+        sampled = min(FPS, most * slow)  # there are no more states
+        if beside:
+            each = {
+                name: fly_from(other, start_points(start, other.task), flown.plant)
+                for name, other in others.items()
+            }
+            rows = [continue_flights(flights, until) for flights in each.values()]
+            flights = list(itertools.chain(*rows))
+            frames, total, rate = film_side_by_side(list(zip(*rows)), tuple(each), sampled, slow, **shown)
+        else:
+            flights = continue_flights(flights, until)
+            frames, total, rate = film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
     write(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
+
+
+def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) -> Look:
+    """Return the look as it can be filmed; raise UserError where options do not go together."""
+    if out.suffix.lower() not in (".mp4", ".gif"):
+        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
+    if look.width % 2 or look.height % 2:
+        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+    if forces and flown.plant == "analytic":
+        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
+    if forces and until == "goal":
+        raise UserError("--forces films what follows the goal box: leave --until goal out")
+    if look.camera != "touch":
+        near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
+        return checked_look(near)
+    if not forces or look.backend == "gl":
+        raise UserError("--camera touch is drawn with rays and looks at a touchdown: it needs --forces")
+    return look
 
 
 def film(
@@ -151,6 +184,21 @@ def film_side_by_side(
             yield from itertools.repeat(picture, rest)
 
     return frames(), sum(lengths) + rest * len(lengths), sampled / slow
+
+
+def film_touchdowns(
+    touchdowns: Sequence[Touchdown], slow: float, **look: Any
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Return the same for touchdowns, whose frames are engine steps."""
+    every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
+    rate = 1.0 / (every * STEP * slow)
+    rest = round(_REST * rate)
+
+    def frames():
+        for frame, last in render_touchdowns(touchdowns, every=every, slow=slow, **look):
+            yield from itertools.repeat(frame, 1 + rest if last else 1)
+
+    return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
 
 
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:

@@ -35,7 +35,9 @@ from inclined_landing.eval.base.options import (
     Seed,
     VehicleFile,
 )
+from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import video
+from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
 from inclined_landing.eval.policies.study import LONG
 from inclined_landing.models import storage
@@ -101,7 +103,8 @@ def command(
         vehicle: vehicle file (TOML), where it differs from the shipped one.
         no_film: leave the first mission's video and picture out.
         json: print JSON, and nothing else, on standard output.
-        out: new folder for mission.json, and flight.mp4, flight.gif and flight.png of the first mission.
+        out: new folder for mission.json, the figure mission.png and .pdf, and of the first mission
+            flight.mp4, flight.gif and flight.png.
     """
     if out is not None:
         runs.check_new_run(out)
@@ -124,11 +127,7 @@ def command(
     if out is not None:
         with runs.staged_run(out) as folder:
             storage.write_json(folder / "mission.json", report)
-            if not no_film:
-                how = dataclasses.asdict(look)
-                write_picture(folder / "flight.png", strobe(flown[0], **how))
-                frames, total, rate = video.film(flown[:1], FPS, 1.0, **how)
-                video.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
+            draw(flown, folder, None if no_film else look)
     print(storage.to_json(report)) if json else show(report)
 
 
@@ -181,6 +180,19 @@ def _point(text: str, option: str, form: str) -> tuple[float, ...]:
     if len(numbers) != form.count(",") + 1 or not all(map(math.isfinite, numbers)):
         raise UserError(f"--{option} is {form} in metres, not {shown(text)!r}")
     return numbers
+
+
+def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
+    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
+    figure = mission_figure(missions[0], missions[1:])
+    for suffix in (".png", ".pdf"):
+        save_figure(figure, folder / f"mission{suffix}")
+    if look is None:
+        return
+    how = dataclasses.asdict(look)
+    write_picture(folder / "flight.png", strobe(missions[0], **how))
+    frames, total, rate = video.film(missions[:1], FPS, 1.0, **how)
+    video.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
 
 
 def report_of(missions: Sequence[Mission]) -> dict[str, Any]:

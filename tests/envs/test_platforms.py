@@ -9,9 +9,9 @@ import pytest
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.envs.rendering import make_renderer, pose_from_state
 from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import pose_at
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.pictures.trajectory import trajectory_figure
 from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.models.attitude import PITCH, YAW
 from inclined_landing.models.errors import UserError

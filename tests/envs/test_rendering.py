@@ -14,10 +14,12 @@ from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
+from inclined_landing.envs.rendering.scenery import scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.plants.recorder import contact_forces
 from inclined_landing.models.scene import build_spec
 
 W, H = 320, 240
@@ -205,6 +207,48 @@ def test_caption_covers_the_bottom_only(hero):
     assert rows.min() == H - caption_height(H)
     other = hero.render(hovering(), caption="t 1.12 s")
     assert changed(other, with_text).any()
+
+
+def test_contact_arrows_carry_the_weight():
+    vehicle = load_vehicle()
+    weight = vehicle.body_mass * vehicle.environment_gravity
+    model = build_spec(vehicle, visuals=False).compile()
+    data = mujoco.MjData(model)
+    foot = model.geom("foot_front_left")
+    data.qpos[:7] = [2.0, 0, foot.size[0] - foot.pos[2], 1, 0, 0, 0]
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    points, forces = contact_forces(model, data)
+    assert len(forces) == 4
+    # at rest after 2 s: forces sum to the weight, 1 % covers the rest of the settling
+    total = np.sum(forces, axis=0)
+    np.testing.assert_allclose(total, [0, 0, weight], atol=0.01 * weight)
+    with make_renderer(W, H, "closeup", "ray") as renderer:
+        plain = renderer.render(data)
+        drawn = renderer.render(data, forces=list(zip(points, 0.3 * forces)))
+        assert changed(plain, drawn).sum() > 30
+
+
+def test_arrows_start_where_the_larger_vehicle_stands(hero):
+    """Drawn 3x, the foot's point moves with it; the tip is `arrow` away from there, over everything."""
+    state = hovering(0.9, 1.7, 0.2)
+    qpos = qpos_of_state(state)
+    model = hero._scene.model
+    foot = model.geom("foot_front_left")
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, qpos[3:])
+    tip = qpos[:3] + frame.reshape(3, 3) @ (foot.pos - [0, 0, foot.size[0]])
+    leg = model.geom("leg_front_left")
+    hero.render(state)
+    low = hero._scene.data.geom_xpos[leg.id] - leg.size[1] * frame.reshape(3, 3)[:, 2]
+    start = scaled_points(model, qpos, tip, 3.0)
+    assert np.linalg.norm(start - low) < 3.0 * 0.006  # the drawn leg ends within its radius
+    arrow = np.array([0.0, 0.0, 0.4])
+    mask = changed(hero.render(state), hero.render(state, forces=[(tip, arrow)]))
+    rows, columns = np.nonzero(mask)
+    ends = hero.view(state).project(np.stack([start, start + arrow]))[0]
+    assert rows.min() == pytest.approx(ends[1, 1], abs=3) and rows.max() == pytest.approx(ends[0, 1], abs=3)
+    assert columns.mean() == pytest.approx(ends[:, 0].mean(), abs=1.5)
 
 
 def test_wrong_arguments_are_sentences():

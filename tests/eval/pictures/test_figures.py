@@ -21,8 +21,10 @@ from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import STAMP_DPI, save_figure
 from inclined_landing.eval.pictures.curves import final_scores, learning_curves
+from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
+from inclined_landing.eval.pictures.figures.scene import platform_outline
+from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import flight_view
-from inclined_landing.eval.pictures.trajectory import platform_outline, trajectory_figure
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -184,6 +186,8 @@ def test_figures_refuse_what_they_cannot_draw(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="cannot create the folder"):
         save_figure(figure, tmp_path / "file" / "way.png")
+    with pytest.raises(UserError, match="at least one stage"):
+        curriculum_figure([])
 
 
 # --- learning curves ------------------------------------------------------------------------------
@@ -265,12 +269,17 @@ def test_a_table_that_ends_within_a_row_is_drawn_up_to_it(tmp_path, end):
 
 # --- curriculum -----------------------------------------------------------------------------------
 
+STAGES = [
+    ("near", LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False)),
+    (
+        "half",
+        LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
+    ),
+    ("the task", LandingConditions()),
+]
 
-@pytest.mark.parametrize("conditions", [
-    LandingConditions(start_reach=0.5, tilt=0.0, goal_size=0.25, platform=False),
-    LandingConditions(start_reach=1.9, tilt=0.5, goal_size=0.2, lowest_start=1.0, start_reach_z=0.6),
-    LandingConditions(),
-])  # fmt: skip
+
+@pytest.mark.parametrize("conditions", [c for _, c in STAGES])
 def test_start_box_is_where_starts_come_from(conditions):
     task = make_task("landing")
     task.conditions = conditions
@@ -280,6 +289,28 @@ def test_start_box_is_where_starts_come_from(conditions):
     # of 4000 uniform numbers the extremes lie within 1 % of the range with certainty (1 - 4e-18)
     np.testing.assert_allclose(starts.min(axis=0), low, atol=0.01 * (high - low).max())
     np.testing.assert_allclose(starts.max(axis=0), high, atol=0.01 * (high - low).max())
+
+
+@pytest.mark.parametrize("options", [{}, {"dimensions": 3}])
+def test_curriculum_figure_shows_its_conditions(options):
+    task = make_task("landing", **options)
+    before = task.conditions
+    axes = curriculum_figure(STAGES, task=task, starts=5).axes
+    assert task.conditions is before
+    for panel, (title, conditions) in zip(axes, STAGES, strict=True):
+        assert panel.get_title(loc="left").endswith(title)
+        assert len(by_gid(panel.images, "start")) == 5
+        assert bool(by_gid(panel.patches, "slab")) == conditions.platform
+        (box,) = by_gid(panel.patches, "goal box")
+        assert box.get_width() == pytest.approx(2 * conditions.goal_size)
+        (box,) = by_gid(panel.patches, "starts")
+        for image in by_gid(panel.images, "start"):
+            x, z = middle(image)
+            assert box.get_x() <= x <= box.get_x() + box.get_width()
+            assert box.get_y() <= z <= box.get_y() + box.get_height()
+        (target,) = by_gid(panel.images, "target")
+        goal = np.array(task.goal_position)[[0, -1]]
+        np.testing.assert_allclose(middle(target), goal, atol=1e-12)
 
 
 # --- commands -------------------------------------------------------------------------------------

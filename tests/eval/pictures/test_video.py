@@ -175,6 +175,10 @@ def test_a_slowed_video_says_so():
     assert changed[0].size > 100 and changed[0].max() < 40 and changed[1].min() > 60  # upper right corner
 
 
-def test_a_wrong_end_is_a_sentence(tmp_path, capsys):
-    assert main(["video", "landing", "--until", "noon", "--out", str(tmp_path / "x.mp4")]) == 2
-    assert "invalid choice 'noon'" in capsys.readouterr().err and not list(tmp_path.iterdir())
+@pytest.mark.parametrize("words, sentence", [
+    (["--until", "noon"], "invalid choice 'noon'"),
+    (["--until", "goal", "--forces"], "leave --until goal out"),
+])  # fmt: skip
+def test_wrong_ends_are_sentences(words, sentence, tmp_path, capsys):
+    assert main(["video", "landing", *words, "--out", str(tmp_path / "x.mp4")]) == 2
+    assert sentence in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ def test_missions_are_counted_and_drawn(tmp_path, capsys):
     assert cli.main(arguments) == 0
     table = capsys.readouterr().out
     assert "At rest on the feet after 2 of 2 missions (100.0" in table and "slab 2" in table
-    assert {path.name for path in out.iterdir()} == {"mission.json"}
+    assert {path.name for path in out.iterdir()} == {"mission.json", "mission.png", "mission.pdf"}
     report = json.loads((out / "mission.json").read_text())
     assert report["at_rest"]["count"] == report["missions"] == 2 and report["seed"] is None
     assert report["ends"]["at rest"] == 2 and report["legs"]["climb"]["flown"] == 1

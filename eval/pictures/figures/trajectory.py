@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -11,25 +10,18 @@ from matplotlib.transforms import ScaledTranslation
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.eval.base.style import (
-    AIR,
-    BASE,
-    BLUE,
-    GREEN,
-    MUTED,
-    ORANGE,
-    PURPLE,
-    SLAB,
-    panel,
-    styled,
-    time_colours,
+from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, panel, styled, time_colours
+from inclined_landing.eval.pictures.figures.scene import (
+    GOAL_COLOUR,
+    draw_background,
+    draw_platform,
+    draw_vehicle,
 )
 from inclined_landing.eval.pictures.path import path_share, select_copies
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
-GOAL_COLOUR = tuple(int(GREEN[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in
 _SCENE, _PWM, _PITCH = 3.05, 0.80, 1.20  # heights of the panels, in
 _SPACING = 0.18  # m; copies are at least about this apart
@@ -88,16 +80,10 @@ def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: fl
         window = _window(np.vstack([points, _SLOPE]), ratio, floor=_LOWEST)
     else:  # both views get the same scale
         window = _window(points, ratio, least=(np.ptp(widest, axis=0).max() + 2.0 * _MARGIN) / ratio)
-    axes.set_facecolor(AIR)
-    axes.grid(True)
-    axes.set(
-        xlim=window[0], ylim=window[1], aspect="equal", xlabel=f"{'xy'[sprites.across]} [m]", ylabel="z [m]"
-    )
+    draw_background(axes, *window, name="xy"[sprites.across])
     _align_label(axes)
     if flight.inclination is not None:
-        slab, base = platform_outline(flight.inclination, sprites.vehicle)
-        axes.fill(*base.T, color=BASE, lw=0, zorder=2, gid="base")
-        axes.fill(*slab.T, facecolor=SLAB, edgecolor="#8b939c", lw=0.5, zorder=2.1, gid="slab")
+        draw_platform(axes, flight.inclination, sprites.vehicle)
     colours = time_colours(path_share(state, _TURN))
     segments = np.stack([state[:-1][:, plane], state[1:][:, plane]], axis=1)
     axes.add_collection(
@@ -105,14 +91,14 @@ def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: fl
         autolim=False,
     )
     if target is not None:
-        _draw_vehicle(axes, sprites, target, colour=GOAL_COLOUR, alpha=0.75, zorder=2.5, gid="target")
+        draw_vehicle(axes, sprites, target, colour=GOAL_COLOUR, alpha=0.75, zorder=2.5, gid="target")
     if target is not None and d is not None:
         box = Rectangle(target[plane] - d, 2 * d, 2 * d, fill=False, gid="goal box")
         box.set(edgecolor=GREEN, linewidth=1.0, linestyle=(0, (3, 2)), zorder=2.6)
         axes.add_patch(box)
     for order, k in enumerate(chosen):
         above = 4.0 + 0.01 * order
-        _draw_vehicle(axes, sprites, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
+        draw_vehicle(axes, sprites, state[k], colour=colours[k], alpha=0.92, zorder=above, gid=f"copy {k}")
     if sprites.across:
         return
     note = f"quadrotor drawn at {sprites.scale:g}× size"
@@ -120,35 +106,6 @@ def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: fl
     note += f" and goal box (±{100 * d:.0f} cm)" if target is not None and d is not None else ""
     note += "\ncolours: time, as below"
     axes.text(0.012, 0.975, note, transform=axes.transAxes, va="top", size=8.5, color=MUTED)
-
-
-def platform_outline(inclination: float, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners [m] of the slab (4, 2) and of the base under it (4, 2) as x, z."""
-    half, thick = vehicle.slab_half_length, vehicle.platform_thickness
-    cos, sin = np.cos(inclination), np.sin(inclination)
-    along, up = np.array([cos, -sin]), np.array([sin, cos])
-    middle = np.array([0.0, vehicle.platform_surface_height])
-    top = middle + np.outer([-half, half], along)
-    under = top - thick * up
-    slab = np.vstack([top, under[::-1]])
-    base = np.vstack([under, under[::-1] * [1.0, 0.0]])
-    return slab, base
-
-
-def _draw_vehicle(
-    axes: Axes, sprites: SpriteRenderer, state: np.ndarray, *, colour=None, alpha=1.0, zorder=4.0, gid=None
-) -> None:
-    """Draw a rendered copy at state (13,), its centre of mass at the state's x (or y) and z."""
-    sprite = sprites(state[6:9], colour)
-    x, z = state[sprites.across], state[2]
-    extent = (x - sprite.half, x + sprite.half, z - sprite.half, z + sprite.half)
-    limits = axes.get_xlim(), axes.get_ylim()
-    image = axes.imshow(
-        sprite.rgba, extent=extent, alpha=alpha, zorder=zorder, interpolation="antialiased", aspect="equal",
-        interpolation_stage="rgba",
-    )  # fmt: skip
-    axes.set(xlim=limits[0], ylim=limits[1])
-    image.set_gid(gid)
 
 
 def _window(

@@ -1,0 +1,1 @@
+"""Figures on paper: trajectories, curricula, missions. Curves, shapes and text are vectors."""

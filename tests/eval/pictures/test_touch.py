@@ -1,0 +1,111 @@
+"""Touchdowns at the engine's steps: the same flight again, its contact forces, its pictures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.eval.cli import main
+from inclined_landing.eval.pictures import video
+from inclined_landing.eval.pictures.flights import fly_from
+from inclined_landing.eval.pictures.touchdown import LEAD, STEP, record_touchdown
+from inclined_landing.eval.pictures.touchdown_video import caption, render_touchdowns
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import PITCH
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+
+V = load_vehicle()
+WEIGHT = V.body_mass * V.environment_gravity
+
+
+def flown(name) -> Flight:
+    policy = load_policy(name)
+    return fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return flown("touchdown-nominal")
+
+
+@pytest.fixture(scope="module")
+def touchdown(flight):
+    return record_touchdown(flight)
+
+
+def test_the_flight_is_flown_again_bit_for_bit(flight, touchdown):
+    seen = 0
+    for t, state in zip(touchdown.t, touchdown.state):
+        tick = t / V.command_control_period
+        if abs(tick - round(tick)) < 1e-9:
+            np.testing.assert_array_equal(state, flight.state[round(tick)])
+            seen += 1
+    assert seen > 10
+
+
+def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
+    net = touchdown.net_forces
+    before = round(LEAD / STEP)
+    assert not net[:before].any() and net[before, 0] > 0
+    alpha = abs(touchdown.platform[0, PITCH])
+    # Still for 0.12 s; the thrust that decays with 60 ms still carries a few percent.
+    assert net[-1] == pytest.approx([WEIGHT * np.cos(alpha), WEIGHT * np.sin(alpha)], rel=0.1)
+    for points, forces in zip(touchdown.points, touchdown.forces):
+        assert points.shape == forces.shape
+    # On the slab: sunk in by less than 5 mm.
+    [normal] = surface.normals(touchdown.platform[:1])
+    points = np.concatenate(touchdown.points) - [0, 0, V.platform_surface_height]
+    assert np.abs(points @ normal).max() < 0.005
+    assert touchdown.largest_force < net[:, 0].max()
+
+
+def test_a_flight_that_touches_nothing_is_a_sentence(flight):
+    hover = dataclasses.replace(flight, t=flight.t[:6], state=flight.state[:6], commands=flight.commands[:6])
+    with pytest.raises(UserError, match=r"nothing touches in the flight from x 1\.5, z 1\.8 m"):
+        record_touchdown(hover)
+    with pytest.raises(UserError, match="no platform"):
+        record_touchdown(dataclasses.replace(flight, inclination=None))
+
+
+def test_arrows_and_gauge_are_drawn(touchdown):
+    frames = list(render_touchdowns([touchdown], every=4, width=240, height=136, backend="ray"))
+    assert len(frames) == -(-len(touchdown.t) // 4)
+    assert [last for _, last in frames] == [False] * (len(frames) - 1) + [True]
+
+    def red(frame):
+        part = frame[50:120].astype(int)  # below the gauge, above the caption
+        return int(((part[..., 0] > 180) & (part[..., 1:].max(axis=-1) < 90)).sum())
+
+    forces = [len(touchdown.forces[k]) for k in range(0, len(touchdown.t), 4)]
+    free = max(red(frame) for (frame, _), k in zip(frames, forces) if k == 0)  # one of its lights is red
+    assert free < 3 and red(frames[-1][0]) > 8
+    k = int(touchdown.net_forces[:, 0].argmax())
+    assert caption(touchdown, k).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
+
+
+def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
+    seen = {}
+
+    def write(paths, frames, fps):
+        seen.update(frames=sum(1 for _ in frames), fps=fps)
+
+    monkeypatch.setattr(video, "write_videos", write)
+    options = ["--forces", "--slow", "16", "--camera", "touch", "--width", "160", "--height", "90"]
+    assert main(["video", "touchdown", *options, "--out", str(tmp_path / "x.mp4")]) == 0
+    assert seen["fps"] == pytest.approx(1 / (STEP * 16))
+    assert 60 < seen["frames"] < 140
+
+
+@pytest.mark.parametrize("policy, options, sentence", [
+    ("touchdown", ["--camera", "touch", "--backend", "gl"], "--camera touch is drawn with rays"),
+    ("setpoint", [], "a setpoint flight touches nothing"),
+    ("landing", ["--plant", "analytic"], "--forces needs the MuJoCo plant"),
+])  # fmt: skip
+def test_forces_without_a_touch_are_one_sentence(policy, options, sentence, tmp_path, capsys):
+    out = tmp_path / "x.mp4"
+    assert main(["video", policy, "--forces", *options, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1 and not out.exists()
