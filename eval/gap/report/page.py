@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
@@ -75,4 +76,5 @@ def render(template: str, *, notes: Sequence[str], **content) -> str:
     """Return a template of this package filled in; notes: sentences, repetitions removed."""
     lines = [words.plain(note) for note in dict.fromkeys(notes)]
     text = base_page.render(__package__, template, notes=lines, **content)
-    return text.replace(" %", "\u00a0%")  # no line ends between a number and its percent
+    # No line ends between a number and its unit.
+    return re.sub(r" (?=%)|(?<=\d) (?=(?:cm|mm|ms|deg)\b)", "\u00a0", text)
