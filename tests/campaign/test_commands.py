@@ -109,7 +109,7 @@ def test_values_that_are_never_right_are_refused_before_any_work(kind, data):
     refused(*data.draw(where), data.draw(st.sampled_from(values)))
 
 
-@damage.examples(4)
+@damage.examples(2)
 @given(st.sampled_from([line for line in QUICK if "{place}" in line]), st.sampled_from(NAMES))
 def test_folders_of_any_name_work(line, name):
     with tempfile.TemporaryDirectory() as folder:
