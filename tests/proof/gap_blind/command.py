@@ -4,6 +4,7 @@ open the labels, count."""
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import time
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,7 @@ from inclined_landing.models.errors import UserError
 
 from ..shared import check_known, in_processes
 from . import score
-from .cases import SETS, STRATA, Case, of_set
+from .cases import ROTORPY, SETS, STRATA, Case, of_set
 from .tables import markdown, results_of
 
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
@@ -27,7 +28,7 @@ _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int, Meta(ge=len(STRATA), le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
@@ -37,12 +38,15 @@ def command(
     Args:
         out: folder for results.json and table.md; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure.
+            structure; or flights of a simulator by others (needs rotorpy).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         processes: cases diagnosed at a time.
     """
-    check_known("set", [set], SETS)
+    check_known("set", [set], (*SETS, ROTORPY))
+    needed = ("rotorpy", "torch", "torchdiffeq", "roma") if set == ROTORPY else ()
+    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
+        raise UserError(f"--set rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)

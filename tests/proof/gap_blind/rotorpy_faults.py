@@ -1,0 +1,103 @@
+"""What is added to RotorPy's vehicle at its interface: air, forces from outside, and commands and poses that
+are late or wrong. Worlds hold arrays (n,) here, one entry for each flight of a batch."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from tests.proof.simulator import Build, Constants, World
+from tests.proof.simulator.vehicle import PILOT_RATE
+
+RATE = 250  # Hz, of the flight controller and of the integration
+_HELD = RATE // PILOT_RATE  # periods for which a command stands
+
+
+def received(command: np.ndarray, w: World):
+    """Roll, pitch and yaw rate, each (n,), that the vehicle makes of commands (n, 4)."""
+    angles = command[:, 1:3].copy()
+    angles[np.abs(angles) < w.dead_zone[:, None]] = 0.0
+    step = np.where(w.quantum > 0.0, w.quantum, 1.0)[:, None]
+    angles = np.where(w.quantum[:, None] > 0.0, step * np.round(angles / step), angles)
+    roll, pitch = angles[:, 0], angles[:, 1] + w.cross_coupling * angles[:, 0]
+    gain = w.attitude_gain_scale
+    return gain * (roll + w.trim_roll), gain * (pitch + w.trim_pitch), command[:, 3]
+
+
+def wind(x: np.ndarray, w: World) -> np.ndarray:
+    """Steady wind (n, 3) at positions x (n, 3): RotorPy's wind, with a rising column."""
+    squared = (x[:, 0] - w.updraft_x) ** 2 + (x[:, 1] - w.updraft_y) ** 2
+    return np.column_stack([w.wind_x, w.wind_y, w.updraft * np.exp(-squared / (2.0 * w.updraft_radius**2))])
+
+
+def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
+    """Accelerations (n, 3) [m/s2] from outside: bias of thrust, a fan, a force with the heading."""
+    push = Rotation.from_quat(q).apply([0.0, 0.0, 1.0]) * (w.thrust_bias / (c.mass * w.mass_scale))[:, None]
+    swing = w.swing * np.sin(2.0 * np.pi * time / w.swing_period)
+    heading = 2.0 * angles(q)[:, 2]
+    push[:, 0] += swing * np.cos(w.swing_direction) + w.heading_force * np.cos(heading)
+    push[:, 1] += swing * np.sin(w.swing_direction) + w.heading_force * np.sin(heading)
+    return push
+
+
+def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
+    """Ornstein-Uhlenbeck accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6)."""
+    keep = math.exp(-1.0 / (b.disturbance_time * RATE))
+    start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
+    path = lfilter([math.sqrt(1 - keep**2)], [1, -keep], white, axis=0, zi=keep * start)[0]
+    return np.array([*b.disturbance, *b.disturbance_torque]) * path
+
+
+def gusts(rng, ticks: int, w: World) -> np.ndarray:
+    """RotorPy's horizontal Dryden gusts (ticks, n, 3), of standard deviation `gust` over the flights."""
+    n, seed = len(w.gust), int(rng.integers(2**31))
+    if not w.gust.any():
+        return np.zeros((ticks, n, 3))
+    import torch
+    from rotorpy.wind.dryden_winds import BatchedDrydenGust
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        # Its length at 1 m/s is eight times the altitude.
+        still, altitude = torch.zeros(n, 3, dtype=torch.float64), torch.from_numpy(w.gust_time / 8.0)
+        gusts_of = BatchedDrydenGust(1 / RATE, still, still + 1.0, altitude)
+        path = np.array([gusts_of.update(0.0, None).numpy() for _ in range(ticks)]) * [1.0, 1.0, 0.0]
+    return path / path[:, :, :2].std() * w.gust[:, None]
+
+
+def heard(rng, ticks: int, w: World) -> np.ndarray:
+    """The period (ticks, n) whose command is in effect, when each arrives up to `command_jitter` [s] late."""
+    sent, periods = np.arange(0, ticks, _HELD), np.arange(ticks)
+    late_by = rng.uniform(0.0, 1.0, (len(sent), len(w.command_jitter))) * w.command_jitter * RATE
+    arrives = np.maximum.accumulate(sent[:, None] + np.round(late_by), axis=0)
+    last = np.column_stack([np.searchsorted(one, periods, side="right") for one in arrives.T])
+    # As many commands behind as have not arrived yet.
+    behind = periods[:, None] // _HELD - np.maximum(last - 1, 0)
+    return np.maximum(periods[:, None] - behind * _HELD, 0)
+
+
+def late(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:
+    """Rows of history (ticks, n, m) at period k (one, or (n,)), `delay` (n,) [s] ago; linear in between."""
+    at = np.maximum(k - delay * RATE, 0.0)
+    before = np.floor(at + 1e-9).astype(int)
+    part, flight = np.maximum(at - before, 0.0)[:, None], np.arange(len(delay))
+    after = np.minimum(before + 1, np.maximum(k, before))
+    return (1.0 - part) * history[before, flight] + part * history[after, flight]
+
+
+def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Product of quaternions (n, 4), scalar last as in RotorPy."""
+    return (Rotation.from_quat(p) * Rotation.from_quat(q)).as_quat()
+
+
+def turn(yaw, roll, pitch) -> np.ndarray:
+    """Quaternion (n, 4) of Rz(yaw) Rx(roll) Ry(pitch)."""
+    return Rotation.from_euler("ZXY", np.column_stack([yaw, roll, pitch])).as_quat()
+
+
+def angles(q: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw (n, 3) of Rz Rx Ry."""
+    return Rotation.from_quat(q).as_euler("ZXY")[:, [1, 2, 0]]
