@@ -31,18 +31,14 @@ def command(
         console.print(_sheet(LIBRARY[name]))
 
 
-def _numbers(effect: Effect) -> str:
-    """Return the plausible size of every parameter."""
-    return "\n".join(f"{p.name} {p.plausible:g} {'' if p.unit == '1' else p.unit}" for p in effect.parameters)
-
-
 def _overview() -> Table:
     """Return a table of all effects."""
     table = Table(box=None, header_style="bold")
     for title in ("effect", "formula", "a plausible size", "shows in"):
         table.add_column(title, no_wrap=title == "effect", overflow="fold")
     for effect in LIBRARY.values():
-        table.add_row(effect.name, effect.formula, _numbers(effect), ", ".join(effect.regimes))
+        sizes = (f"{p.name} {p.plausible:g} {'' if p.unit == '1' else p.unit}" for p in effect.parameters)
+        table.add_row(effect.name, effect.formula, "\n".join(sizes), ", ".join(effect.regimes))
     return table
 
 

@@ -38,7 +38,6 @@ from inclined_landing.eval.gap.result import (
     marginal,
 )
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.equations import derivative
@@ -68,25 +67,27 @@ def diagnose(
     Raises UserError when no flight can be used.
     """
     clock, vehicle = _Stopwatch(), as_vehicle(vehicle)
-    if platform is None:
-        platform = any(log.contact is not None and log.contact.any() for log in as_logs(flights))
+
     # Which flights can be used, and which effects can they show?
     use = usable_flights(flights, heldout, vehicle, platform)
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
     problem = Problem.of(use.fitted, vehicle, candidates, reference)
     notes = [*use.notes, *_data_notes(problem), *unidentifiable]
     clock("prepare")
+
     # How probable is every set of effects? In a strong wind the attitude loops are not judged.
     found = search(*estimate_noise(problem))
     if problem.logged[:, 3:5].any() and steady_force(problem, found.values) > thresholds.STRONG_WIND:
-        use, notes = use.without_angle_commands(vehicle, platform), [*notes, _IN_WIND]
+        use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
         found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
     inconsistent = inconsistent_flights(found.problem, found.linear, found.joint)
     clock("sets")
+
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
     values = useful_values(found, relevant_values(found))
     effects, correction = named_effects(found, values), corrected(found, values)
     clock("names")
+
     # How wrong are predictions before and after, and does anything else repeat?
     evaluation = Evaluation.of(found, correction, use.judged)
     ahead = open_loop_errors(found, correction, evaluation, effects, plants, curves)
@@ -94,6 +95,7 @@ def diagnose(
     clock("errors")
     contact = contact_answer(use, vehicle, correction.vehicle, candidates)
     clock("touchdown")
+
     posterior = contact.sets(scored_sets(found))
     effects = tuple(
         dataclasses.replace(e, probability=marginal(posterior, e.members))
@@ -115,7 +117,7 @@ def diagnose(
         horizon=ahead.horizon,
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
-        platform=platform,
+        platform=use.platform,
         flights=tuple(f.name for f in use.fitted),
         heldout=tuple(f.name for f in evaluation.problem.flights),
         seconds=clock.spent,

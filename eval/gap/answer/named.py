@@ -39,6 +39,8 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
     before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
     members = {name: (name, *confounded_with(found, name)) for name in values}
     slow = [f.name for f in problem.flights if not f.shows_lags]
+    which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(slow)})" if slow else ""
+    too_slow = f"{which} do not distinguish lags: log 50 or more."
     unresolved = {name: bool(slow) and problem.library[name].is_lag for name in values}
     effects = [
         NamedEffect(
@@ -48,18 +50,12 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
             parameters=sizes[name],
             gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
             remedy=problem.library[name].remedy,
-            note=_too_slow(slow) if unresolved[name] else "",
+            note=too_slow if unresolved[name] else "",
             unresolved=unresolved[name],
         )
         for name in values
     ]
     return tuple(sorted(effects, key=lambda e: -e.gain))
-
-
-def _too_slow(flights: Sequence[str]) -> str:
-    """Return a sentence on flights recorded at too low a rate to distinguish lags."""
-    which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(flights)})"
-    return f"{which} do not distinguish lags: log 50 or more."
 
 
 def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:

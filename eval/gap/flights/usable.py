@@ -7,7 +7,6 @@ name.
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -47,7 +46,9 @@ def read_flights(
     every = [*files, *heldout]
     check_apart(every)
     logs = []
-    for file, name in zip(every, _names(every)):
+    stems = [shown(Path(file).name).removesuffix(".gz").removesuffix(".csv") for file in every]
+    for file, stem in zip(every, stems):
+        name = stem if stems.count(stem) == 1 else f"{shown(Path(file).parent.name)}/{stem}"
         tick(name)
         logs.append(read_log(file, mapping=mapping, units=given, name=name))
     together = check_fleet(logs)
@@ -67,16 +68,6 @@ def check_apart(*groups: Sequence[str]) -> None:
             raise UserError(f"{file} is given more than once; fit and judgement need different flights")
 
 
-def _names(files: Sequence[str]) -> list[str]:
-    """Return the file names without suffix; with their folder where two are equal."""
-
-    def stem(file: str) -> str:
-        return shown(Path(file).name).removesuffix(".gz").removesuffix(".csv")
-
-    count = Counter(map(stem, files))
-    return [stem(f) if count[stem(f)] == 1 else f"{shown(Path(f).parent.name)}/{stem(f)}" for f in files]
-
-
 @dataclasses.dataclass(frozen=True)
 class UsableFlights:
     """Flights to fit and flights to judge on, as logs and cut into windows, and those that cannot be used."""
@@ -87,32 +78,35 @@ class UsableFlights:
     judged: list[MeasuredFlight]  # of `heldout`
     set_aside: tuple[SetAside, ...]
     notes: tuple[str, ...]
+    platform: bool  # the slab of the vehicle file stands in the arena
 
-    def without_angle_commands(self, vehicle: Vehicle, platform: bool) -> UsableFlights:
+    def without_angle_commands(self, vehicle: Vehicle) -> UsableFlights:
         """Return the flights as if their attitude commands were not known."""
         unknown = [1.0, np.nan, np.nan, 1.0]
         logs, heldout = (
             [dataclasses.replace(log, command=log.command * unknown) for log in some]
             for some in (self.logs, self.heldout)
         )
-        fitted, _ = prepare_all(logs, vehicle, platform)
-        judged, _ = prepare_all(heldout, vehicle, platform) if heldout else ([], ())
+        fitted, _ = prepare_all(logs, vehicle, self.platform)
+        judged, _ = prepare_all(heldout, vehicle, self.platform) if heldout else ([], ())
         return dataclasses.replace(self, fitted=fitted, judged=judged)
 
 
 def usable_flights(
-    flights: Sequence[FlightLog], heldout: Sequence[FlightLog], vehicle: Vehicle, platform: bool
+    flights: Sequence[FlightLog], heldout: Sequence[FlightLog], vehicle: Vehicle, platform: bool | None
 ) -> UsableFlights:
     """Return the flights that can be used, and the others, each with the reason why not.
 
-    platform: the slab of the vehicle file stands in the arena.
+    platform: the slab of the vehicle file stands in the arena; None: where a log has contacts.
     Raises UserError when none can be used, of those to fit or of those held out.
     """
+    if platform is None:
+        platform = any(log.contact is not None and log.contact.any() for log in as_logs(flights))
     logs, aside = set_aside(as_logs(flights), vehicle, platform)
     kept, kept_aside = set_aside(as_logs(heldout), vehicle, platform)
     fitted, notes = prepare_all(logs, vehicle, platform)
     judged, kept_notes = prepare_all(kept, vehicle, platform) if kept else ([], ())
-    return UsableFlights(logs, kept, fitted, judged, (*aside, *kept_aside), (*notes, *kept_notes))
+    return UsableFlights(logs, kept, fitted, judged, (*aside, *kept_aside), (*notes, *kept_notes), platform)
 
 
 def set_aside(

@@ -99,6 +99,12 @@ class _ErrorGrid:
         share = ((sizes - self.sizes[k]) / (self.sizes[k + 1] - self.sizes[k]))[:, None, None, None]
         return (1.0 - share) * self.errors[k] + share * self.errors[k + 1]
 
+    def slopes(self) -> np.ndarray:
+        """Return the Jacobian (n, 6, q) of the simulated motion at neutral, by a central difference."""
+        k = int(np.searchsorted(self.sizes, 0.0))
+        low, high = max(k - 1, 0), min(k + 1, len(self.sizes) - 1)
+        return -(self.errors[high] - self.errors[low]) / (self.sizes[high] - self.sizes[low])
+
     def with_one(self, size: float, errors: np.ndarray) -> _ErrorGrid:
         """Return the grid with the errors (n, 6, q) at one more size."""
         k = int(np.searchsorted(self.sizes, size))
@@ -140,7 +146,7 @@ class _ContactModel:
         self.spike = np.hypot(MODEL_ERROR * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
-        self.slopes = np.stack([self._slopes(scan) for scan in self.scans], axis=-1)  # (n, 6, q, P)
+        self.slopes = np.stack([scan.slopes() for scan in self.scans], axis=-1)  # (n, 6, q, P)
         everywhere = np.concatenate([scan.errors for scan in self.scans])
         nearest = everywhere[np.argmin(-_log_t(everywhere).sum(axis=(1, 2)))]
         self.inflation = inflation(nearest, self.slopes)
@@ -162,12 +168,6 @@ class _ContactModel:
         sizes = sorted({p.coordinate(p.bounded(x)) for x in grid} | {0.0})
         errors = [self._errors({**beside, j: x}) if beside or x else self.neutral for x in sizes]
         return _ErrorGrid(np.array(sizes), np.stack(errors))
-
-    def _slopes(self, scan: _ErrorGrid) -> np.ndarray:
-        """Return the Jacobian (n, 6, q) of the simulated motion at neutral, by a central difference."""
-        k = int(np.searchsorted(scan.sizes, 0.0))
-        low, high = max(k - 1, 0), min(k + 1, len(scan.sizes) - 1)
-        return -(scan.errors[high] - scan.errors[low]) / (scan.sizes[high] - scan.sizes[low])
 
     def _widths(self, named: set[int]) -> np.ndarray:
         """Return the prior standard deviations (P,): slabs for the set, spikes for the others."""
@@ -328,11 +328,9 @@ class _ContactModel:
             value = p.bounded(own[j])
             error = [p.bounded(own[j] + x) - value for x in known**-0.5]
             low, high = (p.bounded(x) for x in ends)
+            singles = np.array([p.bounded(x) for x in each])
             result[profile.name] = ContactEstimate(
-                value,
-                (min(low, value), max(high, value)),
-                np.array([p.bounded(x) for x in each]),
-                np.abs(error),
+                value, (min(low, value), max(high, value)), singles, np.abs(error)
             )
         return result
 

@@ -130,6 +130,8 @@ def _fit_set(
     new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
     for _ in range(NEWTON_STEPS):
         values = new
+        # The base model's errors stand twice in sets, as when the thresholds were chosen: their prior is
+        # twice as wide there as in the joint fit.
         columns = problem.columns([*problem.library, BASE, BASE]) + problem.form_columns(values)
         linear = problem.linearise(values, columns)
         local = LinearGaussian.of(problem, spread, linear, values)

@@ -132,8 +132,15 @@ class Problem(Candidates):
 
     @cached_property
     def group_of(self) -> np.ndarray:
-        """Return the group (w,) of every window."""
-        return _groups(self.flights)
+        """Return the group (w,) of every window: its flight, or part of it where there are few."""
+        most = 1 if len(self.flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(self.flights))
+        groups, offset = [], 0
+        for flight in self.flights:
+            n = len(flight.starts)
+            parts = min(most, n)
+            groups.append(offset + np.arange(n) * parts // n)
+            offset += parts
+        return np.concatenate(groups)
 
     @cached_property
     def groups(self) -> int:
@@ -297,18 +304,6 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], form_jacobian, axes=1)
 
 
-def _groups(flights: Sequence[MeasuredFlight]) -> np.ndarray:
-    """Return the group of every window: its flight, or part of it where there are few."""
-    most = 1 if len(flights) >= LEAST_GROUPS else -(-LEAST_GROUPS // len(flights))
-    groups, offset = [], 0
-    for flight in flights:
-        n = len(flight.starts)
-        parts = min(most, n)
-        groups.append(offset + np.arange(n) * parts // n)
-        offset += parts
-    return np.concatenate(groups)
-
-
 def identifiable_effects(
     library: Mapping[str, Effect], flights: Sequence[MeasuredFlight]
 ) -> tuple[dict[str, Effect], list[str]]:
@@ -321,10 +316,8 @@ def identifiable_effects(
             continue  # the speeds of the rotors are given
         if not requested and "requests" in effect.channels and effect.requires:
             continue  # as in most logs; a note for each would hide the others
-        why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()} - {
-            ""
-        }
-        if why:
+        why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()}
+        if why := why - {""}:
             others = ", ".join(effect.confused_with)
             notes += [f"{reason}: {name} is confounded with {others}" for reason in sorted(why)]
         else:
