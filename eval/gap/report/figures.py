@@ -43,6 +43,7 @@ CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
 WIDTH = 9.6  # inches, of a page
 SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
 PANEL = 3.6  # of three
+SMALL = 0.1  # of the motion, error of predictions that are drawn as such
 _ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the noise level, where the colour scale may end
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
@@ -198,22 +199,34 @@ def before_after(one: Track) -> list[Figure]:
 
 
 def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
-    """Draw the coordinate of the largest error before the correction, and predictions before or after it."""
+    """Draw the coordinate of the largest error before the correction, and predictions before or after it.
+
+    Where these errors are small beside the motion, they are drawn themselves.
+    """
     k = one.worst_axis
-    axis.plot(one.t, one.position[:, k], color=INK, linewidth=3.0, label="measured")
-    label = f"predicted {one.seconds:g} s ahead"
-    for t, p in zip(one.times, one.after if after else one.before):
-        axis.plot(t, p[:, k], color=AFTER if after else BEFORE, linewidth=1.5, label=label)
-        axis.plot(t[-1], p[-1, k], "o", color=AFTER if after else BEFORE, markersize=3)
-        label = ""
-    low, high = np.nanmin(one.position[:, k]), np.nanmax(one.position[:, k])
+    measured = [np.interp(t, one.t, one.position[:, k]) for t in one.times]
+    errors = np.concatenate([p[:, k] - x for x, p in zip(measured, one.before)])
+    span = max(np.ptp(one.position[:, k]), 0.1)
+    small = bool(np.abs(errors).max(initial=0.0) < SMALL * span)
+    position = np.zeros(len(one.t)) if small else one.position[:, k]
+    factor, colour = 100.0 if small else 1.0, AFTER if after else BEFORE
+    predicted = [
+        [p[:, k] - x if small else p[:, k] for x, p in zip(measured, which)]
+        for which in (one.before, one.after)
+    ]
+    axis.plot(one.t, factor * position, color=INK, linewidth=3.0, label="measured")
+    for j, (t, p) in enumerate(zip(one.times, predicted[after])):
+        label = None if j else f"predicted {one.seconds:g} s ahead"
+        axis.plot(t, factor * p, color=colour, linewidth=1.5, label=label)
+        axis.plot(t[-1], factor * p[-1], "o", color=colour, markersize=3)
     # All of the measurement, and of the predictions what lies within its range once more.
-    reach = np.concatenate([p[:, k] for p in (*one.before, *one.after)])
-    span = max(high - low, 0.1)
-    low = max(low - 0.8 * span, min(low, reach.min())) - 0.04 * span
-    high = min(high + 0.8 * span, max(high, reach.max())) + 0.04 * span
-    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(low, high), xlabel="time [s]")
-    axis.set_ylabel(f"{'xyz'[k]} [m]", labelpad=2)
+    reach = np.concatenate([p for which in predicted for p in which])
+    low, high, far = position.min(), position.max(), math.inf if small else 0.8 * span
+    ends = max(low - far, min(low, reach.min())), min(high + far, max(high, reach.max()))
+    margin = 0.04 * (ends[1] - ends[0])
+    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(factor * (ends[0] - margin), factor * (ends[1] + margin)))
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel(f"error in {'xyz'[k]} [cm]" if small else f"{'xyz'[k]} [m]", labelpad=2)
     axis.grid()
     axis.set_title("corrected model" if after else "model before", loc="left", pad=22, fontweight="bold")
     axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)

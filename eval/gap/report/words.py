@@ -161,7 +161,8 @@ def sentence(effect: NamedEffect) -> str:
     if len(parts) == 1 and (p := next(iter(parts.values()))).neutral == 1.0:
         factor = float(value(p))
         change = f"{abs(round(100 * (factor - 1)))} % {'higher' if factor > 1 else 'lower'} than modelled"
-        text = f"{title(effect)} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled'}"
+        name = title(effect) if is_ratio(effect) else label(effect.name)
+        text = f"{name} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled'}"
     else:
         text = LIBRARY[effect.name].says.format(**{name: value(p) for name, p in parts.items()})
     return text[0].upper() + text[1:] + "."
