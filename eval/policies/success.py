@@ -15,9 +15,11 @@ With ``--effects`` the frozen grid (or the random starts) alone, once for every 
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
@@ -51,7 +53,7 @@ Policies = Annotated[
     tyro.conf.arg(
         metavar="POLICY [...]",
         help=f"policy files, run folders or shipped policies ({', '.join(SHIPPED)}), each on its task; "
-        "LABEL=POLICY gives a name.",
+        "LABEL=POLICY gives a name, LABEL@VEHICLE=POLICY a vehicle too.",
     ),
     Meta(max_length=MOST_COMPARED),
 ]
@@ -114,17 +116,21 @@ def command(
         raise UserError("--effects are flown in still air with the thrust as it is: give them alone")
     if out is not None:
         runs.check_new_run(out)
-    loaded = {label: flown.load(policy) for label, policy in named_policies(policies).items()}
+    loaded, vehicles = {}, {}
+    for name, path in named_policies(policies).items():
+        vehicle = "" if name == Path(path).stem else name.partition("@")[2]
+        its = dataclasses.replace(flown, vehicle=Path(vehicle)) if vehicle else flown
+        loaded[name], vehicles[name] = its.load(path), str(its.vehicle or "crazyflie.toml")
     for policy in loaded.values():
-        vehicle = policy.task.vehicle
-        if disturbance and not any((*vehicle.disturbance_acceleration, *vehicle.disturbance_angular)):
+        air = policy.task.vehicle
+        if disturbance and not any((*air.disturbance_acceleration, *air.disturbance_angular)):
             raise UserError(
                 "--disturbance needs a --vehicle whose table [disturbance] is not all 0: this air is still"
             )
     options: dict[str, Any] = {"thrust_scales": scales, "effects": effects, "disturbance": disturbance}
     reports, flights = evaluate_all(loaded, plant=flown.plant, seed=seed, **options)
-    for report in reports.values():
-        report["vehicle"] = str(flown.vehicle or "crazyflie.toml")
+    for name, report in reports.items():
+        report["vehicle"] = vehicles[name]
     whole: dict[str, Any] = {"command": "success", "policies": reports, "versions": runs.versions()}
     (first, *others) = reports.values()
     runs.hand_over(

@@ -1,6 +1,7 @@
 """The numbers of the success table, from cases whose answers are known."""
 
 import dataclasses
+import functools
 import json
 import math
 import shutil
@@ -240,11 +241,13 @@ def test_setpoint_report_of_a_policy_that_hovers():
 
 @pytest.fixture
 def few(monkeypatch):
-    """Three effects and ten starts of the grid."""
+    """Three effects, ten starts of the grid and as many over slopes."""
     names = ("thrust_scale", "motor_lag", "platform_tilt")
     monkeypatch.setattr(success, "LIBRARY", {name: LIBRARY[name] for name in names})
     grid = landing_starts.grid()[::25]
     monkeypatch.setattr(landing_starts, "grid", lambda: grid)
+    some = functools.partial(landing_starts.over_slopes, every=25)
+    monkeypatch.setattr(landing_starts, "over_slopes", some)
 
 
 def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
@@ -315,11 +318,13 @@ def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
     run.mkdir()
     shutil.copy(load_policy("landing-nominal").path, run / "final.zip")
     arguments = ["--plant", "analytic", "--thrust-scale", "1", "0.9"]
-    names = ["landing-slopes", str(run), "any=landing-vehicles", "setpoint"]
+    names = ["landing-slopes", str(run), "big@hummingbird=landing-vehicles", "setpoint"]
     assert cli.main(["success", *names, *arguments, "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     report = json.loads((tmp_path / "out/success.json").read_text())
-    assert list(report["policies"]) == ["landing-slopes", "my-run", "any", "setpoint"]
+    assert list(report["policies"]) == ["landing-slopes", "my-run", "big@hummingbird", "setpoint"]
+    assert report["policies"]["big@hummingbird"]["vehicle"] == "hummingbird"
+    assert report["policies"]["my-run"]["vehicle"] == "crazyflie.toml"
     assert "my-run landed in" in printed and printed.splitlines()[-1].startswith("setpoint was")
     flights = pd.read_csv(tmp_path / "out/flights.csv")
     assert set(flights["condition"]) == {"thrust x 1", "thrust x 0.9"}
