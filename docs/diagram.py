@@ -55,7 +55,7 @@ _HIGH, _ROW = 0.62, 1.06
 @functools.cache
 def imports() -> tuple[tuple[str, str], ...]:
     """Pairs of boxes of which the first imports the second."""
-    graph = grimp.build_graph(ROOT, exclude_type_checking_imports=True)
+    graph = grimp.build_graph(ROOT)
     found = set()
     for module in graph.modules:
         for other in graph.find_modules_directly_imported_by(module):

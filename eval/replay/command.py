@@ -90,8 +90,7 @@ def command(
         policy = flown.load(source)
         where = start_points(start, policy.task) if start else policy.task.film_starts
         ready[source] = policy, choose_starts(policy.task, where, drawn, seed)
-    recordings: list[Recording] = []
-    notes: list[str] = []
+    recordings, notes = list[Recording](), list[str]()
     names = [shown(_name(source), 60) for source in sources]
     for source, name in zip(sources, names):
         if source in ready:
@@ -116,8 +115,8 @@ def command(
         print(note, file=sys.stderr)
     for recording in recordings:
         say(f"{recording.name}: {recording.outcome}")
-    count = len(recordings)
-    say(f"{out} shows {count} flight{'s' * (count != 1)}; open it in a browser.")
+    plural = "s" * (len(recordings) != 1)
+    say(f"{out} shows {len(recordings)} flight{plural}; open it in a browser.")
 
 
 def _is_policy(source: str) -> bool:
