@@ -100,3 +100,9 @@ LEAST_GAIN = 0.05  # nat, or probability of the right set, from which a flight i
 # larger: fewer flights, surer to decide. measured: -, docs/gap_plan.md has planned flights that were flown
 LEFT_IN_DOUBT = 0.5  # share of the doubt between two sets, above: a flight leaves them indistinguishable
 # larger: fewer pairs called so. measured: -
+
+
+def at_bound(value: float, bounds: tuple[float, float]) -> bool:
+    """Return whether a fitted value lies at one of its bounds: see AT_BOUND."""
+    low, high = bounds
+    return bool(min(value - low, high - value) <= AT_BOUND * (high - low))

@@ -137,7 +137,6 @@ def identify(
     reference, identifiable = _vehicle_posterior(problem, result)
     left_out = [problem.corrected(v) for v in leave_one_out(problem, local, names, values)]
     vehicles = [result] * len(use.judged) if use.judged else left_out
-    series = _compared_series(use.judged or use.fitted, vehicle, vehicles)
     sized = local.estimates(values)
     notes = [
         *map(summary_line, inconsistent),
@@ -156,10 +155,7 @@ def identify(
         reference=reference,
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
-        fit={
-            channel: {"before": nrmse_fit(measured, before), "after": nrmse_fit(measured, after)}
-            for channel, (measured, before, after) in series.items()
-        },
+        fit=_fits(use.judged or use.fitted, vehicle, vehicles),
         disturbance=disturbances(problem),
         fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
         flights=tuple(f.name for f in use.fitted),
@@ -210,8 +206,10 @@ def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(100.0 * (1.0 - np.linalg.norm(measured - predicted) / spread)) if spread > 0 else math.nan
 
 
-def _compared_series(flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]):
-    """Return channel -> (measured, before, after): velocity changes over FIT_HORIZON, open-loop angles."""
+def _fits(
+    flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
+) -> dict[str, dict[str, float]]:
+    """Return the fit in percent of every channel: velocity changes over FIT_HORIZON, open-loop angles."""
     parts: dict[str, list] = {}
     for flight, own in zip(flights, after):
         predictions = [predict(flight, v) for v in (before, own)]
@@ -227,7 +225,11 @@ def _compared_series(flights: list[MeasuredFlight], before: Vehicle, after: Sequ
         for k, angle in enumerate(("roll", "pitch")) if flight.has_angle_commands else ():
             series = [flight.attitude[:, k], *(p[:, 3 + k] for p in predictions)]
             parts.setdefault(angle, []).append([s[rows] for s in series])
-    return {c: tuple(np.concatenate(x) for x in zip(*rows)) for c, rows in parts.items()}
+    fits = {}
+    for channel, series in parts.items():
+        measured, *predicted = (np.concatenate(x) for x in zip(*series))
+        fits[channel] = {n: nrmse_fit(measured, p) for n, p in zip(("before", "after"), predicted)}
+    return fits
 
 
 def _half_width(problem: Problem, known: ParameterEstimate) -> float:
@@ -246,6 +248,9 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
         c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)
         ends = (float(np.clip(value + s * _half_width(problem, known), *p.bounds)) for s in (-1, 1))
         low, high = sorted(c.number(before, x) for x in ends)
+        note = "at its bound" if thresholds.at_bound(value, p.bounds) else ""
+        if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
+            note = "confounded with other lags at this sampling rate"
         result.append(
             Identified(
                 name=c.name,
@@ -256,17 +261,10 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
                 ci95=(low, high),
                 per_flight=tuple(c.number(before, float(x)) for x in value + known.deviation),
                 spread=known.between * abs(c.number(before, 2.0) - c.number(before, 1.0)),
-                note=_note(problem, effect, min(value - p.bounds[0], p.bounds[1] - value) < 1e-6),
+                note=note,
             )
         )
     return tuple(result)
-
-
-def _note(problem: Problem, effect: str, at_bound: bool) -> str:
-    """Return what a constant is to be read with; empty for nothing."""
-    if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
-        return "confounded with other lags at this sampling rate"
-    return "at its bound" if at_bound else ""
 
 
 def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iterator[Vehicle]:

@@ -190,7 +190,7 @@ def _estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estim
                 ci95=(max(low, value - half), min(high, value + half)),
                 neutral=p.neutral,
                 bounds=p.bounds,
-                at_bound=bool(min(value - low, high - value) <= thresholds.AT_BOUND * (high - low)),
+                at_bound=thresholds.at_bound(value, p.bounds),
                 per_flight=tuple(map(float, value + known.deviation)),
                 per_flight_error=tuple(map(float, known.alone)),
                 spread=known.between,

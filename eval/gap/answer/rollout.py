@@ -18,6 +18,7 @@ from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight,
 from inclined_landing.eval.gap.model.prediction import as_flown, delayed_commands, predict, without_delays
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
 from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
 from inclined_landing.models.errors import UserError
@@ -318,9 +319,10 @@ def measure_gap(
     Raises UserError when no flight has a usable stretch of that length.
     """
     vehicle = as_vehicle(vehicle)
-    if not flights:
+    logs = as_logs(flights)
+    if not logs:
         raise UserError("no flight given")
-    starts = RolloutWindows.of([prepare(f, vehicle, platform=platform) for f in flights], horizon)
+    starts = RolloutWindows.of([prepare(log, vehicle, platform=platform) for log in logs], horizon)
     error, translation = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {

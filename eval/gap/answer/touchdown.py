@@ -89,14 +89,14 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
         members = (name, *confounded_with(found, name))
         if found.probability(*members) < thresholds.NAMED:
             continue
-        (p,), (low, high) = problem.library[name].parameters, problem.library[name].parameters[0].bounds
+        (p,) = problem.library[name].parameters
         estimate = Estimate(
             value=sized.value,
             unit=p.unit,
             ci95=sized.ends,
             neutral=p.neutral,
             bounds=p.bounds,
-            at_bound=bool(min(sized.value - low, high - sized.value) <= thresholds.AT_BOUND * (high - low)),
+            at_bound=thresholds.at_bound(sized.value, p.bounds),
             per_flight=tuple(map(float, sized.each)),
             per_flight_error=tuple(map(float, sized.error)),
             spread=dersimonian_laird(sized.each, sized.error),

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
@@ -104,21 +105,16 @@ class VehiclePosterior:
 
     def with_new_effects(self, vehicle: Vehicle) -> VehiclePosterior:
         """Return the posterior with the slab priors of the effects that its identification did not know."""
-        new = Candidates.for_vehicle(
-            vehicle, {n: e for n, e in free_effects().items() if n not in self.library}
-        )
+        unknown = {n: e for n, e in free_effects().items() if n not in self.library}
+        new = Candidates.for_vehicle(vehicle, unknown)
         columns = new.columns(new.library)
         if not columns:
             return self
-        known = len(self.columns)
-        covariance = np.zeros((known + len(columns),) * 2)
-        covariance[:known, :known] = self.covariance
-        covariance[known:, known:] = slab_covariance(new, columns)
         return dataclasses.replace(
             self,
             columns=(*self.columns, *columns),
             mean=np.append(self.mean, np.zeros(len(columns))),
-            covariance=covariance,
+            covariance=block_diag(self.covariance, slab_covariance(new, columns)),
             library=frozenset(free_effects()),
         )
 
