@@ -25,7 +25,6 @@ ROOM = (
     *("platform_inclination", "platform_surface_height"),
 )
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
-Levels = tuple[float | None, float | None, float | None]  # noise, disturbance, its correlation time
 
 
 class _Set(Table, frozen=True):
@@ -77,36 +76,35 @@ class PlanInput:
     reference: VehiclePosterior  # posterior of the vehicle's identification
 
     @staticmethod
-    def of(d: Diagnosis, vehicle: Vehicle, reference: VehiclePosterior) -> PlanInput:
+    def of(report: Diagnosis | _Report, vehicle: Vehicle, reference: VehiclePosterior) -> PlanInput:
         """Return the input from a diagnosis; vehicle: the one diagnosed, reference: its posterior."""
-        levels = {channel: (x.noise, x.size, x.time) for channel, x in d.disturbance.items()}
-        on = [one.on for one in d.residual.depends_on] if d.verdict == "unknown" else []
-        return PlanInput._of(d.sets, d.unidentifiable_sets, levels, d.platform, on, vehicle, reference)
-
-    @staticmethod
-    def _of(
-        sets: Sequence[ScoredSet],
-        unidentifiable: Sequence[ScoredSet],
-        levels: Mapping[str, Levels],
-        platform: bool,
-        vary: Sequence[str],
-        vehicle: Vehicle,
-        reference: VehiclePosterior,
-    ) -> PlanInput:
         hypotheses: dict[tuple[str, ...], ScoredSet] = {}
-        for one in (*sets, *unidentifiable):
+        for one in (*report.sets, *report.unidentifiable_sets):
             names = tuple(n for n in one.effects if not LIBRARY[n].contact)
-            before = hypotheses.get(names, dataclasses.replace(one, effects=names, probability=0.0))
-            hypotheses[names] = dataclasses.replace(before, probability=before.probability + one.probability)
+            values = {n: one.values[n] for n in names}
+            same = hypotheses.get(names, ScoredSet(names, 0.0, values, one.standard_errors))
+            hypotheses[names] = dataclasses.replace(same, probability=same.probability + one.probability)
         probabilities: dict[str, float] = {}
-        for one in sets:
+        for one in report.sets:
             for name in one.effects:
                 probabilities[name] = probabilities.get(name, 0.0) + one.probability
-        for one in unidentifiable:  # the best set and one effect more, which has its prior odds
+        for one in report.unidentifiable_sets:  # the best set and one effect more, which has its prior odds
             probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
-        ranked = sorted(hypotheses.values(), key=lambda h: -h.probability)
+        typical = NoiseLevels.typical()
+        levels = np.array([typical.noise, typical.disturbance, typical.time])
+        for k, channel in enumerate(CHANNELS):
+            if channel in report.disturbance:
+                known = report.disturbance[channel]
+                for j, level in enumerate((known.noise, known.size, known.time)):
+                    levels[j, k] = levels[j, k] if level is None else level
         return PlanInput(
-            ranked, probabilities, vehicle, _noise_levels(levels), platform, tuple(vary), reference
+            hypotheses=sorted(hypotheses.values(), key=lambda h: -h.probability),
+            probabilities=probabilities,
+            vehicle=vehicle,
+            noise_levels=NoiseLevels(levels[0], levels[1], levels[2], typical.inflation),
+            platform=report.platform,
+            vary=tuple(d.on for d in report.residual.depends_on) if report.verdict == "unknown" else (),
+            reference=reference,
         )
 
 
@@ -131,39 +129,27 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     where = f"report {path}: "
     content = schema.parse({"platform": options.get("platform", False)} | data, _Report, where)
-    sets = _checked(content.sets, f"{where}sets")
-    if sum(h.probability for h in sets) <= 0.0:
+    _check(content.sets, f"{where}sets")
+    _check(content.unidentifiable_sets, f"{where}unidentifiable_sets")
+    if sum(one.probability for one in content.sets) <= 0.0:
         raise UserError(f"{where}no set has a probability above 0")
-    found = PlanInput._of(
-        sets,
-        _checked(content.unidentifiable_sets, f"{where}unidentifiable_sets"),
-        {channel: (x.noise, x.size, x.time) for channel, x in content.disturbance.items()},
-        content.platform,
-        [d.on for d in content.residual.depends_on] if content.verdict == "unknown" else [],
-        diagnosed,
-        read_reference(vehicle, diagnosed)[0],
-    )
+    found = PlanInput.of(content, diagnosed, read_reference(vehicle, diagnosed)[0])
     return found, None if same else vehicle
 
 
-def _checked(rows: Sequence[_Set], where: str) -> list[ScoredSet]:
-    """Return entries of a report as sets of known effects with values within their bounds."""
-    result = []
+def _check(rows: Sequence[_Set], where: str) -> None:
+    """Raise UserError for an unknown effect, or a value that is missing or out of bounds."""
     for k, row in enumerate(rows):
         what = f"{where}[{k}]"
         unknown = [n for n in row.effects if n not in LIBRARY]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        for name in row.effects:
-            if LIBRARY[name].contact:
-                continue
+        for name in (n for n in row.effects if not LIBRARY[n].contact):
             if name not in row.values:
                 raise UserError(f"{what}.values.{name} is missing")
             _check_parameters(f"{what}.values.{name}", name, row.values[name])
             errors = row.standard_errors.get(name, {})
             _check_parameters(f"{what}.standard_errors.{name}", name, errors, bounds=False)
-        result.append(ScoredSet(tuple(row.effects), row.probability, row.values, row.standard_errors))
-    return result
 
 
 def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds: bool = True) -> None:
@@ -176,13 +162,3 @@ def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds:
         if bounds and not low <= value <= high:
             unit = parameters[key].unit
             raise UserError(f"{where}.{key} is {value:g} {unit}; it must be from {low:g} to {high:g}")
-
-
-def _noise_levels(levels: Mapping[str, Levels]) -> NoiseLevels:
-    """Return noise and disturbance of the flights by channel; typical levels where there are none."""
-    typical = NoiseLevels.typical()
-    found = np.array([typical.noise, typical.disturbance, typical.time])
-    for k, channel in enumerate(CHANNELS):
-        for j, level in enumerate(levels.get(channel, ())):
-            found[j, k] = found[j, k] if level is None else level
-    return dataclasses.replace(typical, noise=found[0], disturbance=found[1], time=found[2])

@@ -246,31 +246,18 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Fi
         axis.axvspan(*(factor * np.array(p.ci95)), color=BLUE, alpha=0.18, linewidth=0)
         axis.axvline(factor * p.value, color=BLUE, linewidth=1.4)
         axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
-        _mark_neutral(axis, factor * p.neutral, unit)
+        low, high = axis.get_xlim()
+        if 2 * low - high < factor * p.neutral < 2 * high - low:  # else the table has it
+            axis.axvline(factor * p.neutral, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
         names = [literal(f) for f in flights[: len(y)]]
         name_rows(axis, [n if len(n) <= 12 else f"{n[:5]}…{n[-6:]}" for n in names], 8.5)
         axis.locator_params(axis="x", nbins=5)
         axis.grid(axis="y")
         what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
-        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), loc="left", pad=16)
+        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), loc="left")
         axis.set_xlabel(f"{label(name)} [{unit or 1}]", labelpad=1)
         figures.append(figure)
     return figures
-
-
-def _mark_neutral(axis: Axes, neutral: float, unit: str) -> None:
-    """Draw a dashed line at the nominal value; a note at the edge where that is far off."""
-    low, high = axis.get_xlim()
-    span = high - low
-    if low - span < neutral < high + span:
-        axis.axvline(neutral, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
-        return
-    right = neutral > high
-    text = f"nominal: {neutral:.3g} {unit}".rstrip()
-    x, text, side = (0.99, f"{text} →", "right") if right else (0.01, f"← {text}", "left")
-    style: dict[str, Any] = {"ha": side, "va": "bottom", "fontsize": 8.5, "color": MUTED}
-    axis.text(x, 1.02, text, transform=axis.transAxes, **style)
-    axis.set_xlim(low, high)
 
 
 def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:

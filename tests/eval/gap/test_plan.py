@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,8 +32,9 @@ THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 
 def plan_input(*hypotheses):
     """The input of a plan for a report with these sets."""
-    levels, reference = {}, VehiclePosterior.of_file(None, VEHICLE)
-    return PlanInput._of(hypotheses, (), levels, False, (), VEHICLE, reference)
+    report = SimpleNamespace(sets=hypotheses, unidentifiable_sets=(), disturbance={})
+    report.platform, report.verdict = False, "effects"
+    return PlanInput.of(report, VEHICLE, VehiclePosterior.of_file(None, VEHICLE))
 
 
 def gram(discrimination, setpoints):
