@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_hex
+from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.style import (
@@ -44,7 +44,6 @@ WIDTH = 9.6  # inches, of a page
 SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
 PANEL = 3.6  # of three
 SMALL = 0.1  # of the motion, error of predictions that are drawn as such
-_ENDS = (10.0, 30.0, 100.0, 300.0, 1000.0)  # times the noise level, where the colour scale may end
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
@@ -67,62 +66,36 @@ def where_tables(rows: Sequence[RegimeError]) -> dict[str, Any]:
 
     Cells are (text, background, ink); `scale` has the same for multiples of the noise level.
     """
-    if not rows:
-        return {}
-    regimes, channels = _axes_of(rows)
     cells = {(row.regime, row.channel): row for row in rows}
-    norm, last = _where_norm(rows)
-    lines = {
-        what: [[_cell(cells.get((r, c)), what, norm, last) for c in channels] for r in regimes]
-        for what in ("before", "after")
-    }
-    steps = [1.0, 3.0, *(end for end in _ENDS if end <= last)]
+    channels = [c for c in CHANNELS if any(row.channel == c for row in rows)]
+    lines: dict[str, list] = {"before": [], "after": []}
+    for regime in (r for r in REGIMES if any(row.regime == r for row in rows)):
+        name = f"{REGIMES[regime]} ({max(row.windows for row in rows if row.regime == regime)})"
+        for what in lines:
+            lines[what].append((name, [_cell(cells.get((regime, c)), what) for c in channels]))
+    units: dict[str, list[str]] = {}
+    for channel in channels:
+        unit = next(row.unit for row in rows if row.channel == channel)
+        units.setdefault(shown(unit)[1], []).append(channel)
     return {
         "channels": ["touch" if c == "touchdown" else c for c in channels],
-        "maps": [(what, list(zip(_regime_names(rows), cells))) for what, cells in lines.items()],
-        "scale": [(f"{times:g} ×", *_heat(times, norm, last)) for times in steps],
-        "units": _where_units(rows),
+        "maps": list(lines.items()),
+        "scale": [(f"{times} ×", *_heat(times)) for times in (1, 3, 10, 30, 100, 300)],
+        "units": "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items()),
     }
 
 
-def _heat(times: float, norm: LogNorm, last: float) -> tuple[str, str]:
+def _heat(times: float) -> tuple[str, str]:
     """Return background and ink of a cell whose error is so many times the noise level."""
-    share = float(norm(min(max(times, 1.0), last)))
+    share = float(np.clip(np.log(max(times, 1.0)) / np.log(300.0), 0.0, 1.0))
     return to_hex(_HEAT(share)), "#ffffff" if share > 0.62 else INK
 
 
-def _cell(row: RegimeError | None, what: str, norm: LogNorm, last: float) -> tuple[str, str, str]:
+def _cell(row: RegimeError | None, what: str) -> tuple[str, str, str]:
     if row is None or not math.isfinite(error := getattr(row, what)):
         return "–", "none", INK
     text = _number(shown(row.unit)[0] * error)
-    return (text, *_heat(error / row.floor, norm, last)) if row.floor > 0 else (text, "none", INK)
-
-
-def _regime_names(rows: Sequence[RegimeError]) -> list[str]:
-    """Return the names of the regimes with their number of windows."""
-    counts = {r: max(row.windows for row in rows if row.regime == r) for r in _axes_of(rows)[0]}
-    return [f"{REGIMES.get(r, label(r))} ({n})" for r, n in counts.items()]
-
-
-def _where_norm(rows: Sequence[RegimeError]) -> tuple[LogNorm, float]:
-    """Return one scale for all maps and its end, the first of _ENDS beyond the worst cell."""
-    worst = max((max(row.before, row.after) / row.floor for row in rows if row.floor > 0), default=1.0)
-    end = next((end for end in _ENDS if end >= worst), _ENDS[-1])
-    return LogNorm(1.0, end), end
-
-
-def _where_units(rows: Sequence[RegimeError]) -> str:
-    units: dict[str, list[str]] = {}
-    for channel in _axes_of(rows)[1]:
-        unit = next(row.unit for row in rows if row.channel == channel)
-        units.setdefault(shown(unit)[1], []).append(channel)
-    return "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items())
-
-
-def _axes_of(rows: Sequence[RegimeError]) -> tuple[list[str], list[str]]:
-    regimes = [r for r in REGIMES if any(row.regime == r for row in rows)]
-    regimes += sorted({row.regime for row in rows} - set(regimes))
-    return regimes, [c for c in CHANNELS if any(row.channel == c for row in rows)]
+    return (text, *_heat(error / row.floor)) if row.floor > 0 else (text, "none", INK)
 
 
 def _number(value: float) -> str:
