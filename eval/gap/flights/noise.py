@@ -210,17 +210,11 @@ def _fit_channel(flights, windows, channel: int, seed: int):
     total = table.sum(axis=0)
     size = _parabola_vertex(np.log(sizes), total[best[0], best[1]], best[2])
     time = _parabola_vertex(np.log(TIMES), total[:, best[1], best[2]], best[0])
+    factor = float(np.sqrt(NOISE_VARIANCES[best[1]]))
     if best[2] == 0:  # the smallest size of the grid: no disturbance
-        return (
-            0.0,
-            (0.0, float(size_ends[1])),
-            time,
-            tuple(time_ends),
-            float(np.sqrt(NOISE_VARIANCES[best[1]])),
-        )
+        return 0.0, (0.0, float(size_ends[1])), time, tuple(time_ends), factor
     ends = (min(size, size_ends[0]), max(size, size_ends[1]))
-    times = (min(time, time_ends[0]), max(time, time_ends[1]))
-    return size, ends, time, times, float(np.sqrt(NOISE_VARIANCES[best[1]]))
+    return size, ends, time, (min(time, time_ends[0]), max(time, time_ends[1])), factor
 
 
 def _simultaneous_modes(flight, windows: np.ndarray, channel: int):

@@ -86,11 +86,6 @@ class MeasuredFlight:
         return len(self.logged)
 
     @property
-    def has_yaw(self) -> bool:
-        """Return whether heading and yaw rate command were logged."""
-        return bool(self.logged[YAW])
-
-    @property
     def has_angle_commands(self) -> bool:
         """Return whether both attitude commands were logged."""
         return bool(self.logged[YAW - 2 : YAW].all())
@@ -103,7 +98,7 @@ class MeasuredFlight:
     @property
     def yaw_rate_command(self) -> np.ndarray | None:
         """Return the commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
-        return self.command[:, 3] if self.has_yaw else None
+        return self.command[:, 3] if self.logged[YAW] else None
 
     @property
     def pose(self) -> np.ndarray:
