@@ -278,6 +278,7 @@ def test_doctor_finds_a_missing_package(monkeypatch):
 # ---- benchmark
 
 
+@pytest.mark.slow
 def test_benchmark_rows(landing_policy, monkeypatch, capsys):
     monkeypatch.setattr(benchmark, "_REPEATS", 1)
     monkeypatch.setattr(benchmark, "_BLOCK", 2)

@@ -131,6 +131,7 @@ def test_what_an_extra_installs_is_named_with_the_remedy():
     assert re.fullmatch(rf"{library} {missing}\[train\]'", sb3)
 
 
+@pytest.mark.slow
 def test_training_needs_nothing_of_evaluation(tmp_path):
     evaluation = installed_by("eval") - installed_by("train")
     assert {"matplotlib", "pandas", "scipy", "rosbags", "PIL"} <= evaluation

@@ -320,7 +320,8 @@ def test_what_a_command_takes_is_measured_with_its_own_children(tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM, signal.SIGKILL]
+    "number",
+    [*(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
 )
 def test_commands_end_with_the_sweep(number, begun):
     Path("pretended.py").write_text("import os, time; print(os.getpid(), flush=True); time.sleep(60)")

@@ -194,7 +194,9 @@ def test_a_touchdown_comes_to_rest_by_its_own_command(name, policies):
     assert world.trace.touching[-1, 0] and np.linalg.norm(world.trace.state[-1, 3:6]) < 0.05
 
 
-@pytest.mark.parametrize(("name", "slope"), [("landing-3d", -15), ("landing-slopes", 10)])
+@pytest.mark.parametrize(
+    ("name", "slope"), [("landing-3d", -15), pytest.param("landing-slopes", 10, marks=pytest.mark.slow)]
+)
 def test_policies_of_any_slope_fly_over_that_of_the_arena(name, slope, tmp_path, capsys):
     words = ["fly", name, "--simulated", "--start=1.5,1.8", "--inclination", str(slope), "--seed=3"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0

@@ -128,7 +128,7 @@ def test_nothing_hidden(matched):
     "name, values",
     [
         ("rotor_drag", {"lateral": 2.0, "axial": 2.0}),
-        ("wind", {"x": 0.5, "y": -0.3}),
+        pytest.param("wind", {"x": 0.5, "y": -0.3}, marks=pytest.mark.slow),
         pytest.param("motor_lag", {"scale": 1.7}, marks=pytest.mark.slow),
         pytest.param("attitude_delay", {"delay": 0.03}, marks=pytest.mark.slow),
         pytest.param("mocap_delay", {"delay": 0.02}, marks=pytest.mark.slow),
@@ -148,6 +148,7 @@ def test_hidden_effect_is_named(name, values):
         assert estimate.ci95[0] < estimate.value < estimate.ci95[1]
 
 
+@pytest.mark.slow
 def test_two_hidden_effects_are_named():
     truth = {"rotor_drag": {"lateral": 2.0, "axial": 2.0}, "attitude_time_constant": {"scale": 0.7}}
     d = quick(flights(truth, seed=3))
@@ -249,6 +250,7 @@ def test_spread_between_flights():
     assert dersimonian_laird(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_one_flight_only_is_used_with_a_stated_limit(weak):
     d = quick(weak[:1])
     assert "thrust_scale" in d.effects[0].members
@@ -278,6 +280,7 @@ def test_constant_voltage_tells_nothing(weak):
     assert not any("battery_voltage" in e.members for e in d.effects)
 
 
+@pytest.mark.slow
 def test_measured_voltage_is_used():
     """A battery that falls by 0.3 V: the sensitivity is named, its reference free."""
     logs = flights(
@@ -333,13 +336,13 @@ def test_identification_recovers_the_attitude_loop():
 
 @pytest.fixture(scope="module")
 def flown_alike():
-    """Twelve flights of one vehicle of the independent simulator, and what the first six make of it."""
+    """Ten flights of one vehicle of the independent simulator, and what the first five make of it."""
     rng = np.random.default_rng(1)
     reality, charge = simulator.draw("cascade", rng), {"battery_voltage": (-0.15, 0.15)}
     logs = generate.logs(
-        generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=12, seconds=8.0), voltage=True
+        generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=10, seconds=8.0), voltage=True
     )
-    return logs, identify(logs[:6], VEHICLE)
+    return logs, identify(logs[:5], VEHICLE)
 
 
 def test_what_the_reference_never_met_is_no_error_of_it():
@@ -353,6 +356,7 @@ def test_what_the_reference_never_met_is_no_error_of_it():
     assert shares["ground_effect"] == 1.0 > shares["thrust_scale"] > 0.0
 
 
+@pytest.mark.slow
 def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
     """A loop that answers otherwise in a wind whose drag is 14 % of the weight: only wind is named."""
     hidden = {"wind": {"x": -6.0}}
@@ -373,8 +377,8 @@ def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
 @pytest.mark.parametrize(
     "part",
     [
-        pytest.param(slice(0, 6), marks=pytest.mark.slow, id="the same flights"),
-        pytest.param(slice(6, 12), id="other flights"),
+        pytest.param(slice(0, 5), marks=pytest.mark.slow, id="the same flights"),
+        pytest.param(slice(5, 10), id="other flights"),
     ],
 )
 def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike, part):
