@@ -59,7 +59,7 @@ class Surroundings:
             if self._clear([home, *points]):
                 return points
         a, b = (", ".join(f"{value:.2f}" for value in point) for point in (home, start))
-        raise UserError(f"there is no clear way over or beside the platform from {a} to {b} m")
+        raise UserError(f"no path clear of the platform leads from {a} to {b} m")
 
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
         """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""

@@ -17,7 +17,7 @@ from inclined_landing.models import storage
 HIDDEN = """# What is hidden in these flights: landing-eval gap should name these effects, with these sizes.
 thrust_scale = { scale = 0.9 }  # worn propellers
 rotor_drag = { lateral = 3.0, axial = 3.0 }  # a vehicle that is not streamlined
-ground_effect = { strength = 5.0 }  # a floor that nobody modelled
+ground_effect = { strength = 5.0 }  # a floor that the model lacks
 """
 
 

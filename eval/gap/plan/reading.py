@@ -12,7 +12,7 @@ from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.result import VERSION, Diagnosis, ScoredSet
+from inclined_landing.eval.gap.result import VERSION, Diagnosis, ScoredSet, marginal
 from inclined_landing.models import schema, storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError, shown
@@ -84,10 +84,8 @@ class PlanInput:
             values = {n: one.values[n] for n in names}
             same = hypotheses.get(names, ScoredSet(names, 0.0, values, one.standard_errors))
             hypotheses[names] = dataclasses.replace(same, probability=same.probability + one.probability)
-        probabilities: dict[str, float] = {}
-        for one in report.sets:
-            for name in one.effects:
-                probabilities[name] = probabilities.get(name, 0.0) + one.probability
+        sets = [ScoredSet(tuple(s.effects), s.probability, s.values, s.standard_errors) for s in report.sets]
+        probabilities = {name: marginal(sets, (name,)) for one in sets for name in one.effects}
         for one in report.unidentifiable_sets:  # the best set and one effect more, which has its prior odds
             probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
         typical = NoiseLevels.typical()

@@ -73,9 +73,11 @@ def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
     found = effects_in_doubt(plan_input, discrimination, expected)
     lines, worth = [in_doubt(found)] if found else [], gain >= thresholds.LEAST_GAIN
     least = max(thresholds.LEFT_IN_DOUBT, min((one.left for one in found), default=0.0) + 0.01)
-    told = listed([label(one.name) for one in found if one.left < least], "or")
-    if told and worth:
-        lines.append(f"A flight tells whether the model lacks {told}: {piece.text}, again and again.")
+    shown = listed([label(one.name) for one in found if one.left < least], "or")
+    if shown and worth:
+        lines.append(
+            f"A flight helps to show whether the model lacks {shown}: {piece.text}, again and again."
+        )
     return " ".join([*lines, *measured_otherwise(found)]), worth or bool(plan_input.vary)
 
 
@@ -138,9 +140,9 @@ def why_near(plan: Plan) -> list[str]:
     what = set_label(plan.discrimination.hypotheses[k])
     surface = "slope" if low.kind == "slope_hover" else "floor"
     return [
-        f"It goes down to {low.height:.2f} m above the {surface}, since {what} cannot be told higher up: if "
-        f"the model lacks that, its expected probability is {probability(with_it[k])}, without going there "
-        f"{probability(without[k])}."
+        f"It goes down to {low.height:.2f} m above the {surface}, since {what} cannot be identified higher "
+        f"up: if the model lacks that, its expected probability is {probability(with_it[k])}, without going "
+        f"there {probability(without[k])}."
     ]
 
 

@@ -174,7 +174,7 @@ def before_after(one: Track) -> list[Figure]:
 def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     """Draw the coordinate of the largest error before the correction, and predictions before or after it.
 
-    Where these errors are small beside the motion, they are drawn themselves.
+    Where these errors are small compared with the motion, they are drawn themselves.
     """
     k = one.worst_axis
     measured = [np.interp(t, one.t, one.position[:, k]) for t in one.times]

@@ -202,7 +202,7 @@ def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
     assert near and max(piece.height for piece in near) > 0.1
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
     (said,) = words.why_near(low)
-    assert "since ground effect cannot be told higher up" in said
+    assert "since ground effect cannot be identified higher up" in said
 
 
 def test_what_is_promised_is_that_of_the_closed_loop(plan):
@@ -329,7 +329,7 @@ def test_the_short_text_names_a_piece_the_scale_or_nothing():
         return words.most_informative_flight(plan_input(*hypotheses))
 
     text, worth = said(DRAG, BODY)
-    assert worth and "A flight tells whether the model lacks rotor drag or body drag:" in text
+    assert worth and "A flight helps to show whether the model lacks rotor drag or body drag:" in text
     text, worth = said(MASS, THRUST)
     assert not worth and "No flight tells mass and thrust scale apart. Weigh the vehicle" in text
     decided = dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)
