@@ -75,7 +75,15 @@ def command(
         with runs.staged_run(out) as folder:
             save_figure(picture, folder / "gap.png")
             model.write(d, nominal, folder, base=source.vehicle)
-            run.write(folder, "gap", html, d.to_json() | {"flight": flight}, source, began, versions)
+            run.write(
+                folder,
+                "gap",
+                html,
+                d.to_json() | {"summary": words.how_much(d), "flight": flight},
+                source,
+                began,
+                versions,
+            )
         written = out
     finally:
         terminal.show(d, notes, written, flight, following if written else "")

@@ -29,14 +29,7 @@ from inclined_landing.eval.gap.infer.sets import search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import (
-    Diagnosis,
-    NamedEffect,
-    ResidualAnalysis,
-    Touchdowns,
-    Verdict,
-    marginal,
-)
+from inclined_landing.eval.gap.result import Diagnosis, Verdict, marginal
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -101,8 +94,8 @@ def diagnose(
         dataclasses.replace(e, probability=marginal(posterior, e.members))
         for e in (*ahead.effects, *contact.effects)
     )
-    return Diagnosis(
-        verdict=_verdict(effects, residual, contact.touchdowns),
+    answer = Diagnosis(
+        verdict="nothing",
         set_aside=use.set_aside,
         inconsistent_flights=inconsistent,
         effects=effects,
@@ -122,7 +115,10 @@ def diagnose(
         heldout=tuple(f.name for f in evaluation.problem.flights),
         seconds=clock.spent,
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
+        reference=reference.errors if reference else None,
+        displacements=ahead.displacements,
     )
+    return dataclasses.replace(answer, verdict=_verdict(answer))
 
 
 # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that no
@@ -133,13 +129,21 @@ _IN_WIND = (
 )
 
 
-def _verdict(
-    effects: Sequence[NamedEffect], residual: ResidualAnalysis, touchdowns: Touchdowns | None
-) -> Verdict:
-    """Return `unknown` where something repeats that no effect explains; else whether effects are named."""
-    if residual.unexplained or (touchdowns is not None and touchdowns.unexplained):
+def _verdict(d: Diagnosis) -> Verdict:
+    """Return the verdict of a diagnosis.
+
+    `unknown` where more repeats than was explained; else `effects` where some are named; else `undecided`
+    where effects of sizes that matter are probable; `nothing` where the errors are those of the reference.
+    """
+    if d.touchdowns is not None and d.touchdowns.unexplained:
         return "unknown"
-    return "effects" if effects else "nothing"
+    if d.residual.unexplained and (not d.effects or d.residual.repeats > d.explained):
+        return "unknown"
+    if d.effects:
+        return "effects"
+    if d.probability(*d.likely) >= thresholds.UNDECIDED:
+        return "undecided"
+    return "unknown" if d.exceeds_reference else "nothing"
 
 
 def steady_force(candidates: Candidates, values: Values) -> float:

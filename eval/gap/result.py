@@ -13,7 +13,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.models import effects
 from inclined_landing.models.vehicle import Vehicle
 
-Verdict = Literal["effects", "nothing", "unknown"]
+Verdict = Literal["effects", "nothing", "unknown", "undecided"]
 VERSION = 1  # of report.json
 _DRAWN = {"corrected", "horizon"}  # not in report.json: the vehicle file, and curves of a figure
 
@@ -132,6 +132,11 @@ class ResidualAnalysis:
         """Return whether a material function of the residual is significant."""
         return any(map(self.material, self.depends_on))
 
+    @property
+    def repeats(self) -> float:
+        """Return the displacement [m] within a second by the largest material function; 0 for none."""
+        return max((d.displacement for d in self.depends_on if self.material(d)), default=0.0)
+
 
 @dataclasses.dataclass(frozen=True)
 class Touchdowns:
@@ -152,6 +157,29 @@ class Disturbance:
     time: float  # s, correlation time
     time_ci95: tuple[float, float]
     unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ReferenceErrors:
+    """What an identified vehicle leaves of its flights, each left out of the fit in turn, or of others."""
+
+    error: float  # m, open-loop position error one second ahead
+    floor: float  # m, that of the measurement noise alone
+    disturbance: Mapping[str, Disturbance]  # channel -> noise and disturbance
+
+    def exceeded_by(self, error: float, floor: float) -> bool:
+        """Return whether an error one second ahead is larger; `floor`: that of its own measurement noise."""
+        return error > thresholds.LARGER_ERROR * max(self.error, floor)
+
+    def disturbed(self, disturbance: Mapping[str, Disturbance]) -> dict[str, float]:
+        """Return the channels whose disturbance is larger, by intervals too, and how many times as large."""
+        return {
+            channel: one.size / max(own.size, 1e-9)
+            for channel, one in disturbance.items()
+            if (own := self.disturbance.get(channel))
+            and one.size >= thresholds.LARGER_DISTURBANCE * own.size
+            and one.size_ci95[0] > own.size_ci95[1]
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,7 +259,7 @@ class Diagnosis:
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     horizon: tuple[HorizonCurve, ...]
     residual: ResidualAnalysis
-    gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty until `with_gap`
+    gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty where no flight has a usable second
     platform: bool  # the slab stood in the arena
     flights: tuple[str, ...]  # names of the flights fitted
     heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
@@ -247,6 +275,9 @@ class Diagnosis:
     estimated: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     # Fields of the vehicle that these change, with half-widths of their 95 % intervals.
     half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
+    reference: ReferenceErrors | None = None  # of the identified vehicle's own flights
+    # Of effects that were not named: m within a second, by their size in the most probable set with each.
+    displacements: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return the fitted parameter values: effect -> parameter -> value."""
@@ -271,6 +302,30 @@ class Diagnosis:
         )
         return {name: part for name, part in found if part >= thresholds.POSSIBLE}
 
+    @property
+    def likely(self) -> dict[str, float]:
+        """Return the possible effects whose size makes a share MATERIAL of the squared error."""
+        least = thresholds.MATERIAL * self.residual.error**2
+        return {n: part for n, part in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}
+
+    @property
+    def explained(self) -> float:
+        """Return the decrease [m] of the error one second ahead by the named effects."""
+        g = next(iter(self.gap.values()), None)
+        return max(0.0, g.before - g.after) if g and self.effects else 0.0
+
+    @property
+    def disturbed(self) -> dict[str, float]:
+        """Return the channels with a larger disturbance than in the reference's flights, and the ratio."""
+        return self.reference.disturbed(self.disturbance) if self.reference else {}
+
+    @property
+    def exceeds_reference(self) -> bool:
+        """Return whether error left or disturbances exceed those of the reference's flights."""
+        g = self.gap.get("analytic")
+        larger = self.reference is not None and g is not None and self.reference.exceeded_by(g.after, g.floor)
+        return larger or bool(self.disturbed)
+
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""
         shown = {**self.values(), **self.estimated}
@@ -282,6 +337,7 @@ class Diagnosis:
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained
+        record["disturbed"] = self.disturbed
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
             entry["material"] = self.residual.material(one)
         return {"version": VERSION, "nothing": self.nothing, "possible": self.possible} | record

@@ -70,6 +70,17 @@ USEFUL = 0.1  # growth of an error one second ahead, others fitted again, withou
 AT_BOUND = 1e-6  # share of a parameter's range, below: a fit is at its bound, its effect only possible
 # larger: more names only possible. measured: -
 
+# Undecided
+
+UNDECIDED = 0.5  # probability that an effect of a size that matters (MATERIAL) is missing, none being named
+# larger: fewer verdicts undecided, more causes under `nothing`. measured: -
+LARGER_ERROR = 1.4  # error one second ahead over that of the reference's flights: something is missing
+# larger: fewer false alarms in rougher flights, more causes under `nothing`. measured: -
+LARGER_DISTURBANCE = 2.0  # the same of a channel's disturbance, with separate 95 % intervals
+# larger: as LARGER_ERROR. measured: -
+WORSE = 0.05  # growth of an error on flights left out from which an identified vehicle is called worse
+# larger: worse vehicles offered without a word, fewer good ones doubted. measured: -
+
 # Unknown
 
 RESIDUAL = 0.02  # familywise rate of the sign-flip test: a function of the log predicts the residual
@@ -91,6 +102,9 @@ UNMET = 0.95  # the same, above: identification says nothing of it, and flights 
 # larger: fewer effects left to later flights. measured: -
 CORRELATED = 0.8  # posterior correlation, above: two effects of an identified vehicle are confounded
 # larger: shorter lists. measured: -
+
+FLOWN = 0.03  # share of the windows in a regime, below: a flight in it is asked for
+# larger: more flights asked for. measured: -
 
 # Planned flights
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import Correction
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
@@ -46,7 +47,8 @@ class OpenLoopErrors:
     effects: tuple[NamedEffect, ...]  # with what each costs
     error: float = math.nan  # m, of the position after the longest horizon, corrected
     horizon: tuple[HorizonCurve, ...] = ()
-    gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant
+    gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
+    displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
     notes: tuple[str, ...] = ()
 
 
@@ -71,8 +73,26 @@ def open_loop_errors(
     if curves:
         horizon = _horizon(problem, starts, effects, after, floor, correction.again)
     vehicles = after if evaluation.left_out else correction.vehicle
-    gap = {plant: rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor) for plant in plants}
-    return OpenLoopErrors(effects, error, horizon, gap)
+    gap = {
+        plant: rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
+        for plant in dict.fromkeys(("analytic", *plants))
+    }
+    return OpenLoopErrors(effects, error, horizon, gap, displacements=_displacements(found, starts, effects))
+
+
+def _displacements(
+    found: SetPosterior, starts: rollout.RolloutWindows, effects: Sequence[NamedEffect]
+) -> dict[str, float]:
+    """Return possible effect -> displacement [m] within a second by its size in the best set with it."""
+    problem, named = found.problem, {n for e in effects for n in e.members}
+    plain, result = rollout.simulate(starts, problem.vehicle), {}
+    for name in problem.library:
+        if name in named or found.probability(name) < thresholds.POSSIBLE:
+            continue
+        best = max((one for one in found.sets if name in one.names), key=lambda one: one.probability)
+        moved = rollout.simulate(starts, problem.corrected({name: best.values[name]}))
+        result[name] = float(rollout.position_error(moved, plain)[-1])
+    return result
 
 
 def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.usable import usable_flights
-from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
     estimate_noise,
     field_half_widths,
@@ -29,13 +30,20 @@ from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEs
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
-from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
-from inclined_landing.eval.gap.result import VERSION, Disturbance, InconsistentFlights, SetAside
+from inclined_landing.eval.gap.result import (
+    VERSION,
+    Disturbance,
+    InconsistentFlights,
+    ReferenceErrors,
+    SetAside,
+)
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.effects import LIBRARY, FittedConstant
+from inclined_landing.models.effects import LIBRARY, Effect, FittedConstant
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -79,12 +87,21 @@ class Identification:
     parameters: tuple[Identified, ...]
     identifiable: tuple[Identifiable, ...]  # best identified first
     fit: dict[str, dict[str, float]]  # channel -> {"before", "after"}: NRMSE fit [%] on flights left out
+    # Open-loop position error [m] one second ahead on these: before, after, floor; empty for no such stretch.
+    ahead: dict[str, float]
+    regimes: dict[str, float]  # share of the windows in each
+    kept: tuple[str, ...]  # effects left as they were: fitted, flights left out are predicted worse
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
     fields: dict[str, tuple[float, ...] | float]  # changed Vehicle field -> half-width of its interval
     flights: tuple[str, ...]
     notes: tuple[str, ...]
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()
     set_aside: tuple[SetAside, ...] = ()
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """Return the channels, or `position`, in which flights left out are predicted worse than before."""
+        return worse_channels(self.fit, self.ahead)
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
@@ -94,6 +111,10 @@ class Identification:
             "parameters": [dataclasses.asdict(p) for p in self.parameters],
             "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
             "fit": self.fit,
+            "ahead": self.ahead,
+            "worse": self.worse,
+            "kept": self.kept,
+            "regimes": self.regimes,
             "disturbance": {channel: dataclasses.asdict(d) for channel, d in self.disturbance.items()},
             "fields": self.fields,
             "flights": self.flights,
@@ -123,21 +144,21 @@ def identify(
         {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by)}, use.fitted
     )
     problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
-    names = frozenset(problem.library)
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
     joint = {n: joint[n] for n in problem.library}
     joint = fit_least_squares(problem, joint, prior=slab_deviations).values
-    columns = problem.columns([*problem.library, BASE])
-    linear = problem.linearise(joint, columns)
+    linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
     inconsistent = inconsistent_flights(problem, linear, joint)
-    spread = Spread.of(problem, linear)
-    values, _ = fit_vehicle(problem, spread, joint, names)
-    local = LinearGaussian.of(problem, spread, problem.linearise(values, columns), values)
-    result = _without_place(problem, values)
+    fitted = _Fit.of(problem, joint, use.judged)
+    kept = [n for n, e in library.items() if _acts_on(e, fitted.worse)]
+    if kept:  # does it help to leave them as they were?
+        fewer = _Fit.of(
+            _with_library(problem, {n: e for n, e in library.items() if n not in kept}), joint, use.judged
+        )
+        fitted, kept = (fewer, kept) if len(fewer.worse) < len(fitted.worse) else (fitted, [])
+    problem, values, result = fitted.problem, fitted.values, fitted.vehicle
     reference, identifiable = _vehicle_posterior(problem, result)
-    left_out = [problem.corrected(v) for v in leave_one_out(problem, local, names, values)]
-    vehicles = [result] * len(use.judged) if use.judged else left_out
-    sized = local.estimates(values)
+    sized = fitted.local.estimates(values)
     notes = [
         *map(summary_line, inconsistent),
         *use.notes,
@@ -150,19 +171,96 @@ def identify(
     ]
     if not use.judged and len(use.fitted) < 2:
         notes.append("one flight only: the fit in percent is on the flight that was fitted")
+    disturbance = disturbances(problem)
+    if ahead := fitted.ahead:
+        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)
+        reference = dataclasses.replace(reference, errors=errors)
     return Identification(
         vehicle=result,
         reference=reference,
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
-        fit=_fits(use.judged or use.fitted, vehicle, vehicles),
-        disturbance=disturbances(problem),
+        fit=fitted.fit,
+        ahead=ahead,
+        regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
+        kept=tuple(kept),
+        disturbance=disturbance,
         fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
         flights=tuple(f.name for f in use.fitted),
         notes=tuple(notes),
         inconsistent_flights=inconsistent,
         set_aside=use.set_aside,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fit:
+    """The vehicle fitted to flights, and the errors of it and of the one before on flights left out."""
+
+    problem: Problem
+    values: FittedValues
+    local: LinearGaussian
+    vehicle: Vehicle
+    fit: dict[str, dict[str, float]]  # as of Identification
+    ahead: dict[str, float]
+
+    @staticmethod
+    def of(problem: Problem, start: Values, heldout: list[MeasuredFlight]) -> _Fit:
+        """Return the posterior mode; start: values to begin with; heldout: see `identify`."""
+        names, columns = frozenset(problem.library), problem.columns([*problem.library, BASE])
+        start = {n: start[n] for n in problem.library}
+        spread = Spread.of(problem, problem.linearise(start, columns))
+        values, _ = fit_vehicle(problem, spread, start, names)
+        local = LinearGaussian.of(problem, spread, problem.linearise(values, columns), values)
+        left_out = leave_one_out(problem, local, names, values)
+        vehicle, before = _without_place(problem, values), problem.vehicle
+        judged = heldout or list(problem.flights)
+        vehicles = [vehicle] * len(judged) if heldout else [_without_place(problem, v) for v in left_out]
+        fit, ahead = _fits(judged, before, vehicles), _errors_ahead(judged, before, vehicles)
+        return _Fit(problem, values, local, vehicle, fit, ahead)
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        return worse_channels(self.fit, self.ahead)
+
+
+def worse_channels(fit: Mapping[str, Mapping[str, float]], ahead: dict[str, float]) -> tuple[str, ...]:
+    """Return the channels, or `position`, in which the error on flights left out grew by WORSE."""
+    errors = {channel: {n: 100.0 - x for n, x in one.items()} for channel, one in fit.items()}
+    errors |= {"position": ahead} if ahead else {}
+    limit = 1.0 + thresholds.WORSE
+    return tuple(c for c, one in errors.items() if one["after"] > limit * one["before"])
+
+
+def _acts_on(effect: Effect, channels: Sequence[str]) -> bool:
+    """Return whether an effect acts on some of the channels: by thrust and air, or by the loops."""
+    angles = {"roll", "pitch"}
+    if "translation" in effect.channels:
+        return not angles.issuperset(channels)
+    return "attitude" in effect.channels and not angles.isdisjoint(channels)
+
+
+def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
+    """Return a problem with other effects and the same noise."""
+    return dataclasses.replace(
+        Problem.of(problem.flights, problem.vehicle, library, model_errors=1.0),
+        noise_model=problem.noise_model,
+        weight=problem.weight,
+        inflation=problem.inflation,
+    )
+
+
+def _errors_ahead(
+    flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
+) -> dict[str, float]:
+    """Return the open-loop position errors [m] one second ahead, as `Identification.ahead`."""
+    try:
+        starts = rollout.RolloutWindows.of(flights)
+    except UserError:
+        return {}
+    each = {"before": [before] * len(flights), "after": after}
+    errors = {n: float(rollout.errors_by_flight(starts, v)[0][-1]) for n, v in each.items()}
+    return errors | {"floor": float(rollout.noise_floor(starts, after[0])[-1])}
 
 
 def _without_place(problem: Problem, values: Values) -> Vehicle:
@@ -175,12 +273,7 @@ def _vehicle_posterior(
 ) -> tuple[VehiclePosterior, tuple[Identifiable, ...]]:
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
     library, _ = identifiable_effects(free_effects(), problem.flights)
-    around = dataclasses.replace(
-        Problem.of(problem.flights, vehicle, library, model_errors=1.0),
-        noise_model=problem.noise_model,
-        weight=problem.weight,
-        inflation=problem.inflation,
-    )
+    around = _with_library(dataclasses.replace(problem, vehicle=vehicle), library)
     reference = identified_reference(around)
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))

@@ -25,6 +25,7 @@ from inclined_landing.eval.gap.model.columns import (
     slab_covariance,
 )
 from inclined_landing.eval.gap.model.prediction import CHANNELS
+from inclined_landing.eval.gap.result import Disturbance, ReferenceErrors
 from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
@@ -32,7 +33,7 @@ from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
-VERSION = 2
+VERSION = 3  # 2 had no errors of the reference's flights
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 TARGETS = (*CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
@@ -93,6 +94,7 @@ class VehiclePosterior:
     # Effects of the library at its identification: those without a column were never met, and are no error.
     library: frozenset[str]
     from_flights: bool = True  # or from the uncertainties in a vehicle file
+    errors: ReferenceErrors | None = None  # None: not known
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; 0 where they met none."""
@@ -153,12 +155,13 @@ class VehiclePosterior:
                 for name, b in functions.bases.items()
             },
             "functions": [[*key, w.tolist()] for key, w in functions.weights.items()],
+            "errors": dataclasses.asdict(self.errors) if self.errors else None,
         }
 
     @staticmethod
     def from_json(table: dict) -> VehiclePosterior:
         """Return the posterior of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
-        if table["version"] != VERSION:
+        if table["version"] not in (2, VERSION):
             raise ValueError(f"version {table['version']!r}")
         columns = tuple(_column(*row) for row in table["columns"])
         mean, covariance = _numbers(table["mean"], 1), _numbers(table["covariance"], 2)
@@ -182,7 +185,9 @@ class VehiclePosterior:
             if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
                 raise ValueError(f"weights of {target} with {on}")
         library = frozenset(map(str, table.get("library", [c.effect for c in columns])))
-        return VehiclePosterior(columns, mean, covariance, ReferenceResidual(bases, weights), library)
+        return VehiclePosterior(
+            columns, mean, covariance, ReferenceResidual(bases, weights), library, errors=_errors(table)
+        )
 
 
 def free_effects() -> dict[str, Effect]:
@@ -248,6 +253,32 @@ def _column(effect: str, parameter: str, fixed, error: str) -> Column:
     if not error:
         return ParameterColumn(str(effect), str(parameter), tuple((str(n), float(x)) for n, x in fixed))
     return FormColumn(str(effect), str(error)) if effect else BaseColumn(str(error))
+
+
+def _errors(table: dict) -> ReferenceErrors | None:
+    """Return the errors of the reference's flights; None where the table has none."""
+    if table["version"] == 2 or table["errors"] is None:
+        return None
+
+    def number(value) -> float:
+        return float(_numbers(value, 0))
+
+    def interval(values) -> tuple[float, float]:
+        low, high = _numbers(values, 1)
+        return float(low), float(high)
+
+    disturbance = {
+        str(channel): Disturbance(
+            noise=number(row["noise"]),
+            size=number(row["size"]),
+            size_ci95=interval(row["size_ci95"]),
+            time=number(row["time"]),
+            time_ci95=interval(row["time_ci95"]),
+            unit=str(row["unit"]),
+        )
+        for channel, row in table["errors"]["disturbance"].items()
+    }
+    return ReferenceErrors(number(table["errors"]["error"]), number(table["errors"]["floor"]), disturbance)
 
 
 def _numbers(values, dimensions: int) -> np.ndarray:

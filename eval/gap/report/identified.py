@@ -23,6 +23,7 @@ from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields, 
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
 from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -30,13 +31,18 @@ _HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights
 
 
 def headline(found: Identification) -> str:
-    """Return how many constants differ from the nominal model, as a sentence."""
+    """Return how many constants differ from the nominal model, or in what the nominal one is better."""
+    if found.worse:
+        return (
+            f"The identified vehicle predicts {words.listed(found.worse)} of flights left out worse than the "
+            "nominal one: use the nominal one for that."
+        )
     n, changed = len(found.parameters), len(changed_parameters(found))
     return f"{changed or 'None'} of {n} constants differ{'s' * (changed == 1)} from the nominal model."
 
 
 def sentences(found: Identification) -> list[str]:
-    """Return the constants that differ, and the fit of the nominal and the identified model."""
+    """Return the constants that differ, the errors of both models, and which flights would help."""
     values = [
         f"{words.label(p.name)} {words.rounded(p.value, p.ci95, p.unit)} "
         f"(nominal {words.exact(p.before, p.unit)})"
@@ -46,9 +52,44 @@ def sentences(found: Identification) -> list[str]:
         f"{channel} {_percent(fit['after'])} (nominal {_percent(fit['before'])})"
         for channel, fit in found.fit.items()
     ]
+    lines = [f"{'They are' if len(values) > 1 else 'It is'} {words.listed(values)}."] if values else []
     paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
-    fit = f"Fit on flights left out: {', '.join(fits)}. {paper}"
-    return [f"{'They are' if len(values) > 1 else 'It is'} {words.listed(values)}.", fit] if values else [fit]
+    lines.append(f"Fit on flights left out: {', '.join(fits)}. {paper}")
+    if found.ahead:
+        before, after, floor = (words.centimetres(found.ahead[n]) for n in ("before", "after", "floor"))
+        lines.append(
+            f"Position error one second ahead on these: {after} (nominal {before}, noise alone {floor})."
+        )
+    if found.kept:
+        kept = words.listed([words.label(name) for name in found.kept])
+        lines.append(f"Fitted too, flights left out were predicted worse; left as they were: {kept}.")
+    helpful = missing_flights(found)
+    if found.worse and not helpful:
+        helpful = ["More and longer flights of all kinds would help."]
+    return lines + helpful
+
+
+# What excites the effects of a regime.
+_FLIGHTS = {
+    "hover": "Hover at several headings",
+    "climb": "Climb and descend fast",
+    "lateral": "Fly sideways, slowly and fast",
+    "attitude_step": "Command steps of roll and pitch",
+    "near_surface": "Hover at several heights above the floor",
+    "low_battery": "Fly a full and a half-empty battery",
+}
+
+
+def missing_flights(found: Identification) -> list[str]:
+    """Return a sentence on every regime that the flights lack: which effects it would identify better."""
+    rough, lines = [o.effect for o in found.identifiable if o.share > thresholds.ROUGH], []
+    for regime, text in _FLIGHTS.items():
+        names = {n for n in rough if regime in LIBRARY[n].regimes and not LIBRARY[n].told_by}
+        if names and found.regimes[regime] < thresholds.FLOWN:
+            names |= {n for n in rough if not names.isdisjoint(LIBRARY[n].confused_with)}
+            better = words.listed([words.label(n) for n in LIBRARY if n in names])
+            lines.append(f"{text}, to tell {better} better: these flights have little of it.")
+    return lines
 
 
 def changed_parameters(found: Identification) -> list[Identified]:
@@ -149,7 +190,9 @@ def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None 
     constants = new_table(None, *_HEADS)
     for row in rows(found.parameters):
         constants.add_row(*row)
-    answer = headline(found) + ("" if vehicle is None else f" It is {vehicle}.")
+    answer = headline(found)
+    if vehicle is not None:
+        answer += f" The file is {vehicle}." if found.worse else f" It is {vehicle}."
     print_answer(answer, sentences(found), constants, (*found.notes, *notes), found)
 
 

@@ -47,7 +47,7 @@ def page(
         "gap.html.j2",
         command="gap",
         title=words.headline(d),
-        lead=[text for text in (words.gain_sentence(d),) if text],
+        lead=[text for text in (words.how_much(d),) if text],
         caption=caption,
         answers=words.answers(d),
         flight=flight or words.possible_sentence(d),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap.result import (
@@ -196,14 +197,17 @@ def headline(d: Diagnosis) -> str:
     if not d.effects:
         if d.verdict == "unknown":
             return unknown[0].upper() + unknown[1:] + "."
+        if d.verdict == "undecided":
+            return f"Undecided: {_likely(d)}."
         how = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
             return f"Nothing is missing that all flights share{how}."
         if d.possible and d.nothing < 0.5:
             name, part = next(iter(d.possible.items()))
+            moved = centimetres(d.displacements.get(name, 0.0))
             return (
-                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but those left "
-                "out are predicted no better with it."
+                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but it moves "
+                f"the vehicle by {moved} within a second."
             )
         well = "the model explains these flights as well as noise and disturbances allow"
         return f"Nothing is missing{how}: {well}."
@@ -218,21 +222,53 @@ def headline(d: Diagnosis) -> str:
     return f"{text} In addition, {unknown}." if d.verdict == "unknown" else text
 
 
-def gain_sentence(d: Diagnosis) -> str:
-    """Return a sentence on the error before and after the correction; empty where it was not measured."""
-    if not d.gap:
-        return ""
-    g = next(iter(d.gap.values()))
-    before, after = centimetres(g.before), centimetres(g.after)
-    ahead = "one second" if f"{g.horizon:g}" == "1" else f"{g.horizon:g} s"
-    noise = f"measurement noise alone makes {centimetres(g.floor)}"
-    if before == after:
-        return f"The position error {ahead} ahead is {before}; {noise}."
-    change = "falls" if g.after < g.before else "grows"
-    it = "it" if len(d.effects) == 1 else "these"
-    return (
-        f"With {it} corrected, the position error {ahead} ahead {change} from {before} to {after}; {noise}."
-    )
+def _likely(d: Diagnosis) -> str:
+    """Return the most probable of the effects whose sizes matter, with these, as part of a sentence."""
+    lines = []
+    for name, part in list(d.likely.items())[:NAMES]:
+        values = next(one for one in d.sets if name in one.effects).values[name]
+        sizes = {n: quantity(x, LIBRARY[name].parameter(n).unit) for n, x in values.items()}
+        lines.append(f"{LIBRARY[name].says.format(**sizes)} ({probability(part)})")
+    return listed(lines, "or")
+
+
+def how_much(d: Diagnosis) -> str:
+    """Return sentences on the error one second ahead: how much was explained, is left, and repeats."""
+    lines = []
+    if d.gap:
+        g = next(iter(d.gap.values()))
+        before, after = centimetres(g.before), centimetres(g.after)
+        error = f"position error {'one second' if f'{g.horizon:g}' == '1' else f'{g.horizon:g} s'} ahead"
+        beside = f"noise alone {centimetres(g.floor)}"
+        if d.reference and "analytic" in d.gap:
+            beside = f"reference flights {centimetres(d.reference.error)}, {beside}"
+        if before == after:
+            lines.append(f"The {error} is {after} ({beside}).")
+        elif g.after < g.before:
+            share = f"{100.0 * (1.0 - g.after / g.before):.0f} %"
+            lines.append(f"Explained: {share} of the {error}, {before} to {after} ({beside}).")
+        else:
+            it = "it" if len(d.effects) == 1 else "these"
+            lines.append(f"With {it} corrected, the {error} grows from {before} to {after} ({beside}).")
+    material = [one for one in d.residual.depends_on if d.residual.material(one)]
+    if material:
+        most = max(material, key=lambda one: one.displacement)
+        repeats = f"Of what is left, {centimetres(most.displacement)} repeats from flight to flight"
+        lines.append(f"{repeats}: {axis(most)}, {_dependent_on(most.against)}.")
+    if d.disturbed:
+        times = listed([f"{channel} {ratio:.1f}" for channel, ratio in d.disturbed.items()])
+        lines.append(f"The disturbance is larger than in the reference flights: {times} times.")
+    if d.verdict == "undecided":
+        lines.append(
+            "landing-eval identify with these flights estimates all constants again, without a name."
+        )
+    return " ".join(lines)
+
+
+def _dependent_on(quantity: str) -> str:
+    """Return what a residual function depends on most: `0.25 s after a roll command`."""
+    past = re.fullmatch(r"(.*) ([\d.]+ s) ago", quantity)
+    return f"{past[2]} after a {past[1]}" if past else f"with the {quantity}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -375,7 +411,7 @@ def sentences(d: Diagnosis, flight: str = "") -> list[str]:
     lines = []
     for one in answers(d):
         lines.append(" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]))
-    lines += [flight or possible_sentence(d), *residual_sentences(d), gain_sentence(d)]
+    lines += [flight or possible_sentence(d), *residual_sentences(d), how_much(d)]
     return [text for text in lines if text]
 
 

@@ -497,6 +497,8 @@ def test_a_shipped_vehicle_that_was_identified_has_its_posterior(name):
         {"columns": 3},
         {"quantities": {"velocity": {"centre": [0.0]}}},
         {"quantities": {"velocity": None}},
+        {"errors": {"error": None, "floor": 0.0, "disturbance": {}}},
+        {"errors": {"error": 0.1, "floor": 0.0, "disturbance": {"z": {"size": 0.1}}}},
         {"functions": [["z", "velocity"]]},
         {"functions": [["z", "velocity", ["one"]]]},
     ],

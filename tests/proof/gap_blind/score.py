@@ -92,7 +92,8 @@ def _outcome(label, report, spurious, found, classes) -> str:
         return "failed"
     unknown = report["verdict"] == "unknown"
     if set(label["causes"]) <= set(DISTURBANCE):
-        return "false alarm" if spurious else "false unknown" if unknown else "right"
+        quiet = not unknown and report["verdict"] != "undecided"
+        return "false alarm" if spurious else "right" if quiet else "false unknown"
     if set(label["causes"]) & set(UNKNOWN):
         return "flagged" if unknown else "misnamed" if found else "missed"
     if not found:
