@@ -198,7 +198,8 @@ def headline(d: Diagnosis) -> str:
         if d.verdict == "unknown":
             return unknown[0].upper() + unknown[1:] + "."
         if d.verdict == "undecided":
-            return f"Undecided: {_likely(d)}."
+            names = [f"{label(name)} ({probability(part)})" for name, part in d.likely.items()]
+            return f"Undecided: {listed(names, 'or')}."
         how = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
             return f"Nothing is missing that all flights share{how}."
@@ -220,16 +221,6 @@ def headline(d: Diagnosis) -> str:
     if rest:
         text += f" Possibly also: {listed(rest, 'or')}."
     return f"{text} In addition, {unknown}." if d.verdict == "unknown" else text
-
-
-def _likely(d: Diagnosis) -> str:
-    """Return the most probable of the effects whose sizes matter, with these, as part of a sentence."""
-    lines = []
-    for name, part in list(d.likely.items())[:NAMES]:
-        values = next(one for one in d.sets if name in one.effects).values[name]
-        sizes = {n: quantity(x, LIBRARY[name].parameter(n).unit) for n, x in values.items()}
-        lines.append(f"{LIBRARY[name].says.format(**sizes)} ({probability(part)})")
-    return listed(lines, "or")
 
 
 def how_much(d: Diagnosis) -> str:
@@ -254,7 +245,7 @@ def how_much(d: Diagnosis) -> str:
     if material:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of what is left, {centimetres(most.displacement)} repeats from flight to flight"
-        lines.append(f"{repeats}: {axis(most)}, {_dependent_on(most.against)}.")
+        lines.append(f"{repeats}: {axis(most)}, {_dependence(most)}.")
     if d.disturbed:
         times = listed([f"{channel} {ratio:.1f}" for channel, ratio in d.disturbed.items()])
         lines.append(f"The disturbance is larger than in the reference flights: {times} times.")
@@ -265,10 +256,10 @@ def how_much(d: Diagnosis) -> str:
     return " ".join(lines)
 
 
-def _dependent_on(quantity: str) -> str:
-    """Return what a residual function depends on most: `0.25 s after a roll command`."""
-    past = re.fullmatch(r"(.*) ([\d.]+ s) ago", quantity)
-    return f"{past[2]} after a {past[1]}" if past else f"with the {quantity}"
+def _dependence(d: Dependence) -> str:
+    """Return what a function of the residual depends on: `0.25 s after a roll command`."""
+    past = re.fullmatch(r"(.* command) ([\d.]+ s) ago", d.against)
+    return f"{past[2]} after a {past[1]}" if past else f"depending on {d.on}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -290,8 +281,8 @@ class Answer:
 
 
 def answers(d: Diagnosis) -> list[Answer]:
-    """Return the named effects, then the material functions of the residual."""
-    found = []
+    """Return the named effects, or those among which it is undecided, then what material depends on."""
+    found = [_undecided(d, name) for name in d.likely] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         notes = tuple(text for text in (confounding_sentence(d, e), plain(e.note)) if text)
@@ -304,6 +295,24 @@ def answers(d: Diagnosis) -> list[Answer]:
             remedy = "landing-eval plan designs a more informative flight."
             found.append(Answer(name, how, (moved,), centimetres(one.displacement), remedy))
     return found
+
+
+def _undecided(d: Diagnosis, name: str) -> Answer:
+    """Return an effect that was not named, with its sizes in the most probable set that has it."""
+    effect, best = LIBRARY[name], next(one for one in d.sets if name in one.effects)
+    rows, sizes = [], {}
+    for p in (p for p in effect.parameters if p.name in best.values[name]):
+        value, half = (
+            best.values[name][p.name],
+            1.96 * best.standard_errors.get(name, {}).get(p.name, math.nan),
+        )
+        sizes[p.name] = rounded(value, (value - half, value + half), p.unit)
+        if not p.is_reference:
+            ends = interval((value - half, value + half), p.unit) if math.isfinite(half) else ""
+            rows.append((label(p.name), sizes[p.name], ends))
+    how, says = f"undecided, {probability(d.probability(name))}", effect.says.format(**sizes)
+    rows = rows if len(rows) > 1 else [("", *rows[0][1:])]
+    return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Perhaps, {says}.")
 
 
 def possible_sentence(d: Diagnosis) -> str:

@@ -227,9 +227,10 @@ def test_headlines_say_what_is_known_and_what_is_not():
         "Nothing to correct: wind (98 %) fits these flights, but it moves the vehicle by 0.0"
     )
     likely = dataclasses.replace(example("nothing"), verdict="undecided", displacements={"wind": 0.1})
-    assert words.headline(likely) == (
-        "Undecided: the air moves with 0.100 m/s along x and 0.00 m/s along y (10 %)."
-    )
+    assert words.headline(likely) == "Undecided: wind (10 %)."
+    (said,) = words.answers(likely)
+    assert said.says == "Perhaps, the air moves with 0.100 m/s along x and 0.00 m/s along y."
+    assert said.how == "undecided, 10 %"
     wind = dataclasses.replace(named("wind", {"x": 0.3, "y": 0.0}), probability=0.6)
     unsure = dataclasses.replace(example(), effects=(wind, example().effects[1]))
     assert words.headline(unsure).endswith("Possibly also: wind.")
