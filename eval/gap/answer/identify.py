@@ -170,7 +170,10 @@ def identify(
         ),
     ]
     if not use.judged and len(use.fitted) < 2:
-        notes.append("one flight only: the fit in percent is on the flight that was fitted")
+        notes.append(
+            "one flight only: all errors are on the flight that was fitted, and whether others are predicted "
+            "better is not known"
+        )
     disturbance = disturbances(problem)
     if ahead := fitted.ahead:
         errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)
