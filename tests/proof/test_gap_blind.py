@@ -157,6 +157,8 @@ SCALE = ("thrust_scale", ("thrust_scale",), {"scale": 0.9})
         ((), report(), "right"),
         ((), report(WIND), "false alarm"),
         ((), report(verdict="unknown"), "false unknown"),
+        ((), report(verdict="undecided"), "undecided"),
+        (("wind",), report(verdict="undecided"), "undecided"),
         (("updraft",), report(verdict="unknown"), "flagged"),
         (("updraft",), report(WIND, verdict="unknown"), "flagged"),
         (("updraft",), report(WIND), "misnamed"),
@@ -258,6 +260,48 @@ def test_table_counts_with_intervals():
     text = tables.markdown(results)
     assert "| single | 10 | 9 | 1 |" in text and "| cascade | 91 % [62, 98] |" in text
     assert "calibration error 0.100" in text
+
+
+def test_shares_over_all_strata():
+    """Every count of one case at a time: what it is a share of, and whether it is in it."""
+
+    def counted(label, report):
+        shares = tables.shares([score.score_case(label, report)])
+        wrong = shares.pop("wrong possible names per case")
+        parts = [(share["count"], share["of"]) for share in shares.values()]
+        return dict(zip(("sure", "quiet", "alone", "nothing", "outside", "beside", "held"), parts)), wrong
+
+    def sure(*named, **more):
+        answer = report(*named, **more)
+        for effect in answer["effects"]:
+            effect["sure"] = True
+        return answer
+
+    none, medium = label("nothing", ()), label(size="medium")
+    assert counted(none, report())[0] == dict.fromkeys(
+        ("sure", "alone", "outside", "beside", "held"), (0, 0)
+    ) | {
+        "quiet": (1, 1),
+        "nothing": (0, 1),
+    }
+    # Undecided is not quiet, and for a hidden cause no wrong answer of nothing.
+    assert counted(none, report(verdict="undecided"))[0]["quiet"] == (0, 1)
+    assert counted(medium, report(verdict="undecided"))[0]["nothing"] == (0, 0)
+    assert counted(medium, report())[0]["nothing"] == (1, 1)
+    assert counted(label(), report())[0]["nothing"] == (0, 1)  # a weak one may be missed
+    assert counted(label(hidden=("gust",), size="strong"), report())[0]["nothing"] == (0, 1)
+    # Sure and alone; a name that is not sure, or one beside that is spurious, is not.
+    found = counted(medium, sure(WIND))[0]
+    assert (found["alone"], found["sure"], found["beside"]) == ((1, 1), (0, 1), (0, 1))
+    assert counted(medium, report(WIND))[0]["alone"] == (0, 1)
+    found = counted(medium, sure(WIND, DRAG, verdict="unknown"))[0]
+    assert (found["alone"], found["sure"], found["beside"]) == ((0, 1), (1, 2), (1, 1))
+    assert counted(label(), sure(WIND))[0]["alone"] == (0, 0)
+    assert counted(label(hidden=("updraft",), size="medium"), report(verdict="unknown"))[0]["outside"] == (
+        1,
+        1,
+    )
+    assert counted(medium, report() | {"possible": {"wind": 0.5, "mass": 0.2, "yaw_loop": 0.1}})[1] == 2
 
 
 def test_labels_are_sealed_and_a_run_goes_on(tmp_path, monkeypatch):

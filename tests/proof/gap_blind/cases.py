@@ -10,6 +10,7 @@ The first are flown without the cause: `landing-eval identify` has them. The oth
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Sequence
 
@@ -26,12 +27,22 @@ from .causes import DISTURBANCE, FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
-# A family, and a set, whose flights are simulated by RotorPy, and the causes that it cannot have. Its loops
-# have no integral: with a centre of mass that is off it would stand 10 deg askew and fly away in steps.
-ROTORPY = "rotorpy"
-_ROTORPY_LACKS = {
-    *("spin_down", "axial_inflow", "ground_effect", "second_order_attitude"),
-    *("com_offset", "slung_load", "yaw_loss", "wall", "burst", *TOUCHDOWN),
+# Sets, and families, whose flights are simulated by others. RotorPy's loops have no integral: with a centre
+# of mass that is off it would stand 10 deg askew and fly away in steps.
+OTHERS = ("rotorpy", "crazyflow")
+_NONE_HAS = {
+    *("ground_effect", "second_order_attitude", "slung_load", "yaw_loss", "wall", "burst"),
+    *TOUCHDOWN,
+}
+_NO_DRAG = {"rotor_drag", "lateral_drag", "wind", "updraft", "gust", "slow_gust"}
+# The causes that a family cannot have.
+LACKS = {
+    "rotorpy": _NONE_HAS | {"spin_down", "axial_inflow", "com_offset"},
+    "crazyflow": _NONE_HAS,
+    "crazyflow first_principles": _NONE_HAS,
+    "crazyflow so_rpy_rotor_drag": _NONE_HAS | {"spin_down"},
+    "crazyflow so_rpy_rotor": _NONE_HAS | _NO_DRAG | {"spin_down"},
+    "crazyflow so_rpy": _NONE_HAS | _NO_DRAG | {"spin_down", "motor_lag"},
 }
 STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
@@ -139,10 +150,10 @@ class Case:
             spread = {} if "battery_sag" in self.causes else charge | drawn.spread
             hidden, usual = dataclasses.replace(drawn, spread=spread), Drawn({}, {}, spread=charge)
             groups = ((usual, IDENTIFY * self.identified), (hidden, count))
-            if self.family == ROTORPY:
-                from . import rotorpy_reality
+            if other := _other(self.family):
+                from .batch import fly_groups
 
-                flown = rotorpy_reality.fly_groups(groups, rng, self.reality, seconds)
+                flown = fly_groups(other.Flights, groups, rng, self.reality, seconds)
             else:
                 flown = [
                     generate.fly_all(one, rng, self.reality, count=n, seconds=seconds) for one, n in groups
@@ -159,7 +170,7 @@ def draw(
     seed: int | Sequence[int] = 0,
     name: str = "case",
 ) -> Case:
-    """A case of a stratum, in a reality of a family of the simulator, of one of SETS, or ROTORPY.
+    """A case of a stratum, in a reality of a family of the simulator, of one of SETS, or of OTHERS.
 
     Causes and size are drawn from the seed where they are not given. Raises ValueError for a cause that the
     family cannot have.
@@ -180,7 +191,8 @@ def draw(
         raise ValueError(f"the family {family} cannot have {', '.join(lacking)}")
     size = None if not hidden else size or str(rng.choice(SIZES if stratum == "single" else SIZES[1:]))
     drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
-    while not _flies(reality, drawn):
+    while not _can_have(reality, drawn):
+        reality = _fitted(_reality(chosen, rng), stratum, rng)
         drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
     # Many vehicles log their battery, whether or not it matters.
     logged = stratum != "touchdown" and "battery_sag" not in hidden and rng.uniform() < 0.4
@@ -219,18 +231,18 @@ def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tupl
         result += [(stratum, (str(one),), SIZES[1 + k % 2]) for k, one in enumerate(some)]
     for stratum, table in (("unknown", UNKNOWN), ("disturbance", DISTURBANCE)):
         result += [(stratum, (name,), size) for name in table if _has(family, name) for size in SIZES[1:]]
-    if family != ROTORPY:
+    if family not in OTHERS:
         result += [("touchdown", (name,), SIZES[1 + k % 2]) for k, name in enumerate(TOUCHDOWN)]
         result += [("touchdown", (), None)]
     return result
 
 
 def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
-    """The cases of a set of SETS, or of ROTORPY, in an order and with names that tell nothing.
+    """The cases of a set of SETS, or of OTHERS, in an order and with names that tell nothing.
 
     limit: at most so many, the strata keeping their shares.
     """
-    entropy = ([*SETS, ROTORPY].index(name) + 1, seed)
+    entropy = ([*SETS, *OTHERS].index(name) + 1, seed)
     rng = np.random.default_rng(entropy)
     chosen = plans(rng, name)
     if limit is not None and limit < len(chosen):
@@ -244,25 +256,28 @@ def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
     return result
 
 
+def _other(family: str):
+    """The module that simulates the flights of one of OTHERS; None for ours."""
+    name = family.partition(" ")[0]
+    return importlib.import_module(f"{__package__}.{name}_reality") if name in OTHERS else None
+
+
 def _reality(family: str, rng) -> Reality:
-    if family != ROTORPY:
-        return simulator.draw(family, rng)
-    from . import rotorpy_reality
-
-    return rotorpy_reality.draw(rng)
+    other = _other(family)
+    return other.draw(rng) if other else simulator.draw(family, rng)
 
 
-def _flies(reality: Reality, drawn: dict[str, Drawn]) -> bool:
-    """Is the attitude loop stable? RotorPy's makes up for no motor lag, and much more lag it cannot have."""
-    if reality.family != ROTORPY:
+def _can_have(reality: Reality, drawn: dict[str, Drawn]) -> bool:
+    """Does the reality have these causes, and fly with them? Some cannot with much more lag."""
+    other = _other(reality.family)
+    if other is None:
         return True
-    from . import rotorpy_reality
-
-    return rotorpy_reality.flies(reality, World(**causes.combined(*drawn.values()).world))
+    world = World(**causes.combined(*drawn.values()).world)
+    return all(_has(reality.family, one) for one in drawn) and other.flies(reality, world)
 
 
 def _has(family: str, cause: str) -> bool:
-    return family != ROTORPY or cause not in _ROTORPY_LACKS
+    return cause not in LACKS.get(family, ())
 
 
 def _candidates(stratum: str) -> list[str]:

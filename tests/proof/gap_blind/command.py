@@ -20,17 +20,21 @@ from inclined_landing.models.errors import UserError
 
 from ..shared import check_known, in_processes
 from . import score
-from .cases import ROTORPY, SETS, STRATA, Case, of_set
+from .cases import OTHERS, SETS, Case, of_set
 from .tables import markdown, results_of
 
+_NEEDED = {
+    "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
+    "crazyflow": ("crazyflow", "jax", "casadi"),
+}
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,crazyflow}")] = "dev",
     seed: Seed = 0,
-    cases: Annotated[int, Meta(ge=len(STRATA), le=10**6)] | None = None,
+    cases: Annotated[int, Meta(ge=1, le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
     """Hidden causes in flights of independent simulators: what gap names (minutes).
@@ -38,15 +42,14 @@ def command(
     Args:
         out: folder for results.json and table.md; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure; or flights of a simulator by others (needs rotorpy).
+            structure; or flights of a simulator by others (needs rotorpy or crazyflow).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         processes: cases diagnosed at a time.
     """
-    check_known("set", [set], (*SETS, ROTORPY))
-    needed = ("rotorpy", "torch", "torchdiffeq", "roma") if set == ROTORPY else ()
-    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
-        raise UserError(f"--set rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
+    check_known("set", [set], (*SETS, *OTHERS))
+    if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
+        raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
     out = runs.new_run(out, "gap-blind", resumable=_SET)

@@ -5,7 +5,7 @@ midpoint rule. The pilot is RotorPy's SE3 controller (50 Hz, on the measured sta
 orientation are the logged PWM, roll and pitch. The vehicle turns what it receives into rotor speeds with
 RotorPy's `cmd_ctatt` loop (250 Hz). Where RotorPy has a parameter for a hidden cause (mass, coefficients of
 thrust, drag and lift, motor lag, gain of the attitude loop, wind), that parameter differs; the rest is
-added at the interface (`rotorpy_faults.py`). It has no ground effect: flights keep clear of the floor.
+added at the interface (`interface.py`).
 
 RotorPy is a package of its own (MIT license): pip install 'inclined-landing[baselines]'.
 """
@@ -18,22 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.models.errors import optional
-from tests.proof.simulator import (
-    KINDS,
-    Build,
-    Constants,
-    Reality,
-    Recording,
-    World,
-    constants,
-    control,
-    ordinary,
-)
-from tests.proof.simulator.vehicle import PILOT_RATE
+from tests.proof.simulator import Constants, Reality, World, constants
 
-from . import rotorpy_faults as faults
-from .causes import Drawn
-from .rotorpy_faults import RATE
+from . import interface
+from .batch import ROTORS, Batch, Q, V, W, draw_reality
+from .interface import RATE
 
 with optional():
     import roma  # noqa: F401 (RotorPy's batch needs it)
@@ -42,18 +31,10 @@ with optional():
     from rotorpy.controllers.quadrotor_control import BatchedSE3Control
     from rotorpy.vehicles.crazyflie_params import quad_params
     from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
+    from rotorpy.wind.dryden_winds import BatchedDrydenGust
 
-WARM_UP = 2.0  # s flown before the log begins
-LOWEST = 0.35  # m, of the references; the pilot has no integral, a cause may press the vehicle down
-_TOUCH, _FAR = 0.05, 4.0  # m, lowest and farthest centre of mass in a flight that counts
-_TRIES = 10
 _CPU = torch.device("cpu")
 _POSITION_GAINS, _HEIGHT_GAINS = (6.5, 4.0, 0.0), (15.0, 9.0, 0.0)  # RotorPy's kp_pos, kd_pos; no integral
-_FILTER = (0.35, 0.06)  # alpha and beta of the pilot's filter of the position, every second period
-# Columns of RotorPy's packed state (n, 20).
-_X, _V, _Q, _W, _WIND, _ROTORS = (
-    slice(*ends) for ends in ((0, 3), (3, 6), (6, 10), (10, 13), (13, 16), (16, 20))
-)
 
 
 def draw(rng: np.random.Generator) -> Reality:
@@ -61,33 +42,22 @@ def draw(rng: np.random.Generator) -> Reality:
     about, c, p = lambda size=0.1: rng.uniform(1 - size, 1 + size), constants(), quad_params
     mass = p["mass"] * about()
     drag, stiff = about(), about()
-    return Reality(
-        c._replace(
-            mass=mass,
-            inertia=tuple(p[name] * about() for name in ("Ixx", "Iyy", "Izz")),
-            # The paper's hover PWM, up to 10 % off.
-            thrust_per_pwm=c.thrust_per_pwm * mass / c.mass * about(),
-            thrust_per_speed=p["k_eta"] * about(),
-            torque_ratio=p["k_m"] / p["k_eta"],
-            motor_time=p["tau_m"] * about(),
-            drag_per_speed=(p["k_d"] * drag, p["k_d"] * drag, p["k_z"] * about()),
-            attitude_gain=1.0,
-            attitude_time=p["kd_att"] / p["kp_att"] * about(),
-            rate_bandwidth=p["kd_att"] * stiff,
-            position_gains=tuple(x * about() for x in _POSITION_GAINS),
-            height_gains=tuple(x * about() for x in _HEIGHT_GAINS),
-            battery_voltage=rng.uniform(3.85, 4.15),
-            position_noise=_between(rng, 0.0002, 0.003),
-            attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
-        ),
-        Build(
-            disturbance=tuple(_between(rng, 0.02, 0.15) for _ in range(3)),
-            disturbance_time=_between(rng, 0.1, 1.0),
-            disturbance_torque=tuple(_between(rng, 0.1, 1.0) * np.array([1.0, 1.0, 0.3])),
-            log_ticks=float(rng.choice([2, 4, 6, 8, 10])),  # of 2 ms: 250 to 50 rows per second
-        ),
-        "rotorpy",
-    )
+    own = {
+        "mass": mass,
+        "inertia": tuple(p[name] * about() for name in ("Ixx", "Iyy", "Izz")),
+        # The paper's hover PWM, up to 10 % off.
+        "thrust_per_pwm": c.thrust_per_pwm * mass / c.mass * about(),
+        "thrust_per_speed": p["k_eta"] * about(),
+        "torque_ratio": p["k_m"] / p["k_eta"],
+        "motor_time": p["tau_m"] * about(),
+        "drag_per_speed": (p["k_d"] * drag, p["k_d"] * drag, p["k_z"] * about()),
+        "attitude_gain": 1.0,
+        "attitude_time": p["kd_att"] / p["kp_att"] * about(),
+        "rate_bandwidth": p["kd_att"] * stiff,
+        "position_gains": tuple(x * about() for x in _POSITION_GAINS),
+        "height_gains": tuple(x * about() for x in _HEIGHT_GAINS),
+    }
+    return draw_reality(rng, own, "rotorpy")
 
 
 def flies(reality: Reality, w: World) -> bool:
@@ -97,35 +67,6 @@ def flies(reality: Reality, w: World) -> bool:
     """
     p = parameters(reality.constants, w)
     return p["tau_m"] * p["kp_att"] < 0.7 * p["kd_att"]
-
-
-def fly_groups(
-    groups: Sequence[tuple[Drawn, int]], rng: np.random.Generator, reality: Reality, seconds: float = 20.0
-) -> list[list[Recording]]:
-    """Fly so many ordinary flights for every (cause, count), all in one batch; kinds in a random order.
-
-    A flight that comes near the floor, or leaves the room, is flown again on another path.
-    """
-    todo = []  # kind, world, group
-    for group, (drawn, count) in enumerate(groups):
-        rounds = [rng.permutation(KINDS) for _ in range(-(-count // len(KINDS)))]
-        for kind in np.concatenate(rounds)[:count] if count else ():
-            fields = drawn.world | {field: rng.uniform(*ends) for field, ends in drawn.spread.items()}
-            todo.append((str(kind), World(**fields), group))
-    flown: dict[int, Recording] = {}
-    for _ in range(_TRIES):
-        left = [k for k in range(len(todo)) if k not in flown]
-        if not left:
-            return [[flown[k] for k in range(len(todo)) if todo[k][2] == g] for g in range(len(groups))]
-        paths = [ordinary(todo[k][0], rng, seconds, LOWEST) for k in left]
-        batch = fly(np.stack(paths, axis=1), [todo[k][1] for k in left], rng, reality)
-        flown |= {k: one for k, one in zip(left, batch) if _stays(one)}
-    raise RuntimeError("some flights of RotorPy's vehicle did not stay in the room")
-
-
-def _stays(flight: Recording) -> bool:
-    x = flight.truth[:, :3]
-    return bool(np.isfinite(x).all() and x[:, 2].min() > _TOUCH and np.abs(x).max() < _FAR)
 
 
 def parameters(c: Constants, w: World | None = None) -> dict:
@@ -162,173 +103,65 @@ def advance(plant: BatchedMultirotor, s, speeds, push, h: float):
     speeds = torch.clip(speeds, plant.params.rotor_speed_min, plant.params.rotor_speed_max)
     middle = s + 0.5 * h * (plant._s_dot_fn(0.0, s, speeds, every) + push)
     s = s + h * (plant._s_dot_fn(0.0, middle, speeds, every) + push)
-    s[:, _Q] /= torch.linalg.norm(s[:, _Q], dim=1, keepdim=True)
+    s[:, Q] /= torch.linalg.norm(s[:, Q], dim=1, keepdim=True)
     return s
 
 
-@torch.inference_mode()
-def fly(
-    paths: np.ndarray, worlds: Sequence[World], rng: np.random.Generator, reality: Reality
-) -> list[Recording]:
-    """Fly paths (k, n, REF_SIZE) at 50 Hz, one in each world, and return their logs."""
-    rows = np.concatenate([np.repeat(paths[:1], round(WARM_UP * PILOT_RATE), axis=0), paths])
-    batch = _Batch(rows, worlds, rng, reality)
-    for k in range(len(batch.states)):
-        batch.period(k)
-    return batch.recordings(rng)
+class Flights(Batch):
+    """Flights of RotorPy's vehicle, whose rotors' states are their speeds [rad/s]."""
 
-
-class _Batch:
-    """Flights side by side: RotorPy's state (n, 20) and what came of it, period by period."""
-
-    def __init__(self, rows: np.ndarray, worlds: Sequence[World], rng, reality: Reality):
-        self.rows, self.reality, n = rows, reality, len(worlds)
-        c, b = reality.constants, reality.build
-        self.w = w = World(*(np.array(column, float) for column in zip(*worlds)))
-        self.plant = vehicle([parameters(c, one) for one in worlds])
+    def build(self) -> None:
+        c, n = self.reality.constants, len(self.worlds)
+        self.plant = vehicle([parameters(c, one) for one in self.worlds])
         self.coefficients = self.plant.params.k_eta.clone(), self.plant.params.k_m.clone()
         # The flight controller knows the nominal vehicle; its attitude gain may be another.
-        believed = [parameters(c, World(attitude_time_scale=one.attitude_time_scale)) for one in worlds]
+        believed = [parameters(c, World(attitude_time_scale=one.attitude_time_scale)) for one in self.worlds]
         self.loop = vehicle(believed, "cmd_ctatt")
-        self.pilot = _Pilot(self.loop.params, c, rows[0])
-        ticks, level = len(rows) * RATE // PILOT_RATE, np.zeros(n)
-        self.air, self.gust = faults.disturbance(rng, (ticks, n, 6), b), faults.gusts(rng, ticks, w)
-        scale = [c.position_noise] * 3 + [c.attitude_noise] * 3
-        self.noise, self.heard = rng.standard_normal((ticks, n, 6)) * scale, faults.heard(rng, ticks, w)
-        self.level = faults.turn(level, w.level_roll, w.level_pitch)
-        self.crooked = faults.turn(level, w.mocap_roll, w.mocap_pitch)
-        self.s = torch.zeros(n, 20, dtype=torch.float64)
-        z = self.s.numpy()
-        z[:, _X], z[:, _Q] = rows[0, :, :3], faults.turn(rows[0, :, control.REF_YAW], level, level)
-        z[:, _ROTORS] = math.sqrt(c.mass * c.gravity / (4 * c.thrust_per_speed))
-        self.states, self.commands = np.zeros((ticks, n, 20)), np.zeros((ticks, n, 4))
-        self.volts = np.zeros((ticks, n))
-        self.seen = np.zeros((ticks, n, 6))  # poses as motion capture shows them, without noise
-
-    def period(self, k: int) -> None:
-        """One period of the flight controller."""
-        w, z, time = self.w, self.s.numpy(), k / RATE - WARM_UP
-        self.states[k] = z
-        estimate = faults.times(z[:, _Q], self.level)  # of the flight controller
-        self._see(k, z, estimate)
-        if k % 2 == 0:
-            self.pilot.track(faults.late(self.seen, k, w.mocap_delay) + self.noise[k], 2.0 / RATE)
-        held = RATE // PILOT_RATE
-        self.commands[k] = self.commands[k - 1] if k % held else self.pilot.command(self.rows[k // held])
-        speeds = self._speeds(k, z, estimate) * self._supply(k, z, time)[:, None]
-        fade = torch.from_numpy(1.0 - w.thrust_fade * max(time, 0.0))[:, None]
-        self.plant.params.k_eta, self.plant.params.k_m = (fade * one for one in self.coefficients)
-        z[:, _WIND] = faults.wind(z[:, _X], w) + self.gust[k]
-        push = np.zeros_like(z)
-        push[:, _V] = self.air[k, :, :3] + faults.forces(z[:, _Q], time, self.reality.constants, w)
-        push[:, _W] = self.air[k, :, 3:]
-        self.s = advance(self.plant, self.s, torch.from_numpy(speeds), torch.from_numpy(push), 1.0 / RATE)
-
-    def _see(self, k: int, z: np.ndarray, estimate: np.ndarray) -> None:
-        """Fill row k of `seen`; its yaw is continuous."""
-        seen = self.seen[k]
-        seen[:, :3], seen[:, 3:] = z[:, _X], faults.angles(faults.times(estimate, self.crooked))
-        seen[:, 0] *= 1.0 + self.w.capture_scale * z[:, 0]
-        seen[:, 5] += 2 * np.pi * np.round((self.seen[k - 1, :, 5] - seen[:, 5]) / (2 * np.pi))
-
-    def _speeds(self, k: int, z: np.ndarray, estimate: np.ndarray) -> np.ndarray:
-        """Rotor speeds (n, 4) that RotorPy's attitude loop asks for."""
-        w, heard = self.w, self.heard[k]
-        pwm = faults.late(self.commands, heard, w.thrust_delay)[:, :1]
-        roll, pitch, yaw_rate = faults.received(faults.late(self.commands, heard, w.attitude_delay), w)
-        rates = z[:, _W].copy()
-        rates[:, 2] -= w.yaw_drift + yaw_rate  # the loop damps what is left
-        state = {"q": estimate, "w": rates}
-        wanted = {"cmd_q": faults.turn(faults.angles(estimate)[:, 2], roll, pitch)}
-        wanted["cmd_thrust"] = self.reality.constants.thrust_per_pwm * pwm
-        every = torch.arange(len(z))
-        return self.loop.get_cmd_motor_speeds(_tensors(state), _tensors(wanted), every).numpy()
-
-    def _supply(self, k: int, z: np.ndarray, time: float) -> np.ndarray:
-        """Rotor speed (n,) per speed asked for, under the battery's voltage, which goes into the log."""
-        c, w = self.reality.constants, self.w
-        load = c.hover_current * c.thrust_per_speed / (c.mass * c.gravity) * (z[:, _ROTORS] ** 2).sum(1)
-        self.volts[k] = c.battery_voltage + w.battery_voltage - c.battery_fall * max(time, 0.0)
-        self.volts[k] -= w.battery_resistance * load
-        share = self.volts[k] / np.where(w.battery_reference > 0.0, w.battery_reference, self.volts[k])
-        return share ** (0.5 * self.reality.build.battery_power)
-
-    def recordings(self, rng) -> list[Recording]:
-        """The logs."""
-        c, b, w = self.reality.constants, self.reality.build, self.w
-        every, first = round(b.log_ticks) // 2, round(WARM_UP * RATE)
-        rows = np.arange(-(-first // every) * every, len(self.states), every)
-        delay = w.mocap_delay + w.log_delay
-        poses = np.array([faults.late(self.seen, k, delay) for k in rows]) + self.noise[rows]
-        flown = []
-        for j in range(len(delay)):
-            t, z = np.arange(len(rows)) * every / RATE, self.states[rows, j]
-            late = b.stamp_jitter * rng.standard_normal(len(t))
-            late = np.clip(late, -0.4 * every / RATE, 0.4 * every / RATE)
-            rotors = c.thrust_per_speed * z[:, _ROTORS] ** 2
-            flown.append(
-                Recording(
-                    t=t + late - late[0],
-                    position=poses[:, j, :3],
-                    attitude=poses[:, j, 3:],
-                    command=self.commands[rows, j],
-                    voltage=self.volts[rows, j] + c.voltage_noise * rng.standard_normal(len(t)),
-                    contact=np.zeros(len(t), bool),
-                    truth=np.hstack([z[:, _X], z[:, _V], faults.angles(z[:, _Q]), z[:, _W], rotors]),
-                )
-            )
-        return flown
-
-
-class _Pilot:
-    """RotorPy's SE3 controller on measured poses, for all flights at once."""
-
-    def __init__(self, params: BatchedMultirotorParams, c: Constants, start: np.ndarray):
         gains = np.array([c.position_gains, c.position_gains, c.height_gains])
-        kp, kd = (torch.from_numpy(np.tile(gains[:, j], (len(start), 1))) for j in range(2))
-        self.c, self.control = c, BatchedSE3Control(params, len(start), _CPU, kp, kd)
-        self.position, self.velocity = start[:, :3].copy(), np.zeros((len(start), 3))
-        self.angles = np.zeros((len(start), 3))
+        kp, kd = (torch.from_numpy(np.tile(gains[:, j], (n, 1))) for j in range(2))
+        self.control = BatchedSE3Control(self.loop.params, n, _CPU, kp, kd)
+        self.z[:, ROTORS] = math.sqrt(c.mass * c.gravity / (4 * c.thrust_per_speed))
 
-    def track(self, measured: np.ndarray, period: float) -> None:
-        """Follow the measured poses (n, 6)."""
-        self.position += self.velocity * period
-        error = measured[:, :3] - self.position
-        self.position += _FILTER[0] * error
-        self.velocity += _FILTER[1] / period * error
-        self.angles = measured[:, 3:]
+    def gusts(self, rng, ticks: int) -> np.ndarray:
+        """RotorPy's horizontal Dryden gusts (ticks, n, 3), of standard deviation `gust` over the flights."""
+        w, n, seed = self.w, len(self.worlds), int(rng.integers(2**31))
+        if not w.gust.any():
+            return np.zeros((ticks, n, 3))
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            # Its length at 1 m/s is eight times the altitude.
+            still, altitude = torch.zeros(n, 3, dtype=torch.float64), torch.from_numpy(w.gust_time / 8.0)
+            gusts_of = BatchedDrydenGust(1 / RATE, still, still + 1.0, altitude)
+            path = np.array([gusts_of.update(0.0, None).numpy() for _ in range(ticks)]) * [1.0, 1.0, 0.0]
+        return path / path[:, :, :2].std() * w.gust[:, None]
 
-    def command(self, ref: np.ndarray) -> np.ndarray:
-        """PWM, roll, pitch, yaw rate (n, 4) for one row of every reference (n, REF_SIZE)."""
-        c, yaw = self.c, self.angles[:, 2]
-        q = faults.turn(yaw, *self.angles[:, :2].T)
-        state = {"x": self.position, "v": self.velocity, "q": q, "w": np.zeros_like(self.position)}
-        flat = {
-            "x": ref[:, 0:3],
-            "x_dot": ref[:, 3:6],
-            "x_ddot": ref[:, 6:9],
-            "yaw": yaw,
-            "yaw_dot": 0.0 * yaw,
-        }
-        done = self.control.update(0.0, _tensors(state), _tensors(flat))
+    def wish(self, q: np.ndarray, ref: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        yaw, still = self.angles[:, 2], np.zeros_like(self.position)
+        state = {"x": self.position, "v": self.velocity, "q": q, "w": still}
+        flat = {"x": ref[:, 0:3], "x_dot": ref[:, 3:6], "x_ddot": ref[:, 6:9], "yaw": yaw}
+        done = self.control.update(0.0, _tensors(state), _tensors(flat | {"yaw_dot": 0.0 * yaw}))
         thrust, q, acceleration = (done[key].numpy() for key in ("cmd_thrust", "cmd_q", "cmd_acc"))
-        roll, pitch, _ = faults.angles(q).T
-        step = ref[:, control.REF_MODE] == control.STEP  # angles as given, thrust for the height
-        roll = np.where(step, ref[:, control.REF_ROLL], roll)
-        pitch = np.where(step, ref[:, control.REF_PITCH], pitch)
-        upright = c.mass * acceleration[:, 2] / (np.cos(roll) * np.cos(pitch))
-        pwm = np.where(step, upright, thrust[:, 0]) / c.thrust_per_pwm + ref[:, control.REF_PWM]
-        off = np.angle(np.exp(1j * (ref[:, control.REF_YAW] - yaw)))
-        turn = ref[:, control.REF_YAW_RATE] + c.yaw_gain * off
-        most = np.array([c.angle_limit, c.angle_limit, c.yaw_rate_limit])
-        rest = np.clip(np.column_stack([roll, pitch, turn]), -most, most)
-        return np.column_stack([np.clip(pwm, *c.pwm_range), rest])
+        return thrust[:, 0], q, self.reality.constants.mass * acceleration[:, 2]
+
+    @torch.inference_mode()
+    def advance(self, estimate, wanted, supply, fade, push) -> np.ndarray:
+        z, (thrust, roll, pitch, yaw_rate) = self.z, wanted.T
+        rates = z[:, W].copy()
+        rates[:, 2] -= self.w.yaw_drift + yaw_rate  # the loop damps what is left
+        asked = {"cmd_q": interface.turn(interface.angles(estimate)[:, 2], roll, pitch)}
+        asked["cmd_thrust"] = np.ascontiguousarray(thrust[:, None])
+        state = _tensors({"q": estimate, "w": rates})
+        speeds = self.loop.get_cmd_motor_speeds(state, _tensors(asked), torch.arange(len(z))).numpy()
+        left = torch.from_numpy(fade)[:, None]
+        self.plant.params.k_eta, self.plant.params.k_m = (left * one for one in self.coefficients)
+        added = np.zeros_like(z)
+        added[:, V], added[:, W] = push[:, :3], push[:, 3:]
+        s, speeds, added = map(torch.from_numpy, (z, speeds * supply[:, None], added))
+        return advance(self.plant, s, speeds, added, 1.0 / RATE).numpy()
+
+    def thrusts(self, rotors: np.ndarray) -> np.ndarray:
+        return self.reality.constants.thrust_per_speed * rotors**2
 
 
 def _tensors(values: dict[str, np.ndarray]) -> dict:
     return {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in values.items()}
-
-
-def _between(rng, low: float, high: float) -> float:
-    """Uniform on a logarithmic scale."""
-    return math.exp(rng.uniform(math.log(low), math.log(high)))

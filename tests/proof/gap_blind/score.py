@@ -5,6 +5,7 @@ Outcome of one case, in this order:
 - nothing hidden, or only a disturbance: `right` (verdict nothing, or names of what comes with it), `false
   alarm` (an effect is named) or `false unknown`;
 - a cause outside the library: `flagged` (verdict unknown), `misnamed` (only effects) or `missed`;
+- no effect and the verdict undecided, whatever is hidden: `undecided`, neither quiet nor a wrong `nothing`;
 - else `named` (every hidden cause is the name of an effect, or one of its declared aliases is), `tie` (every
   one is at least in the class of an effect), `half` (some of several causes), `misnamed` (none, but effects
   are named), `missed` (no effects).
@@ -22,11 +23,11 @@ from inclined_landing.models.effects import LIBRARY
 from tests.proof.simulator import constants
 
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
-from .causes import DISTURBANCE, UNKNOWN
+from .causes import DISTURBANCE, SIZES, UNKNOWN
 
 OUTCOMES = (
     *("named", "tie", "spurious", "half", "misnamed", "missed"),
-    *("right", "false alarm", "false unknown", "flagged", "failed"),
+    *("right", "false alarm", "false unknown", "flagged", "undecided", "failed"),
 )
 GOOD = ("named", "tie", "right", "flagged")
 _WEIGHT = constants().mass * constants().gravity  # N
@@ -39,7 +40,7 @@ def score_case(label: Mapping, report: Mapping) -> dict:
     """Judge one report against its label: a flat row.
 
     label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `members`,
-    `parameters`, optionally `sets`, `gap` and `seconds`.
+    `parameters`, optionally `sure`, `sets`, `possible`, `gap` and `seconds`.
     """
     effects = report["effects"]
     found = [effect["name"] for effect in effects]
@@ -55,12 +56,39 @@ def score_case(label: Mapping, report: Mapping) -> dict:
         "outcome": _outcome(label, report, spurious, found, classes),
         "sure": [bool(members & welcome) for e, members in zip(effects, classes) if e.get("sure")],
         "among": _among(label, classes, report.get("possible", ())),
+        **_answers(label, report, spurious),
         "flagged": report["verdict"] == "unknown",
         "belief": belief(label, report),
         "errors": {c: e for c in label["causes"] if (e := parameter_error(c, label, effects)) is not None},
         "covered": {c: x for c in label["causes"] if (x := covered(c, label, effects))},
         "closed": {plant: closed_share(gap) for plant, gap in report.get("gap", {}).items()},
         "seconds": sum(report["seconds"].values()) if "seconds" in report else None,
+    }
+
+
+def _answers(label: Mapping, report: Mapping, spurious: list[str]) -> dict:
+    """What the shares over all strata count; None where a case says nothing about one.
+
+    - `quiet`: nothing is hidden; the answer is nothing
+    - `alone`: one cause of the library, medium or strong; it is sure, and no name is spurious
+    - `wrong nothing`: the answer is nothing; a medium or strong cause, not a mere disturbance, is hidden
+    - `outside`: a cause is outside the library; the answer is unknown
+    - `beside`: a cause of the library has a sure name that is right; the answer is unknown
+    - `possible wrong`: how many of the possible names are not right
+    """
+    large = label["size"] in SIZES[1:]
+    outside = set(label["causes"]) & set(UNKNOWN)
+    hidden = [cause for cause in label["causes"] if cause not in DISTURBANCE]
+    sure = {effect["name"] for effect in report["effects"] if effect.get("sure")}
+    welcome, verdict = _welcome(label), report["verdict"]
+    one = large and len(hidden) == 1 and not outside
+    return {
+        "quiet": None if label["causes"] else verdict == "nothing",
+        "alone": _found(hidden[0], sure, []) == "named" and not spurious if one else None,
+        "wrong nothing": bool(large and hidden) if verdict == "nothing" else None,
+        "outside": verdict == "unknown" if outside else None,
+        "beside": verdict == "unknown" if hidden and not outside and sure & welcome else None,
+        "possible wrong": len(set(report.get("possible", ())) - welcome),
     }
 
 
@@ -90,6 +118,8 @@ def _among(label: Mapping, classes: list[set], possible: Iterable[str]) -> bool 
 def _outcome(label, report, spurious, found, classes) -> str:
     if report["verdict"] == "failed":
         return "failed"
+    if report["verdict"] == "undecided" and not found:
+        return "undecided"
     unknown = report["verdict"] == "unknown"
     if set(label["causes"]) <= set(DISTURBANCE):
         quiet = not unknown and report["verdict"] != "undecided"

@@ -15,6 +15,14 @@ from .causes import SIZES
 from .score import GOOD, OUTCOMES
 
 BINS = 10
+# Shares over all strata: what is said of a row of the results (`score.score_case`).
+SHARES = {
+    "nothing hidden: the answer is nothing": "quiet",
+    "one cause, medium or strong: sure and alone": "alone",
+    "answers nothing with a medium or strong cause hidden": "wrong nothing",
+    "cause outside the library: unknown": "outside",
+    "unknown beside a right sure name": "beside",
+}
 LEAST = 1e-3  # of a probability in the log score: a report keeps its likeliest sets only
 
 
@@ -28,7 +36,19 @@ def results_of(rows: list[Mapping]) -> dict:
         for size in SIZES if stratum == "single" else ():
             if part := [row for row in members if row["size"] == size]:
                 lines.append({"stratum": f"{stratum}, {size}"} | line(part))
-    return {"table": lines, "families": families(rows), "calibration": calibration(rows), "cases": rows}
+    more = {"shares": shares(rows), "families": families(rows), "calibration": calibration(rows)}
+    return {"table": lines, **more, "cases": rows}
+
+
+def shares(rows: list[Mapping]) -> dict:
+    """Return the proportions over all strata by what is counted, and the wrong possible names per case."""
+    total = line(rows)
+    result = {"sure names that are wrong": total["sure"]}
+    for text, key in SHARES.items():
+        counted = [row[key] for row in rows if row[key] is not None]
+        result[text] = proportion(sum(counted), len(counted))
+    result["intervals that hold"] = total["covered"]
+    return result | {"wrong possible names per case": sum(row["possible wrong"] for row in rows) / len(rows)}
 
 
 def line(rows: list[Mapping]) -> dict:
@@ -113,6 +133,9 @@ def _quartiles(values: list[float]) -> dict | None:
 def markdown(results: dict) -> str:
     """Return the tables of results, with the set and its seed."""
     parts = [f"Blind set `{results['set']}`, seed {results['seed']}, {results['cases drawn']} cases\n"]
+    *counted, (text, mean) = results["shares"].items()
+    rows = [[name, _count(share), _share(share)] for name, share in counted]
+    parts += [table(["over all strata", "count", "share [95 %]"], [*rows, [text, f"{mean:.1f}", ""]])]
     parts += [_strata(results["table"]), _families(results["families"])]
     if c := results["calibration"]:
         parts.append(

@@ -1,5 +1,5 @@
-"""What is added to RotorPy's vehicle at its interface: air, forces from outside, and commands and poses that
-are late or wrong. Worlds hold arrays (n,) here, one entry for each flight of a batch."""
+"""What is added at the interface of a simulator by others: air, forces from outside, and commands and poses
+that are late or wrong. Worlds hold arrays (n,) here, one entry for each flight of a batch."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def received(command: np.ndarray, w: World):
 
 
 def wind(x: np.ndarray, w: World) -> np.ndarray:
-    """Steady wind (n, 3) at positions x (n, 3): RotorPy's wind, with a rising column."""
+    """Steady wind (n, 3) at positions x (n, 3), with a rising column."""
     squared = (x[:, 0] - w.updraft_x) ** 2 + (x[:, 1] - w.updraft_y) ** 2
     return np.column_stack([w.wind_x, w.wind_y, w.updraft * np.exp(-squared / (2.0 * w.updraft_radius**2))])
 
@@ -43,29 +43,21 @@ def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
     return push
 
 
-def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
-    """Ornstein-Uhlenbeck accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6)."""
-    keep = math.exp(-1.0 / (b.disturbance_time * RATE))
+def correlated(rng, shape: tuple[int, int, int], time: float | np.ndarray) -> np.ndarray:
+    """Ornstein-Uhlenbeck paths (ticks, n, m) of standard deviation 1; time: one, or (n,) [s]."""
     start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
-    path = lfilter([math.sqrt(1 - keep**2)], [1, -keep], white, axis=0, zi=keep * start)[0]
-    return np.array([*b.disturbance, *b.disturbance_torque]) * path
+    paths = np.empty(shape)
+    for j, keep in enumerate(np.exp(-1.0 / (np.broadcast_to(time, shape[1]) * RATE))):
+        each = slice(j, j + 1)
+        paths[:, each] = lfilter(
+            [math.sqrt(1 - keep**2)], [1, -keep], white[:, each], axis=0, zi=keep * start[:, each]
+        )[0]
+    return paths
 
 
-def gusts(rng, ticks: int, w: World) -> np.ndarray:
-    """RotorPy's horizontal Dryden gusts (ticks, n, 3), of standard deviation `gust` over the flights."""
-    n, seed = len(w.gust), int(rng.integers(2**31))
-    if not w.gust.any():
-        return np.zeros((ticks, n, 3))
-    import torch
-    from rotorpy.wind.dryden_winds import BatchedDrydenGust
-
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        # Its length at 1 m/s is eight times the altitude.
-        still, altitude = torch.zeros(n, 3, dtype=torch.float64), torch.from_numpy(w.gust_time / 8.0)
-        gusts_of = BatchedDrydenGust(1 / RATE, still, still + 1.0, altitude)
-        path = np.array([gusts_of.update(0.0, None).numpy() for _ in range(ticks)]) * [1.0, 1.0, 0.0]
-    return path / path[:, :, :2].std() * w.gust[:, None]
+def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
+    """Accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6) of a build's air."""
+    return np.array([*b.disturbance, *b.disturbance_torque]) * correlated(rng, shape, b.disturbance_time)
 
 
 def heard(rng, ticks: int, w: World) -> np.ndarray:
@@ -89,7 +81,7 @@ def late(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:
 
 
 def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Product of quaternions (n, 4), scalar last as in RotorPy."""
+    """Product of quaternions (n, 4), scalar last."""
     return (Rotation.from_quat(p) * Rotation.from_quat(q)).as_quat()
 
 
