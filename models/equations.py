@@ -28,17 +28,24 @@ from inclined_landing.models.attitude import (
     body_rates,
     euler_rates,
 )
-from inclined_landing.models.attitude_loops import estimated_angles, loop_rates, rate_loop_acceleration
+from inclined_landing.models.attitude_loops import (
+    angle_errors,
+    estimated_angles,
+    integral_rate,
+    loop_rates,
+    rate_loop_acceleration,
+)
 from inclined_landing.models.forces import AMBIENT_SIZE, TIME, free_air, lag_derivative, pack, wrench
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
 from inclined_landing.models.perturbation import MASS_SCALE, NEUTRAL, TIME_CONSTANT_SCALE
 from inclined_landing.models.vehicle import Vehicle
 
-# The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), and the slung
-# load's direction and its rate where there is one.
+# The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), where there are
+# some the integrals of roll and pitch, and the slung load's direction and its rate where there is one.
 _PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
-_LOAD = _SIZE
+_INTEGRAL, _LOAD = _SIZE, _SIZE + 2
 _LOADED_SIZE = _LOAD + LOAD_SIZE
+NOT_INTEGRATED = np.empty((0, 2))
 STILL = np.empty((0, 6))  # no push; None would be another type, and compile everything once more
 
 
@@ -52,6 +59,8 @@ class Conditions(NamedTuple):
     load: np.ndarray = (
         UNLOADED  # (n, 6) states of slung loads, see `load.py`, moved by `advance`; or UNLOADED
     )
+    # (n, 2) integrals [rad s] of the errors of roll and pitch, see `attitude_loops.py`, moved by `advance`
+    integral: np.ndarray = NOT_INTEGRATED  # without rows for vehicles without integral gains
 
 
 # One vehicle while it is integrated, as `rk4` takes it: a record, which unlike a tuple of arrays counts no
@@ -67,6 +76,7 @@ _STEP = np.dtype(
         ("pushed", bool),  # whether there is a push
         ("limited", bool),  # whether the torques are limited
         ("rate_loop", bool),  # which attitude model
+        ("integrated", bool),  # whether the attitude loops have integral gains
         ("loaded", bool),  # whether there is a slung load
         # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives,
         # attitude matrix, force and torque.
@@ -115,7 +125,7 @@ def _swing(y, dy, mass, v):
 
 @numba.njit(cache=True)
 def _derivative(y, s, v):
-    """Write dy/dt of an integrated vector y (19,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
+    """Write dy/dt of an integrated vector y (21,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
     u, p, push, dy, r, f = s.command, s.perturbation, s.push, s.derivative, s.rotation, s.wrench
     # R = Rz(psi) Rx(phi) Ry(theta)
     sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
@@ -137,14 +147,18 @@ def _derivative(y, s, v):
     dy[VZ] -= v.environment.gravity
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-    roll_rate, pitch_rate, yaw_rate = loop_rates(roll, pitch, u, v, p)  # commanded
+    errors, integrals = angle_errors(roll, pitch, u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
+    roll_rate, pitch_rate, yaw_rate = loop_rates(errors, integrals, u, v, p)  # commanded
+    for k in range(2):
+        dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        bandwidth, damping = v.attitude.bandwidth, v.attitude.damping
-        dy[_RATES] = rate_loop_acceleration(roll_rate, phid, bandwidth, tau, damping)
-        dy[_RATES + 1] = rate_loop_acceleration(pitch_rate, thetad, bandwidth, tau, damping)
+        bandwidth, damping, integral = v.attitude.bandwidth, v.attitude.damping, v.effects.attitude_integral
+        moved = integral * dy[_INTEGRAL], integral * dy[_INTEGRAL + 1]
+        dy[_RATES] = rate_loop_acceleration(roll_rate, phid, moved[0], bandwidth, tau, damping)
+        dy[_RATES + 1] = rate_loop_acceleration(pitch_rate, thetad, moved[1], bandwidth, tau, damping)
         dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_rate - psid)
         tx, ty, tz = f[3], f[4], 0.0
         if s.limited:
@@ -189,7 +203,8 @@ def rk4(s, v, dt):
     """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
     y, z, k, total = s.y, s.stage, s.derivative, s.total
-    size = _LOADED_SIZE if s.loaded else (_SIZE if s.rate_loop else _RATES)
+    size = _LOAD if s.integrated else (_SIZE if s.rate_loop else _RATES)
+    size = _LOADED_SIZE if s.loaded else size
     _derivative(y, s, v)
     for j in range(size):
         total[j] = k[j]
@@ -223,16 +238,21 @@ def disturb(s, perturbation, push, i):
 
 
 @numba.njit(cache=True, inline="always")
-def take_load(s, load, i, v):
-    """Write the slung load of vehicle i, with the record v, into a STEP; load (n, 6) or UNLOADED."""
+def take_states(s, load, integral, i, v):
+    """Write slung load and integrals of vehicle i, with the record v, into a STEP; as of `Conditions`."""
+    s.integrated = len(integral) > 0 and v.effects.attitude_integral != 0.0
+    for k in range(2):
+        s.y[_INTEGRAL + k] = integral[i, k] if s.integrated else 0.0
     s.loaded = len(load) > 0 and v.effects.load_mass != 0.0
     for k in range(LOAD_SIZE if s.loaded else 0):
         s.y[_LOAD + k] = load[i, k]
 
 
 @numba.njit(cache=True, inline="always")
-def give_load(s, load, i):
-    """Write the slung load of a STEP, if it has one, as that of vehicle i."""
+def give_states(s, load, integral, i):
+    """Write slung load and integrals of a STEP, if it has some, as those of vehicle i."""
+    for k in range(2 if s.integrated else 0):
+        integral[i, k] = s.y[_INTEGRAL + k]
     for k in range(LOAD_SIZE if s.loaded else 0):
         load[i, k] = s.y[_LOAD + k]
 
@@ -244,7 +264,7 @@ def _begin(s, state, command, conditions, i, rate_loop, v):
     v: the vehicle's record.
     """
     pack_state(state, s.y)
-    take_load(s, conditions.load, i, v)
+    take_states(s, conditions.load, conditions.integral, i, v)
     for k in range(4):
         s.command[k] = command[k]
     for k in range(AMBIENT_SIZE):
@@ -270,15 +290,18 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
         y = s.y
         if not rate_loop:
             roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = loop_rates(roll, pitch, s.command, v, s.perturbation)
+            errors = angle_errors(roll, pitch, s.command, v, s.perturbation)
+            integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
+            rates = loop_rates(errors, integrals, s.command, v, s.perturbation)
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = rates
         unpack_state(y, state[i])
-        give_load(s, conditions.load, i)
+        give_states(s, conditions.load, conditions.integral, i)
         conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
 @numba.njit(cache=True)
 def _derivatives(state, command, conditions, rate_loop):
-    """Return dy/dt (19,) of the integrated vector of one vehicle."""
+    """Return dy/dt (21,) of the integrated vector of one vehicle."""
     steps = np.zeros(1, STEP)
     s, v = steps[0], conditions.vehicle[0]
     _begin(s, state, command, conditions, 0, rate_loop, v)

@@ -148,7 +148,7 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
             actuator.forcerange = (-limit, limit) if torque_limit else (0.0, 0.0)
     for key in spec.keys:
         if key.name == "hover":
-            key.act = [v.hover_lag]
+            key.act = [v.hover_lag, 0, 0]
             key.ctrl = [v.hover_pwm, 0, 0, 0]
 
 

@@ -32,6 +32,7 @@ class Vehicle:
     attitude_time_constant: float
     attitude_bandwidth: float
     attitude_damping: float
+    attitude_integral_limit: float
     attitude_yaw_gain: float
     attitude_yaw_bandwidth: float
     attitude_torque_limit: float
@@ -80,6 +81,7 @@ class Vehicle:
     effects_load_length: float
     effects_thrust_delay: float
     effects_attitude_delay: float
+    effects_attitude_integral: float
     effects_attitude_trim: tuple[float, float]
     effects_estimator_lean: float
     effects_yaw_drift: float

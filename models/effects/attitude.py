@@ -133,6 +133,40 @@ EFFECTS = (
         says="the rate loop lags {rate_lag} more than modelled",
     ),
     Effect(
+        name="attitude_integral",
+        description="The roll and pitch loops integrate the angle error: a step overshoots and comes back "
+        "slowly, and a steady moment leaves no steady tilt.",
+        formula="d(angle)/dt = (error + rate integral(error))/time_constant, error = gain command - angle; "
+        "|integral| up to attitude.integral_limit",
+        source="the Crazyflie firmware's PID of roll and pitch: ki/kp = 3/6 1/s, of the rates 500/250 1/s",
+        parameters=(
+            Parameter(
+                "rate",
+                unit="rad/(rad s)",
+                bounds=(-0.2, 5.0),
+                plausible=0.5,
+                negligible=0.05,
+                manoeuvre=0.1,
+                one_signed=True,
+                adds_to="effects_attitude_integral",
+                constant=FittedConstant(
+                    "attitude integral ki/kp",
+                    field="effects_attitude_integral",
+                    unit="rad/(rad s)",
+                    offset=True,
+                ),
+            ),
+        ),
+        regimes=("attitude_step", "lateral"),
+        confused_with=("attitude_gain", "attitude_trim", "com_offset"),
+        remedy="Use the integral gains of the attitude and rate controllers that the model was identified "
+        "with, or accept the new constant.",
+        channels=("attitude",),
+        apply=added("effects_attitude_integral", "rate"),
+        in_the_loops=True,
+        says="the attitude loops integrate the angle error at {rate} more than modelled",
+    ),
+    Effect(
         name="attitude_trim",
         description="Level flight is commanded, but the vehicle holds a small constant tilt in its own "
         "frame: a tilted sensor, an uncalibrated accelerometer, or motion capture markers out of level.",

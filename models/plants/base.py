@@ -64,6 +64,9 @@ class Plant:
 
     load (n, 6): directions of the slung loads from their vehicles and the directions' rates [1/s], in the
     world's axes; without rows where no vehicle of the plant has one. A reset lets them hang straight down.
+
+    integral (n, 2): of the errors of roll and pitch over time [rad s], for vehicles with integral gains, else
+    0; a reset makes it 0.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class Plant:
             self.vehicle.platform_inclination,
         )
         self.present = np.ones(n, bool)
+        self.integral = np.zeros((n, 2))
         self.load = hanging(n) if any(v.effects_load_mass > 0.0 for v in self._vehicles) else UNLOADED
         self.perturbation = perturbation.neutral(n)
         self.delays = Delays(n, self._vehicles, self.control_period)
@@ -129,6 +133,7 @@ class Plant:
             "deck": self.platform,
             "present": self.present,
             "perturbation": self.perturbation,
+            "integral": self.integral,
             **({"choice": self.choice} if self.pool else {}),
             **({"load": self.load} if len(self.load) else {}),
             **self.delays.arrays(),
@@ -277,7 +282,7 @@ class Plant:
 
     def _begin(self, ids, state: np.ndarray) -> None:
         """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
-        self.state[ids] = state
+        self.state[ids], self.integral[ids] = state, 0.0
         if len(self.load):
             self.load[ids] = HANGING
         self.delays.reset(ids, state)

@@ -88,7 +88,7 @@ class _Engine(NamedTuple):
 
     qpos: np.ndarray  # (n, nq)
     qvel: np.ndarray  # (n, nv)
-    act: np.ndarray  # (n, 1)
+    act: np.ndarray  # (n, 3) lag, integrals of roll and pitch
     ctrl: np.ndarray  # (n, 4)
     time: np.ndarray  # (n,)
     warmstart: np.ndarray  # (n, nv)
@@ -194,7 +194,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     speeds, steps = period.platform_speeds, np.zeros(1, equations.STEP)
-    moving, rates = len(speeds.most) > 0, np.empty(6)
+    moving, rates, integral = len(speeds.most) > 0, np.empty(6), engine.act[:, 1:]
     poses = np.empty((len(platforms.bodies), 3))
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
@@ -227,7 +227,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height)
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(results.state[i], y)
-        equations.take_load(s, results.load, i, v)
+        equations.take_states(s, results.load, integral, i, v)
         turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
         out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
         for step in range(substeps if out_of_reach else 0):
@@ -262,7 +262,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         if abs(y[YAW]) > math.pi:
             y[YAW] -= 2.0 * math.pi * round(y[YAW] / (2.0 * math.pi))
         equations.unpack_state(y, results.state[i])
-        equations.give_load(s, results.load, i)
+        equations.give_states(s, results.load, integral, i)
         results.near[i], results.touch[i], results.force[i] = False, False, 0.0
         _write(i, results.state[i], substeps, dt, engine)
         if len(results.load) > 0:

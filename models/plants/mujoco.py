@@ -138,6 +138,7 @@ class MujocoPlant(Plant):
         self._batch, bind = batch, batch.bind
         self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self.integral = self._act[:, 1:]
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._warning = batch.warning
         self._history = bind("history") if self.model.nhistory else None
@@ -346,7 +347,9 @@ class MujocoPlant(Plant):
         wanted = self._ctrl
         if self.delays.of_commands:
             wanted = self.delays.acting(0.0, self.control_period / self.substeps)
-        _synchronise_rates(self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept)
+        _synchronise_rates(
+            self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept, self.integral
+        )
         self._write_loads(self._everyone[ids])  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -430,7 +433,7 @@ def _read_state(ids, qpos, qvel, act, state):
 
 
 @numba.njit(cache=True)
-def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
+def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept, integral):
     for i in range(qpos.shape[0]):
         if kept[i]:
             continue
@@ -438,5 +441,6 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept):
         roll, pitch, yaw = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
         shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
-        a, b, d = attitude_loops.loop_rates(shown[0], shown[1], ctrl[i], v, p[i])
+        errors = attitude_loops.angle_errors(shown[0], shown[1], ctrl[i], v, p[i])
+        a, b, d = attitude_loops.loop_rates(errors, (integral[i, 0], integral[i, 1]), ctrl[i], v, p[i])
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)

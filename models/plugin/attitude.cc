@@ -30,6 +30,42 @@ int AxisOf(const mjModel* m, int actuator) {
   return axis;
 }
 
+// What the loops hold: the estimate [rad] of roll or pitch, short of the tilt in the direction of flight.
+double Held(const mjModel* m, const mjData* d, const AttitudeAttributes& config, int body, int axis) {
+  const mjtNum* R = d->xmat + 9 * body;
+  mjtNum velocity[6];
+  mj_objectVelocity(m, d, mjOBJ_XBODY, body, velocity, 1);
+  if (axis == kRoll) return std::asin(std::clamp(static_cast<double>(R[7]), -1.0, 1.0)) + config.lean * velocity[4];
+  return std::atan2(-R[6], R[8]) - config.lean * velocity[3];
+}
+
+// Commanded less held angle [rad] of roll or pitch; without an actuator 0 is commanded.
+double AngleError(const mjModel* m, const mjData* d, const AttitudeAttributes& config, int body, int axis,
+                  int actuator) {
+  const double held = Held(m, d, config, body, axis);
+  if (actuator < 0) return -held;
+  const Hooks hooks(m, actuator);
+  return config.gain * hooks.gain_scale * (Command(m, d, actuator) + hooks.bias[0] + config.trim[axis]) - held;
+}
+
+// Derivative [rad] of an actuator's integral of its angle error, which does not grow beyond the limit.
+double IntegralRate(const mjModel* m, const mjData* d, const AttitudeAttributes& config, int actuator, double error) {
+  const double integral = d->act[m->actuator_actadr[actuator]];
+  return std::abs(integral) >= config.integral_limit && integral * error > 0 ? 0 : error;
+}
+
+void ActDot(const mjModel* m, mjData* d, int instance) {
+  const AttitudeAttributes* config = CachedConfig<AttitudeAttributes>(m, instance, kName);
+  if (!config) return;
+  for (int i = 0; i < m->nactuator; ++i) {
+    if (m->actuator_plugin[i] != instance || m->actuator_actnum[i] == 0) continue;
+    const int address = m->actuator_actadr[i], body = m->site_bodyid[m->actuator_trnid[2 * i]];
+    d->act_dot[address] = 0;
+    if (config->integral == 0 || !ActuatorEnabled(m, i)) continue;
+    d->act_dot[address] = IntegralRate(m, d, *config, i, AngleError(m, d, *config, body, AxisOf(m, i), i));
+  }
+}
+
 void Compute(const mjModel* m, mjData* d, int instance) {
   const AttitudeAttributes* config = CachedConfig<AttitudeAttributes>(m, instance, kName);
   if (!config) return;
@@ -50,8 +86,6 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   const mjtNum* R = d->xmat + 9 * body;
   const double sin_roll = std::clamp(static_cast<double>(R[7]), -1.0, 1.0);
   const double cos_roll = std::sqrt(1 - sin_roll * sin_roll);
-  const double roll = std::asin(sin_roll);
-  const double pitch = std::atan2(-R[6], R[8]);
   const double guarded = std::max(cos_roll, kMinCosRoll);
   const double norm = std::hypot(R[6], R[8]);
   const double sin_pitch = norm > 0 ? -R[6] / norm : 0;
@@ -64,22 +98,18 @@ void Compute(const mjModel* m, mjData* d, int instance) {
   const double yaw_rate = (w[2] * cos_pitch - w[0] * sin_pitch) / guarded;
   const double pitch_rate = w[1] - yaw_rate * sin_roll;
 
-  // What the loops hold: the estimate, which is short of the tilt in the direction of flight.
-  const double held_roll = roll + config->lean * velocity[4];
-  const double held_pitch = pitch - config->lean * velocity[3];
-
   // Euler accelerations: the paper's loop, its wanted rate followed with bandwidth B
-  const auto angle_acceleration = [&](int actuator, double angle, double rate, double trim) {
-    double gain = config->gain, tau = config->time_constant, command = 0;
-    if (actuator >= 0) {
-      const Hooks hooks(m, actuator);
-      gain *= hooks.gain_scale;
-      tau *= hooks.time_scale;
-      command = Command(m, d, actuator) + hooks.bias[0] + trim;
+  const auto angle_acceleration = [&](Axis axis, double rate) {
+    const int actuator = actuators[axis];
+    double tau = config->time_constant, error = AngleError(m, d, *config, body, axis, actuator), integrated = 0;
+    if (actuator >= 0) tau *= Hooks(m, actuator).time_scale;
+    if (actuator >= 0 && m->actuator_actnum[actuator] > 0) {
+      integrated = config->integral * IntegralRate(m, d, *config, actuator, error);
+      error += config->integral * d->act[m->actuator_actadr[actuator]];
     }
-    const double wanted = (gain * command - angle) / tau;
+    const double wanted = error / tau;
     const double beyond = (config->damping - 1) * (config->bandwidth + 1 / tau);
-    return config->bandwidth * (wanted - rate) - rate / tau - beyond * rate;
+    return config->bandwidth * (wanted - rate) + (integrated - rate) / tau - beyond * rate;
   };
   double yaw_wanted = 0, yaw_bandwidth = config->yaw_bandwidth;
   if (actuators[kYaw] >= 0) {
@@ -88,9 +118,8 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     yaw_wanted = gain * (Command(m, d, actuators[kYaw]) + hooks.bias[0]) + config->yaw_drift;
     yaw_bandwidth /= hooks.time_scale;
   }
-  const double roll_acc = angle_acceleration(actuators[kRoll], held_roll, roll_rate, config->trim[0]);
-  const double pitch_acc =
-      angle_acceleration(actuators[kPitch], held_pitch, pitch_rate, config->trim[1]);
+  const double roll_acc = angle_acceleration(kRoll, roll_rate);
+  const double pitch_acc = angle_acceleration(kPitch, pitch_rate);
   const double yaw_acc = yaw_bandwidth * (yaw_wanted - yaw_rate);
 
   // time derivative of w = (roll' cp - yaw' cr sp, pitch' + yaw' sr, roll' sp + yaw' cr cp)
@@ -123,7 +152,8 @@ void Compute(const mjModel* m, mjData* d, int instance) {
 }
 
 // One vehicle body, each axis at most once, site axes equal to body axes.
-bool CheckAxes(const mjModel* m, int instance, std::string* error) {
+// Integrals of roll and pitch where there are integral gains.
+bool CheckAxes(const mjModel* m, const AttitudeAttributes& config, int instance, std::string* error) {
   bool taken[3] = {false, false, false};
   int body = -1;
   const std::string plugin = kName;
@@ -135,6 +165,10 @@ bool CheckAxes(const mjModel* m, int instance, std::string* error) {
     if (axis < 0) {
       *error = plugin + ": the gear of an actuator must be one rotational component, such as "
                         "\"0 0 0 1 0 0\" for roll";
+    } else if (m->actuator_actnum[i] > (axis != kYaw) ||
+               m->actuator_actnum[i] < (axis != kYaw && config.integral != 0)) {
+      *error = plugin + ": roll and pitch actuators must have actdim=\"1\" with the attribute 'integral', "
+                        "and may have it without; a yaw actuator must have none";
     } else if (taken[axis]) {
       *error = plugin + ": two actuators of one instance must not drive the same axis";
     } else if (body >= 0 && body != m->site_bodyid[site]) {
@@ -155,8 +189,8 @@ int Init(const mjModel* m, mjData* d, int instance) {
   AttitudeAttributes config;
   std::string error;
   if (!ReadAttributes(m, instance, kName, config.Table(), &error) ||
-      !CheckNumbers(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, 0, &error) ||
-      !CheckAxes(m, instance, &error)) {
+      !CheckNumbers(m, instance, kName, config.Table(), &error) || !CheckActuators(m, instance, kName, -1, &error) ||
+      !CheckAxes(m, config, instance, &error)) {
     mju_warning("%s", error.c_str());
     return -1;
   }
@@ -175,6 +209,7 @@ void RegisterAttitude() {
   plugin.nstate = +[](const mjModel*, int) { return 0; };
   plugin.init = &Init;
   plugin.reset = +[](const mjModel*, mjtNum*, void*, int) {};
+  plugin.actuator_act_dot = &ActDot;
   plugin.compute =
       +[](const mjModel* m, mjData* d, int instance, int) { Compute(m, d, instance); };
   mjp_registerPlugin(&plugin);

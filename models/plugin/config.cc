@@ -91,7 +91,7 @@ bool CheckActuators(const mjModel* m, int instance, const char* plugin, int actd
       *error = std::string(plugin) + ": actuator '" + name + "' must act on a site of the vehicle";
       return false;
     }
-    if (m->actuator_actnum[i] != actdim) {
+    if (actdim >= 0 && m->actuator_actnum[i] != actdim) {
       *error = std::string(plugin) + ": actuator '" + name + "' must have actdim=\"" +
                std::to_string(actdim) + "\", it has " + std::to_string(m->actuator_actnum[i]);
       return false;

@@ -155,7 +155,7 @@ struct Hooks {
 };
 
 // Checks what both plugins need of the actuators of an instance: at least one, each on a site,
-// with `actdim` activations. On failure returns false and puts a sentence into `error`.
+// with `actdim` activations, or any number where it is negative. On failure returns false and puts a sentence into `error`.
 bool CheckActuators(const mjModel* m, int instance, const char* plugin, int actdim,
                     std::string* error);
 

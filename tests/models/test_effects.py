@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.signal import detrend
 
+from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.model.prediction import predict, translated
 from inclined_landing.eval.logs import FlightLog
@@ -589,7 +590,8 @@ def test_what_acts_in_the_loops_alone_moves_nothing_else():
 
 
 @pytest.mark.parametrize(
-    "name", ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop", "estimator_lean"]
+    "name",
+    ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop", "estimator_lean", "attitude_integral"],
 )
 def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     """Positions up to the line that the start state is, angles once the start has died away."""
@@ -603,7 +605,9 @@ def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
 
     (metres, radians), nominal = error(vehicle), error(V)
     # Attitudes between rows; velocities smoothed over 0.1 s, which leans by 10 mm/s of their error.
-    assert metres < 2e-4 and radians < (2e-4 if name == "estimator_lean" else 1e-5)
+    # What an integral has of the start at rest dies away with its own rate, 0.5 1/s.
+    coarse = name in ("estimator_lean", "attitude_integral")
+    assert metres < 2e-4 and radians < (2e-4 if coarse else 1e-5)
     assert nominal[0] > 5 * metres or nominal[1] > 5 * radians
 
 
@@ -616,6 +620,30 @@ def test_the_heavy_side_goes_down(kind):
     assert states[-1, PITCH] == pytest.approx(offset * WEIGHT / stiffness, rel=0.01)
     left = hold(plant_of(kind, 1, changed("com_offset", x=0.0, y=offset)), 200, V.hover_pwm)
     assert left[-1, ROLL] < -0.9 * offset * WEIGHT / stiffness * V.body_inertia[1] / V.body_inertia[0]
+
+
+@pytest.mark.parametrize("kind", ["analytic", "mujoco", "hybrid"])
+def test_an_integral_trims_a_moment_away_up_to_its_limit(kind):
+    """From the angle without it: integral I = angle, or what the limit leaves of it."""
+    rate, vehicle = 2.0, changed("com_offset", x=0.001, y=0.0).changed(effects_attitude_integral=2.0)
+    tilt = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
+    own = {"attitude": "rate_loop", "substeps": 5} if kind == "analytic" else {"threads": 1}
+    for limit, left in ((0.3, 0.0), (0.25 * tilt / rate, 0.75 * tilt)):
+        plant = make_plant(kind, 1, vehicle.changed(attitude_integral_limit=limit), **own)
+        pitch = hold(plant, 350, V.hover_pwm)[:, PITCH]
+        # The slowest pole, -3.2 1/s, leaves 2e-10 in 7 s; the step that reaches the limit is of 4 ms tilt.
+        assert pitch[-1] == pytest.approx(left, abs=0.004 * rate * tilt if left else 1e-3 * tilt)
+        assert plant.integral[0, 1] * rate == pytest.approx(pitch[-1] - tilt, rel=1e-2)
+
+
+@pytest.mark.parametrize("plant", BOTH)
+def test_a_rollout_begins_with_the_integrals_of_the_flight(plant):
+    vehicle = changed("attitude_integral", rate=2.0)
+    starts = RolloutWindows.of([flight_of(vehicle)])
+    ends = [(simulate(starts, v, plant) - starts.measured())[:, -1, 3:5] for v in (vehicle, V)]
+    known, forgotten = (np.abs(end).max() for end in ends)
+    # Start rates smoothed over 0.1 s err by at most the steps of commands, gone by exp(-1 s/tau) = 4e-3.
+    assert known < 1e-3 < 1e-2 < forgotten
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from inclined_landing.models.plants.contacts import contact_sensors
 V = load_vehicle()
 # None of the delays is a number of control periods.
 LATE = V.changed(effects_thrust_delay=0.027, effects_attitude_delay=0.051, effects_mocap_delay=0.033)
-LOADED = V.changed(effects_load_mass=0.005, effects_load_length=0.4)
+LOADED = V.changed(effects_load_mass=0.005, effects_load_length=0.4, effects_attitude_integral=2.0)
 FEET, BODY, ROTORS = range(3)
 SLAB, BASE, FLOOR = range(3)
 INCLINATIONS = np.radians([-50, -25.7, -10, 0, 15, 50])
@@ -72,7 +72,8 @@ def history(plant, commands):
         plant.step(row)
         c = plant.contacts
         rows += [plant.state.copy(), c.near.copy(), c.touch.copy(), c.force.copy(), plant.measurement.copy()]
-        rows += [plant.load.copy()] if LOADED.effects_load_mass == plant.vehicle.effects_load_mass else []
+        if plant.vehicle == LOADED:
+            rows += [plant.load.copy(), plant.integral.copy()]
     return rows
 
 

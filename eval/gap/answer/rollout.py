@@ -1,7 +1,8 @@
 """Open-loop simulation from measured states: the prediction error in metres, in both plants.
 
-A window starts at the smoothed measured state (the thrust lag from the commands before it) and is driven by
-the commands alone, attitude included. Delayed commands are averaged exactly over each step.
+A window starts at the smoothed measured state (the thrust lag from the commands before it, the loops'
+integrals as predicted along the flight) and is driven by the commands alone, attitude included. Delayed
+commands are averaged exactly over each step.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
-from inclined_landing.eval.gap.model.prediction import as_flown, delayed_commands, predict, without_delays
+from inclined_landing.eval.gap.model.prediction import (
+    angle_integrals,
+    as_flown,
+    delayed_commands,
+    predict,
+    without_delays,
+)
 from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
@@ -141,11 +148,12 @@ def simulate(
     if perturbation is not None:
         state[:, :LAG] += perturbation
     ambient = starts.gather([f.ambient for f in starts.flights])
+    integral = starts.gather([angle_integrals(f, vehicle) for f in starts.flights], 1)[:, 0]
     check_plant(plant)
     if plant == "analytic":
-        pose = _analytic(starts, vehicle, state, commands, ambient)
+        pose = _analytic(starts, vehicle, state, integral, commands, ambient)
     else:
-        pose = _mujoco(starts, vehicle, state, commands, ambient, lag)
+        pose = _mujoco(starts, vehicle, state, integral, commands, ambient, lag)
     if any(tilt):
         for window in pose:
             tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
@@ -157,7 +165,7 @@ def simulate(
     return pose
 
 
-def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
+def _analytic(starts, vehicle, state, integral, commands, ambient) -> np.ndarray:
     n = len(starts)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
@@ -165,7 +173,9 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     step_ambient = ambient[:, 0].copy()
     step_ambient[:, 0] -= 0.5 * starts.dt
     load = hanging(n) if vehicle.effects_load_mass else UNLOADED
-    conditions = equations.Conditions(forces.pack(vehicle), neutral(n), step_ambient, load=load)
+    conditions = equations.Conditions(
+        forces.pack(vehicle), neutral(n), step_ambient, load=load, integral=integral
+    )
     for k in range(starts.rows):
         step_ambient[:, 1:] = ambient[:, k, 1:]
         command, dt = np.ascontiguousarray(commands[:, k]), starts.dt / substeps
@@ -174,7 +184,7 @@ def _analytic(starts, vehicle, state, commands, ambient) -> np.ndarray:
     return pose
 
 
-def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
+def _mujoco(starts, vehicle, state, integral, commands, ambient, lag) -> np.ndarray:
     """Return the poses simulated in MuJoCo; effects of flight time and voltage enter as a thrust scale."""
     n = len(starts)
     plain = dataclasses.replace(
@@ -189,6 +199,7 @@ def _mujoco(starts, vehicle, state, commands, ambient, lag) -> np.ndarray:
     lift = 0.0 if vehicle.effects_ground_effect or ambient[:, 0, 3].any() else CLEAR_HEIGHT
     state[:, 2] += lift
     plant.reset(np.arange(n), state)
+    plant.integral[:] = integral
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
     for k in range(starts.rows):

@@ -19,8 +19,15 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import pulled
-from inclined_landing.models.attitude import PWM, euler_rates, tilted
-from inclined_landing.models.attitude_loops import angle_steps, yaw_steps
+from inclined_landing.models.attitude import (
+    PITCH_COMMAND,
+    PWM,
+    ROLL_COMMAND,
+    YAW_RATE_COMMAND,
+    euler_rates,
+    tilted,
+)
+from inclined_landing.models.attitude_loops import angle_steps, integrated_angle_steps, yaw_steps
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import lag_step, lags, pack, wrench
 from inclined_landing.models.perturbation import NEUTRAL
@@ -56,28 +63,44 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     late = vehicle.effects_mocap_delay
     vehicle, given = as_flown(flight, vehicle), vehicle
     dt, packed = flight.dt, pack(vehicle)
-    angles = [averages(flight.command[:, k], dt, vehicle.effects_attitude_delay + late) for k in (1, 2, 3)]
-    rotation, start = flight.middle_rotation, flight.attitude[0]
     tilt = vehicle.effects_mocap_tilt
-    if any(tilt):
-        _, rotation, start = flight.without_tilt(tilt)
     out = np.empty((flight.samples, flight.channels))
     out[:, :3], twist = translated(flight, vehicle) if like is None else like
-    lean = vehicle.effects_estimator_lean
-    if lean:  # the angle at which the loops come to rest moves with the speed: a twist that holds it there
-        twist, moved = twist.copy(), np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
-        stiffness = vehicle.attitude_bandwidth / vehicle.attitude_time_constant
-        twist[:, 0] -= lean * stiffness * moved[:, 1]
-        twist[:, 1] += lean * stiffness * moved[:, 0]
+    commands, start = _loop_commands(flight, vehicle)
     for k in (0, 1):
-        out[:, ROLL_CHANNEL + k] = angle_steps(k, angles[k], twist[:, k], start[k], dt, packed)
-    out[:, YAW_CHANNEL] = yaw_steps(angles[2], dt, packed)
+        out[:, ROLL_CHANNEL + k] = angle_steps(k, commands[k], twist[:, k], start[k], dt, packed)
+    turns = averages(flight.command[:, YAW_RATE_COMMAND], dt, vehicle.effects_attitude_delay + late)
+    out[:, YAW_CHANNEL] = yaw_steps(turns, dt, packed)
     if any(tilt):
         angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
         tilted(out[:, angles_of].copy(), *tilt, out[:, angles_of])
     if flight.requests is not None:
         out[:, YAW_CHANNEL + 1 :] = requested_differences(flight, given)
     return out
+
+
+def _loop_commands(flight, vehicle: Vehicle) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return what the loops of roll and pitch follow (m - 1,) each, and the attitude at which they start."""
+    delay, lean = vehicle.effects_attitude_delay + vehicle.effects_mocap_delay, vehicle.effects_estimator_lean
+    roll, pitch = (averages(flight.command[:, k], flight.dt, delay) for k in (ROLL_COMMAND, PITCH_COMMAND))
+    rotation, start = flight.middle_rotation, flight.attitude[0]
+    if any(vehicle.effects_mocap_tilt):
+        _, rotation, start = flight.without_tilt(vehicle.effects_mocap_tilt)
+    if lean:  # the angle at which the loops come to rest moves with the speed: as by a command
+        moved = lean / vehicle.attitude_gain * np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
+        roll, pitch = roll - moved[:, 1], pitch + moved[:, 0]
+    return [roll, pitch], start
+
+
+def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
+    """Return the integrals (m, 2) [rad s] of the errors of roll and pitch along a flight's prediction."""
+    if vehicle.effects_attitude_integral == 0.0:
+        return np.zeros((flight.samples, 2))
+    vehicle, (_, twist) = as_flown(flight, vehicle), translated(flight, vehicle)
+    commands, start = _loop_commands(flight, vehicle)
+    packed, loops = pack(vehicle), zip((0, 1), commands, twist.T, start)
+    steps = [integrated_angle_steps(k, u, t, x, flight.dt, packed) for k, u, t, x in loops]
+    return np.stack([loop[:, 1] for loop in steps], axis=1)
 
 
 def as_flown(flight, vehicle: Vehicle) -> Vehicle:

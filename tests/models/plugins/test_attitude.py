@@ -167,7 +167,7 @@ def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text):
         ({"gear": "0 0 0 0 1 0"}, "must not drive the same axis"),
         ({"site": "other"}, "must act on one body"),
         ({"site": "tilted"}, "must have the axes of its body"),
-        ({"actdim": "1"}, 'must have actdim="0", it has 1'),
+        ({"actdim": "2"}, 'must have actdim="1" with the attribute'),
         ({"site": None, "joint": "hinge", "gear": "1"}, "'roll' must act on a site"),
     ],
 )
@@ -177,6 +177,11 @@ def test_wrong_actuator_is_refused_in_a_sentence(build, changed, sentence):
     site = '<site name="com"/><site name="tilted" euler="0 0 10"/>'
     with pytest.raises(ValueError, match=sentence):
         build(actuators="".join(actuators), site=site)
+
+
+def test_integral_gains_without_integrals_are_refused(build):
+    with pytest.raises(ValueError, match="roll and pitch actuators must have actdim"):
+        build(attitude={"integral": "0.5"})
 
 
 def test_instance_without_actuator_is_refused(build):

@@ -31,6 +31,8 @@ V = dataclasses.replace(
     effects_ground_effect=2.0,
     effects_ground_fading=2.0,
     effects_rotor_loss=(0.02, 0.05, 0.01, 0.1),
+    effects_attitude_integral=1.0,
+    attitude_integral_limit=0.005,
     effects_attitude_trim=(0.02, -0.01),
     effects_estimator_lean=0.02,
     effects_yaw_drift=0.1,
@@ -105,7 +107,7 @@ def test_custom_numbers_stand_for_the_text(plugin, name):
             (0.05, 0, V.platform_surface_height + 0.1),
             (0.3, -0.2, -0.5, 1, -1, 0.5),
         )
-        data.act[:], data.ctrl[:] = 1.2 * V.hover_lag, (0.8 * V.hover_pwm, 0.2, -0.1, 1.0)
+        data.act[0], data.ctrl[:] = 1.2 * V.hover_lag, (0.8 * V.hover_pwm, 0.2, -0.1, 1.0)
         mujoco.mj_step(model, data, nstep=10)
         ends.append(np.concatenate([data.qpos, data.qvel, data.act]))
     np.testing.assert_array_equal(ends[1], ends[2])
