@@ -17,6 +17,7 @@ import contextlib
 import dataclasses
 import functools
 import os
+from unittest import mock
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -28,8 +29,9 @@ from . import interface
 from .batch import ROTORS, WIND, Batch, Q, V, W, X, draw_reality
 from .interface import RATE
 
-os.environ.setdefault("SCIPY_ARRAY_API", "1")  # Crazyflow asks for it; NumPy's arrays do without
-with optional(), contextlib.redirect_stdout(None):  # MJX prints what it does without
+# Crazyflow asks for SciPy's array API, which NumPy's arrays do without; MJX prints what it does without.
+_ASKED = mock.patch.dict(os.environ, SCIPY_ARRAY_API="1")
+with optional(), _ASKED, contextlib.redirect_stdout(None):
     from crazyflow.control import load_fn_params as law_params
     from crazyflow.control.mellinger import attitude2force_torque, force_torque2rotor_vel, state2attitude
     from crazyflow.control.transform import motor_force2rotor_vel
@@ -88,8 +90,9 @@ def flies(reality: CrazyflowReality, w: World) -> bool:
         tau = 1.0 / min(up + 2 * up2 * hover, down + 2 * down2 * hover)
     else:
         tau = 1.0 / p["thrust_dyn_coef"][0] if "thrust_dyn_coef" in p else 0.0
-    if (tau + _PILOT_LAG) * kp > 0.45 * kd or reality.dynamics != PHYSICAL:
-        return bool((tau + _PILOT_LAG) * kp < 0.45 * kd)
+    height = bool((tau + _PILOT_LAG) * kp < 0.45 * kd)
+    if not height or reality.dynamics != PHYSICAL:
+        return height
     law = _loaded(law_params, attitude2force_torque, reality.drone)
     per_pwm = 2.0 * law["L"] * law["thrust_max"] / law["pwm_max"] / p["J"][0, 0]  # of two by two rotors
     kp, kd, ka = (per_pwm * law[name][0] for name in ("kR", "kw", "kd_omega"))
@@ -129,8 +132,8 @@ def parameters(reality: CrazyflowReality, w: World | None = None) -> dict[str, n
 
 
 class Flights(Batch):
-    """Flights of Crazyflow's vehicle, whose rotors' states are RPM or, in `so_rpy*`, four times the thrust
-    command [N] in effect."""
+    """Flights of Crazyflow's vehicle, whose rotors' states are RPM or, in `so_rpy*`, the thrust command [N]
+    of the whole vehicle that is in effect, in each of the four."""
 
     def build(self) -> None:
         r, n = self.reality, len(self.worlds)
@@ -176,27 +179,30 @@ class Flights(Batch):
             for name in ("rpm2thrust", "rpm2torque", "cmd_f_coef")
             if name in self.p
         }
+        cmd, loop = (
+            np.column_stack([asked.as_euler("xyz"), thrust]),
+            self._rotors if self.physical else self._loop,
+        )
         for _ in range(_STEPS):
-            cmd = np.column_stack([asked.as_euler("xyz"), thrust])
-            cmd = self._rotors(z, cmd) * supply[:, None] if self.physical else self._loop(z, cmd, supply)
-            self._step(z, cmd, p, push, 1.0 / (RATE * _STEPS))
+            self._step(z, loop(z, cmd, supply**2), p, push, 1.0 / (RATE * _STEPS))
         return z
 
-    def _rotors(self, z: np.ndarray, cmd: np.ndarray) -> np.ndarray:
-        """RPM that Crazyflow's attitude controller asks for."""
+    def _rotors(self, z: np.ndarray, cmd: np.ndarray, supply: np.ndarray) -> np.ndarray:
+        """RPM that Crazyflow's attitude controller asks for, with a share `supply` of its thrust."""
         force, torque, self.twist = attitude2force_torque(
             z[:, Q], z[:, W], cmd, self.rates, self.twist, RATE * _STEPS, **self.law
         )
         self.rates = z[:, W].copy()
-        return force_torque2rotor_vel(force, torque, **self.mixer)
+        asked = self.thrusts(force_torque2rotor_vel(force, torque, **self.mixer))
+        return motor_force2rotor_vel(supply[:, None] * asked, self.nominal["rpm2thrust"])
 
     def _loop(self, z: np.ndarray, cmd: np.ndarray, supply: np.ndarray) -> np.ndarray:
         """The command of an identified loop; its heading, near the present one, with a gain of 1."""
         yaw = Rotation.from_quat(z[:, Q]).as_euler("xyz")[:, 2]
         near = yaw + np.angle(np.exp(1j * (cmd[:, 2] - yaw)))
-        cmd[:, 2] = -near * self.p["rpy_coef"][:, 2] / self.p["cmd_rpy_coef"][:, 2]
-        cmd[:, 3] *= supply**2
-        return cmd
+        return np.column_stack(
+            [cmd[:, :2], -near * self.p["rpy_coef"][:, 2] / self.p["cmd_rpy_coef"][:, 2], supply * cmd[:, 3]]
+        )
 
     def _step(self, z: np.ndarray, cmd: np.ndarray, p: dict, push: np.ndarray, h: float) -> None:
         """Advance state z by h seconds."""
