@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import ROLL, STATE_SIZE, YAW, tilted
+from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, YAW, tilted
 from inclined_landing.models.vehicle import Vehicle
 
 
@@ -32,12 +32,14 @@ class Delays:
             "_command": np.array(
                 [[v.effects_thrust_delay, *(v.effects_attitude_delay,) * 3] for v in vehicles]
             ),
-            "_mocap": np.array([v.effects_mocap_delay for v in vehicles]),
+            "_measured": np.array(
+                [[v.effects_mocap_delay, attitude_age(v)] for v in vehicles]  # of position, of attitude
+            ),
             "_tilt": np.array([v.effects_mocap_tilt for v in vehicles]),
         }
         rows = 1 if len(vehicles) == 1 else n  # else what holds for all
-        self._command, self._mocap, self._tilt = (x[[0] * rows] for x in self._of_each.values())
-        longest, oldest = self._of_each["_command"].max(), self._of_each["_mocap"].max()
+        self._command, self._measured, self._tilt = (x[[0] * rows] for x in self._of_each.values())
+        longest, oldest = self._of_each["_command"].max(), self._of_each["_measured"].max()
         self.of_commands, self.of_measurement = bool(longest > 0.0), bool(oldest > 0.0)
         self._tilts = bool(self._of_each["_tilt"].any())
         depth = math.ceil(longest / self.period) + 1 if self.of_commands else 0
@@ -84,22 +86,30 @@ class Delays:
     def measurement(self, state: np.ndarray) -> np.ndarray:
         """`state` (n, 13) as it was before the delay, interpolated linearly between control steps, tilted."""
         if self.of_measurement:
-            state = _late(self.states, self._mocap, self.period, state)
+            state = _late(self.states, self._measured, self.period, state)
         if self._tilts:
             attitude, state = state[:, ROLL : YAW + 1].copy(), state.copy()
             _tilt(attitude, self._tilt, state[:, ROLL : YAW + 1])
         return state
 
 
+def attitude_age(vehicle: Vehicle) -> float:
+    """How much older the measured attitude is than its time stamp [s]."""
+    return max(0.0, vehicle.effects_mocap_delay + vehicle.effects_estimator_delay)
+
+
 @numba.njit(cache=True)
 def _late(states, delays, period, state):
-    """State (n, 13) before delays [s] (n,) or (1,), between past ones (n, depth, 13), newest first."""
+    """State (n, 13) before delays [s] (n, 2) or (1, 2), between past ones (n, depth, 13), newest first.
+
+    The second delay is that of the attitude and its rates.
+    """
     out = state.copy()
     for i in range(len(state)):
-        steps = delays[i if len(delays) > 1 else 0] / period
-        if steps > 0.0:
-            whole = int(steps)
-            for k in range(state.shape[1]):
+        for k in range(state.shape[1]):
+            steps = delays[i if len(delays) > 1 else 0, int(ROLL <= k < LAG)] / period
+            if steps > 0.0:
+                whole = int(steps)
                 later = states[i, whole, k]
                 change = states[i, whole + 1, k] - later
                 if ROLL <= k <= YAW:

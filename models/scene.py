@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from inclined_landing.models import geometry, plugins, schema
 from inclined_landing.models.attitude import quaternion
+from inclined_landing.models.delays import attitude_age
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
@@ -244,7 +245,8 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
             spec.actuator(name).nsample = _samples(longest, spec)
     if pooled is not None:
         return
-    if v.effects_mocap_delay > 0 or any(v.effects_mocap_tilt):
+    ages = {"position": v.effects_mocap_delay, "attitude": attitude_age(v)}
+    if any(ages.values()) or any(v.effects_mocap_tilt):
         turn = np.array(quaternion(*v.effects_mocap_tilt, 0.0))
         spec.body("crazyflie").add_site(name="mocap", quat=turn, group=4, size=[0.002, 0, 0])
         for name, kind in (("position", "POS"), ("attitude", "QUAT")):
@@ -253,8 +255,8 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
                 type=getattr(mujoco.mjtSensor, f"mjSENS_FRAME{kind}"),
                 objtype=mujoco.mjtObj.mjOBJ_SITE,
                 objname="mocap",
-                delay=v.effects_mocap_delay,
-                nsample=_samples(v.effects_mocap_delay, spec) + 1 if v.effects_mocap_delay > 0 else 0,
+                delay=ages[name],
+                nsample=_samples(ages[name], spec) + 1 if ages[name] > 0 else 0,
                 interp=1,  # linear
             )
 

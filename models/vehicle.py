@@ -87,6 +87,7 @@ class Vehicle:
     effects_yaw_drift: float
     effects_mocap_tilt: tuple[float, float]
     effects_mocap_delay: float
+    effects_estimator_delay: float
 
     def changed(self, **fields: object) -> Vehicle:
         """Return a variant with other values of some fields: `dataclasses.replace`, ten times as fast."""

@@ -74,4 +74,34 @@ EFFECTS = (
         is_lag=True,
         says="the measured pose is {delay} older than its time stamp",
     ),
+    Effect(
+        name="estimator_delay",
+        description="The logged attitude is older than the logged position: the onboard estimator trails, or "
+        "its log comes by another way than that of the motion capture. Drag seems larger by it, as the tilt "
+        "that brakes the vehicle is logged later.",
+        formula="measured attitude(t) = attitude(t - delay) beside measured position(t) = position(t)",
+        source="stream offsets of the nanobench flights: -20 to 35 ms",
+        parameters=(
+            Parameter(
+                "delay",
+                unit="s",
+                bounds=(-0.06, 0.06),
+                plausible=0.02,
+                negligible=0.003,
+                adds_to="effects_estimator_delay",
+                constant=FittedConstant(
+                    "estimator delay", field="effects_estimator_delay", unit="s", offset=True
+                ),
+                step=0.001,
+                manoeuvre=0.003,
+            ),
+        ),
+        regimes=("attitude_step", "lateral"),
+        confused_with=("rotor_drag", "body_drag", "attitude_delay"),
+        remedy="Log attitude and position with one clock, or shift the attitude of the log.",
+        channels=("translation", "attitude"),
+        apply=added("effects_estimator_delay", "delay"),
+        is_lag=True,
+        says="the logged attitude is {delay} older than the logged position",
+    ),
 )

@@ -15,7 +15,13 @@ import numba
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.gap.flights.windows import SMOOTHING, MeasuredFlight, prepare, remove_tilt
+from inclined_landing.eval.gap.flights.windows import (
+    SMOOTHING,
+    MeasuredFlight,
+    earlier,
+    prepare,
+    remove_tilt,
+)
 from inclined_landing.eval.gap.model.prediction import (
     angle_integrals,
     as_flown,
@@ -101,8 +107,11 @@ def _filter_lengths(dt: float) -> tuple[int, int]:
     return wide, narrow
 
 
-def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
-    """Return the states (m, 13) from smoothed measurements (Savitzky-Golay, second order); lag zero."""
+def smoothed_states(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
+    """Return the states (m, 13) from smoothed measurements (Savitzky-Golay, second order); lag zero.
+
+    A delay of the vehicle's measured attitude beyond that of the position is taken off.
+    """
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
@@ -112,6 +121,8 @@ def smoothed_states(flight: MeasuredFlight) -> np.ndarray:
     rates = savgol_filter(flight.attitude, narrow, 2, deriv=1, delta=dt, axis=0)
     for k in range(flight.samples):
         state[k, WX : WX + 3] = body_rates(state[k, ROLL], state[k, ROLL + 1], *rates[k])
+    if late := vehicle.effects_estimator_delay:
+        state[:, ROLL:LAG] = earlier(state[:, ROLL:LAG], -late / dt)
     return state
 
 
@@ -139,8 +150,8 @@ def simulate(
     vehicle = as_flown(starts.flights[0], vehicle)
     driven = [delayed_commands(f.command, f.dt, vehicle) for f in starts.flights]
     commands = starts.gather([c for c, _ in driven])
-    state = starts.gather([smoothed_states(f) for f in starts.flights], 1)[:, 0]
-    tilt = vehicle.effects_mocap_tilt
+    state = starts.gather([smoothed_states(f, vehicle) for f in starts.flights], 1)[:, 0]
+    tilt, late = vehicle.effects_mocap_tilt, vehicle.effects_estimator_delay
     if any(tilt):
         state[:, ROLL : ROLL + 3] = remove_tilt(state[:, ROLL : ROLL + 3].copy(), tilt)
     lag = starts.gather([lag for _, lag in driven])
@@ -154,6 +165,9 @@ def simulate(
         pose = _analytic(starts, vehicle, state, integral, commands, ambient)
     else:
         pose = _mujoco(starts, vehicle, state, integral, commands, ambient, lag)
+    if late:
+        for window in pose:
+            window[:, 3:] = earlier(window[:, 3:], late / starts.dt)
     if any(tilt):
         for window in pose:
             tilted(window[:, 3:].copy(), *tilt, window[:, 3:])
@@ -260,7 +274,7 @@ def along_measured_attitude(starts: RolloutWindows, vehicle: Vehicle) -> np.ndar
         if not len(own):
             continue
         predicted = predict(flight, vehicle)[:, :3]
-        start = smoothed_states(flight)
+        start = smoothed_states(flight, vehicle)
         rate = np.gradient(predicted, flight.dt, axis=0)
         for i in own:
             a = starts.first[i]

@@ -73,7 +73,7 @@ class MeasuredFlight:
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
     thrust_is_measured: bool  # whether the thrust command is that of measured rotor speeds: without a lag
     requests: MotorRequests | None  # None: not logged
-    _without_tilt: dict = dataclasses.field(default_factory=dict, repr=False)
+    _attitudes: dict = dataclasses.field(default_factory=dict, repr=False)
 
     @property
     def samples(self) -> int:
@@ -121,15 +121,21 @@ class MeasuredFlight:
         whitening = Whitening.of(error_responses, noise, self.acceleration_noise, of.size, of.time)
         return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
-    def without_tilt(self, tilt: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mid-step attitudes, their rotations, and the first attitude, with a tilt [rad] removed."""
-        cached = self._without_tilt.get(tilt)
+    def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mid-step attitudes, their rotations, and the first attitude, as the rotors were.
+
+        A tilt and a delay of the measured attitude beyond that of the position are taken off.
+        """
+        tilt, late = vehicle.effects_mocap_tilt, vehicle.effects_estimator_delay
+        if not (late or any(tilt)):
+            return self.middle_attitude, self.middle_rotation, self.attitude[0]
+        cached = self._attitudes.get((tilt, late))
         if cached is None:
-            attitude = remove_tilt(self.middle_attitude, tilt)
-            cached = attitude, rotations(attitude), remove_tilt(self.attitude[:1], tilt)[0]
-            if len(self._without_tilt) > 8:
-                self._without_tilt.clear()
-            self._without_tilt[tilt] = cached
+            middle = remove_tilt(earlier(self.middle_attitude, -late / self.dt), tilt)
+            cached = middle, rotations(middle), remove_tilt(self.attitude[:1], tilt)[0]
+            if len(self._attitudes) > 8:
+                self._attitudes.clear()
+            self._attitudes[tilt, late] = cached
         return cached
 
     def cut(self, values: np.ndarray) -> np.ndarray:
@@ -166,6 +172,12 @@ class MotorRequests:
         torques = turning * np.array(vehicle.body_inertia) / (vehicle.rotor_arm * weight)
         torques[:, 2] = 0.0
         return MotorRequests(differences, torques)
+
+
+def earlier(values: np.ndarray, rows: float) -> np.ndarray:
+    """Return values (m, k) as they were some rows, whole or not, before (negative: after)."""
+    at = np.arange(len(values), dtype=float)
+    return np.stack([np.interp(at - rows, at, column) for column in values.T], axis=1)
 
 
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:

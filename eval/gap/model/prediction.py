@@ -57,8 +57,9 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
     like: the result of `translated` for a vehicle with the same translation.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
-    late (mocap_delay) meet commands that are early by as much; a tilt of the measured attitude
-    (mocap_tilt) is taken off the attitude that drives the translation, and put on that of the loops.
+    late (mocap_delay) meet commands that are early by as much; a tilt (mocap_tilt) and a further delay
+    (estimator_delay) of the measured attitude are taken off the attitude that drives the translation, and
+    put on that of the loops.
     """
     late = vehicle.effects_mocap_delay
     vehicle, given = as_flown(flight, vehicle), vehicle
@@ -81,12 +82,13 @@ def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None
 
 def _loop_commands(flight, vehicle: Vehicle) -> tuple[list[np.ndarray], np.ndarray]:
     """Return what the loops of roll and pitch follow (m - 1,) each, and the attitude at which they start."""
-    delay, lean = vehicle.effects_attitude_delay + vehicle.effects_mocap_delay, vehicle.effects_estimator_lean
+    late = vehicle.effects_mocap_delay + vehicle.effects_estimator_delay
+    delay = max(0.0, vehicle.effects_attitude_delay + late)
     roll, pitch = (averages(flight.command[:, k], flight.dt, delay) for k in (ROLL_COMMAND, PITCH_COMMAND))
-    rotation, start = flight.middle_rotation, flight.attitude[0]
-    if any(vehicle.effects_mocap_tilt):
-        _, rotation, start = flight.without_tilt(vehicle.effects_mocap_tilt)
-    if lean:  # the angle at which the loops come to rest moves with the speed: as by a command
+    _, rotation, start = flight.attitude_of(vehicle)
+    if (
+        lean := vehicle.effects_estimator_lean
+    ):  # the angle at which the loops come to rest moves with the speed: as by a command
         moved = lean / vehicle.attitude_gain * np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
         roll, pitch = roll - moved[:, 1], pitch + moved[:, 0]
     return [roll, pitch], start
@@ -147,12 +149,10 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
 
 def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Return positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch, yaw."""
-    late, dt, tilt = vehicle.effects_mocap_delay, flight.dt, vehicle.effects_mocap_tilt
+    late, dt = vehicle.effects_mocap_delay, flight.dt
     vehicle = as_flown(flight, vehicle)
     pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
-    attitude, rotation = flight.middle_attitude, flight.middle_rotation
-    if any(tilt):
-        attitude, rotation, _ = flight.without_tilt(tilt)
+    attitude, rotation, _ = flight.attitude_of(vehicle)
     out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
     measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
     acceleration = np.empty_like(twist)
