@@ -99,6 +99,7 @@ EFFECTS = (
         apply=_time_constant,
         in_the_loops=True,
         is_lag=True,
+        starts=({"scale": 0.6}, {"scale": 1.7}, {"scale": 2.7}),
         says="the attitude loops have {scale} times the modelled time constant",
     ),
     Effect(

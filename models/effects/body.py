@@ -68,6 +68,11 @@ EFFECTS = (
         channels=("translation",),
         apply=_slung_load,
         says="a load of {mass} swings on a string of {length}",
+        starts=tuple(
+            {"mass": mass, "length": length}
+            for mass in (0.0015, 0.004)
+            for length in (0.12, 0.2, 0.3, 0.5, 0.8)
+        ),
         told_by="Weigh the load and measure its string.",
     ),
     Effect(

@@ -25,6 +25,8 @@ def _delay(
     )
 
 
+_STARTS = tuple({"delay": delay} for delay in (0.01, 0.025, 0.05, 0.08))
+
 EFFECTS = (
     Effect(
         name="thrust_delay",
@@ -40,6 +42,7 @@ EFFECTS = (
         apply=added("effects_thrust_delay", "delay"),
         is_lag=True,
         of_the_drive=True,
+        starts=_STARTS,
         says="thrust commands act {delay} after they were sent",
     ),
     Effect(
@@ -56,6 +59,7 @@ EFFECTS = (
         apply=added("effects_attitude_delay", "delay"),
         in_the_loops=True,
         is_lag=True,
+        starts=_STARTS,
         says="attitude commands act {delay} after they were sent",
     ),
     Effect(
@@ -72,6 +76,7 @@ EFFECTS = (
         channels=("translation", "attitude", "yaw"),
         apply=added("effects_mocap_delay", "delay"),
         is_lag=True,
+        starts=_STARTS,
         says="the measured pose is {delay} older than its time stamp",
     ),
     Effect(

@@ -251,6 +251,8 @@ class Effect:
     # Acts in the attitude loops alone: forces and moments of the rotors and the air stay as they are.
     in_the_loops: bool = False
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
+    # Values that a fit begins at too: where an effect is not linear, its slopes at neutral may mislead.
+    starts: tuple[Mapping[str, float], ...] = ()
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
     @property

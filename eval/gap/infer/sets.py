@@ -39,6 +39,9 @@ ROUGH_BEYOND = 20.0  # one further off gets a single Newton step
 NEWTON_STEPS = 3
 STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
 LINEARISATIONS = 3  # points whose log evidences are averaged
+SIMULATED = (
+    1.25  # squared error of a probable set, simulated, over the least of all, beyond which it is dropped
+)
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
 
 
@@ -125,24 +128,32 @@ def _fit_set(
 ) -> FittedSet:
     """Return the posterior mode of a set by Newton's method from `start`, with its linearisation.
 
-    rough_below: log posterior probability below which a single step is enough.
+    A step after which the set is less probable is halved. rough_below: log posterior probability below which
+    a single step is enough.
     """
     new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
+    best: FittedSet | None = None
     for _ in range(NEWTON_STEPS):
         values = new
-        # The base model's errors stand twice in sets, as when the thresholds were chosen: their prior is
-        # twice as wide there as in the joint fit.
-        columns = problem.columns([*problem.library, BASE, BASE]) + problem.form_columns(values)
+        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
         linear = problem.linearise(values, columns)
         local = LinearGaussian.of(problem, spread, linear, values)
         new = posterior_mode(problem, local, names)
-        step = problem.coordinates(new, columns) - problem.coordinates(values, columns)
-        least = np.array([problem.parameter(c).negligible for c in columns])
         screen = local.evidence()
         score = screen(names) + log_prior(problem, names) if _all_nonzero(problem, names, new) else -np.inf
+        at, step = problem.coordinates(values, columns), problem.coordinates(new, columns)
+        step = step - at
+        if best is None or score > best.score:
+            best = FittedSet(names, values, new, local, screen, score)
+        elif np.isfinite(best.score):
+            back = problem.coordinates(best.at, columns)
+            new = problem.values_at(names, columns, 0.5 * (back + at))
+            step = at - back
+        least = np.array([problem.parameter(c).negligible for c in columns])
         if np.abs(step / least).max() < STEP_TOLERANCE or score < rough_below:
             break
-    return FittedSet(names, values, new, local, screen, score)
+    assert best is not None
+    return best
 
 
 def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:
@@ -173,6 +184,22 @@ def _linear_estimate(problem: Problem, node: FittedSet, names: EffectSet) -> Fit
     """Return the linear estimate of a neighbouring set, the initial guess of its fit."""
     start = posterior_mode(problem, node.local, names)
     return start | {n: dict(v) for n, v in node.values.items() if n in names}
+
+
+def _far_starts(problem: Problem, values: Values) -> dict[str, tuple[FittedValues, float]]:
+    """Return effects beside `values` that fit better from far off: where from, and by how much [nat].
+
+    Of an effect that is not linear in its size the slopes at neutral may show nothing.
+    """
+    here, result = problem.squares(values), {}
+    for name, effect in problem.library.items():
+        if name in values or not effect.starts:
+            continue
+        tried = [{**values, name: {**effect.neutral, **start}} for start in effect.starts]
+        least, start = min(((problem.squares(t), t) for t in tried), key=lambda one: one[0])
+        if here - least > 2.0 * FIT_WITHIN:
+            result[name] = {name: dict(start[name])}, 0.5 * (here - least)
+    return result
 
 
 def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
@@ -210,19 +237,26 @@ def _greedy_search(
     nodes = {names: _fit_set(problem, spread, names, values) for names in (frozenset[str](), eliminated)}
     predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
     expanded: set[EffectSet] = set()
+    far: dict[EffectSet, FittedValues] = {}
     while len(nodes) < MOST_FITS:
         best = max(nodes.values(), key=lambda node: node.score)
         if best.names not in expanded:
             expanded.add(best.names)
             for names in _neighbours(problem, best):
                 predicted[names] = (best.screen(names) + log_prior(problem, names), best)
+            for name, (start, gain) in _far_starts(problem, best.values).items():
+                others = [n for n in problem.library[name].confused_with if n in best.names]
+                for names in (best.names | {name}, *(best.names - {n} | {name} for n in others)):
+                    if names not in nodes:
+                        far[names] = start
+                        predicted[names] = (max(predicted[names][0], best.score + gain), best)
         unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in nodes]
         if not unfitted:
             break
         score, names = max(unfitted, key=lambda item: (item[0], sorted(item[1])))
         if score < best.score - FIT_WITHIN:
             break
-        start = _linear_estimate(problem, predicted[names][1], names)
+        start = _linear_estimate(problem, predicted[names][1], names) | far.get(names, {})
         if _all_nonzero(problem, names, start):
             nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
         else:  # its predicted probability comes from values beyond the bounds
@@ -290,7 +324,17 @@ def _bagged_posterior(
                 nodes[one] = _fit_set(problem, spread, one, values)
                 values = nodes[one].values
         result.append(SetProbability(one, probability[one], values))
-    return tuple(result), nodes
+    return _simulated(problem, result), nodes
+
+
+def _simulated(problem: Problem, sets: Sequence[SetProbability]) -> tuple[SetProbability, ...]:
+    """Return the sets, at probabilities of 1 in all, whose simulation bears out their linearised score."""
+    probable = [one for one in sets if one.probability > REFIT_ABOVE]
+    squares = {one.names: problem.squares(one.values) for one in probable}
+    most = SIMULATED * min(squares.values(), default=math.inf)
+    kept = [one for one in sets if squares.get(one.names, 0.0) <= most]
+    total = sum(one.probability for one in kept)
+    return tuple(dataclasses.replace(one, probability=one.probability / total) for one in kept)
 
 
 def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet) -> dict[EffectSet, float]:
@@ -303,8 +347,10 @@ def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet)
     for name in sorted(names):  # the order of sets differs from process to process
         within = 1.0
         for k in local.index([name]):
-            if isinstance(local.columns[k], ParameterColumn):
-                least = problem.parameter(local.columns[k]).negligible / local.unit[k]
+            column = local.columns[k]
+            # A reference (the length of a string) matters by the size that acts about it alone.
+            if isinstance(column, ParameterColumn) and not problem.parameter(column).is_reference:
+                least = problem.parameter(column).negligible / local.unit[k]
                 within *= float(np.diff(ndtr((np.array([-least, least]) - at[k]) / errors[k]))[0])
         parts = result.items()
         result = {s: x * within for s, x in parts} | {s | {name}: x * (1.0 - within) for s, x in parts}
