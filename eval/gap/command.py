@@ -16,7 +16,7 @@ from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
-from inclined_landing.eval.gap.report import figures, model, run, terminal, tracks, words
+from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.errors import UserError
@@ -47,6 +47,7 @@ def command(
         if plain:
             found = identify(plain, nominal, platform=source.platform)
             nominal, known, notes = found.vehicle, found.reference, (*notes, *found.notes)
+            notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
             known, aside = read_reference(source.vehicle, nominal)
             notes = (*notes, aside) if aside else notes

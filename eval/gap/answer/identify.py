@@ -31,7 +31,7 @@ from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, 
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
 from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
-from inclined_landing.eval.gap.model.prediction import predict
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
 from inclined_landing.eval.gap.result import (
@@ -149,13 +149,13 @@ def identify(
     joint = fit_least_squares(problem, joint, prior=slab_deviations).values
     linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
     inconsistent = inconsistent_flights(problem, linear, joint)
-    fitted = _Fit.of(problem, joint, use.judged)
-    kept = [n for n, e in library.items() if _acts_on(e, fitted.worse)]
-    if kept:  # does it help to leave them as they were?
-        fewer = _Fit.of(
-            _with_library(problem, {n: e for n, e in library.items() if n not in kept}), joint, use.judged
-        )
-        fitted, kept = (fewer, kept) if len(fewer.worse) < len(fitted.worse) else (fitted, [])
+    fitted, kept = _Fit.of(problem, joint, use.judged), frozenset[str]()
+    while more := fitted.acting_on_worse():  # does it help to leave these as they were?
+        rest = {n: e for n, e in library.items() if n not in kept | more}
+        fewer = _Fit.of(_with_library(problem, rest), joint, use.judged)
+        if not fewer.is_better_than(fitted):
+            break
+        fitted, kept = fewer, kept | more
     problem, values, result = fitted.problem, fitted.values, fitted.vehicle
     reference, identifiable = _vehicle_posterior(problem, result)
     sized = fitted.local.estimates(values)
@@ -169,13 +169,13 @@ def identify(
             if one.share > thresholds.UNIDENTIFIABLE
         ),
     ]
+    disturbance, ahead = disturbances(problem), fitted.ahead
     if not use.judged and len(use.fitted) < 2:
         notes.append(
             "one flight only: all errors are on the flight that was fitted, and whether others are predicted "
             "better is not known"
         )
-    disturbance = disturbances(problem)
-    if ahead := fitted.ahead:
+    elif ahead:
         errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)
         reference = dataclasses.replace(reference, errors=errors)
     return Identification(
@@ -186,7 +186,7 @@ def identify(
         fit=fitted.fit,
         ahead=ahead,
         regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
-        kept=tuple(kept),
+        kept=tuple(n for n in library if n in kept),
         disturbance=disturbance,
         fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
         flights=tuple(f.name for f in use.fitted),
@@ -224,7 +224,26 @@ class _Fit:
 
     @property
     def worse(self) -> tuple[str, ...]:
+        """Return the channels that are predicted worse than before."""
         return worse_channels(self.fit, self.ahead)
+
+    def is_better_than(self, other: _Fit) -> bool:
+        """Return whether fewer channels are worse, and the position one second ahead not by WORSE."""
+        further = self.ahead and self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
+        return len(self.worse) < len(other.worse) and not further
+
+    def acting_on_worse(self) -> frozenset[str]:
+        """Return the effects that change most a channel that is worse; any channel for the position."""
+        channels = [CHANNELS.index(c) for c in self.worse if c in CHANNELS]
+        if not channels:
+            channels = list(range(5)) if self.worse else []
+        squares = self.problem.squares_by_channel
+        after, result = squares(self.values), []
+        for name in self.values if channels else ():
+            change = np.abs(squares({n: v for n, v in self.values.items() if n != name}) - after)[:5]
+            if int(np.argmax(change)) in channels and change.any():
+                result.append(name)
+        return frozenset(result)
 
 
 def worse_channels(fit: Mapping[str, Mapping[str, float]], ahead: dict[str, float]) -> tuple[str, ...]:
@@ -233,14 +252,6 @@ def worse_channels(fit: Mapping[str, Mapping[str, float]], ahead: dict[str, floa
     errors |= {"position": ahead} if ahead else {}
     limit = 1.0 + thresholds.WORSE
     return tuple(c for c, one in errors.items() if one["after"] > limit * one["before"])
-
-
-def _acts_on(effect: Effect, channels: Sequence[str]) -> bool:
-    """Return whether an effect acts on some of the channels: by thrust and air, or by the loops."""
-    angles = {"roll", "pitch"}
-    if "translation" in effect.channels:
-        return not angles.issuperset(channels)
-    return "attitude" in effect.channels and not angles.isdisjoint(channels)
 
 
 def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
