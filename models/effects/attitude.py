@@ -70,7 +70,6 @@ EFFECTS = (
         remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
         channels=("attitude",),
         apply=scaled("attitude_gain"),
-        in_the_loops=True,
         says="the vehicle tilts {scale} times as far as modelled",
     ),
     Effect(
@@ -97,7 +96,6 @@ EFFECTS = (
         remedy="Use the attitude controller gains the model was identified with, or accept the new constant.",
         channels=("attitude",),
         apply=_time_constant,
-        in_the_loops=True,
         is_lag=True,
         starts=({"scale": 0.6}, {"scale": 1.7}, {"scale": 2.7}),
         says="the attitude loops have {scale} times the modelled time constant",
@@ -127,7 +125,6 @@ EFFECTS = (
         remedy="Raise the rate controller's gains, or check for slack in motor mounts and heavy propellers.",
         channels=("attitude",),
         apply=_second_order,
-        in_the_loops=True,
         is_lag=True,
         forms=("attitude late",),
         form=0.2,
@@ -164,7 +161,6 @@ EFFECTS = (
         "with, or accept the new constant.",
         channels=("attitude",),
         apply=added("effects_attitude_integral", "rate"),
-        in_the_loops=True,
         says="the attitude loops integrate the angle error at {rate} more than modelled",
     ),
     Effect(
@@ -180,7 +176,6 @@ EFFECTS = (
         "system, or enter the trim in the Crazyflie client.",
         channels=("attitude",),
         apply=added("effects_attitude_trim", "roll", "pitch"),
-        in_the_loops=True,
         says="commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
     ),
     Effect(
@@ -234,7 +229,6 @@ EFFECTS = (
         "Trust the orientation of the motion capture more in the estimator, or give it a drag term.",
         channels=("attitude",),
         apply=added("effects_estimator_lean", "lean"),
-        in_the_loops=True,
         says="the vehicle leans into its motion by {lean} that its own estimate does not show",
     ),
     Effect(
@@ -271,7 +265,6 @@ EFFECTS = (
         "drift shows while no yaw rate is commanded, a gain does not.",
         channels=("yaw",),
         apply=_yaw_loop,
-        in_the_loops=True,
         is_lag=True,
         says="the yaw rate is {gain} times the modelled one, its time constant {time_constant} times",
         # Commands that only hold the heading answer to what disturbs it: 0.3 rad/s turn it by more.
@@ -288,7 +281,6 @@ EFFECTS = (
         remedy="Keep the vehicle still while it starts, so that the gyroscopes calibrate.",
         channels=("yaw",),
         apply=added("effects_yaw_drift", "rate"),
-        in_the_loops=True,
         says="the heading turns by {rate} without a command",
     ),
 )

@@ -57,7 +57,6 @@ EFFECTS = (
         "predict the state by the delay before computing a command.",
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
-        in_the_loops=True,
         is_lag=True,
         starts=_STARTS,
         says="attitude commands act {delay} after they were sent",

@@ -248,8 +248,6 @@ class Effect:
     # deviation of their weights: from simulators of other forms (docs/gap_blind.md, development families).
     forms: tuple[str, ...] = ()
     form: float = 0.05
-    # Acts in the attitude loops alone: forces and moments of the rotors and the air stay as they are.
-    in_the_loops: bool = False
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
     # Values that a fit begins at too: where an effect is not linear, its slopes at neutral may mislead.
     starts: tuple[Mapping[str, float], ...] = ()

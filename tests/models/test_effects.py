@@ -18,7 +18,7 @@ from scipy.signal import detrend
 
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.model.prediction import predict, translated
+from inclined_landing.eval.gap.model.prediction import predict, predictions
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
@@ -580,13 +580,14 @@ def flight_of(vehicle):
     return prepare(log, V)
 
 
-def test_what_acts_in_the_loops_alone_moves_nothing_else():
-    flight = flight_of(V)
-    nominal, twist = translated(flight, V)
-    for effect in LIBRARY.values():
-        if effect.in_the_loops:
-            moved, turned = translated(flight, effect.apply(V, effect.plausible))
-            assert (moved == nominal).all() and (turned == twist).all(), effect.name
+@pytest.mark.parametrize(
+    "first", ["thrust_scale", "mocap_tilt", "com_offset", "slung_load", "estimator_lean"]
+)
+def test_vehicles_are_predicted_together_as_one_by_one(first):
+    flight, vehicle = flight_of(V), changed(first)
+    vehicles = [vehicle, *(e.apply(vehicle, e.plausible) for e in LIBRARY.values())]
+    alone = np.stack([predict(flight, v) for v in vehicles])
+    np.testing.assert_array_equal(predictions(flight, vehicles), alone)
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,6 @@ def wear(monkeypatch):
         remedy="Replace them.",
         channels=("attitude", "touchdown"),
         apply=worn,
-        in_the_loops=True,
         says="feet and bearings are worn by {wear}",
     )
     monkeypatch.setitem(LIBRARY, "wear", effect)

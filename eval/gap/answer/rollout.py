@@ -8,6 +8,7 @@ commands are averaged exactly over each step.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -33,7 +34,18 @@ from inclined_landing.eval.gap.result import PlantGap
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
-from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, VX, WX, body_rates, tilted
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH,
+    ROLL,
+    STATE_SIZE,
+    VX,
+    WX,
+    WY,
+    WZ,
+    body_rates,
+    tilted,
+)
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
@@ -112,6 +124,15 @@ def smoothed_states(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
 
     A delay of the vehicle's measured attitude beyond that of the position is taken off.
     """
+    state = _smoothed_states(flight)
+    if late := vehicle.effects_estimator_delay:
+        state = state.copy()
+        state[:, ROLL:LAG] = earlier(state[:, ROLL:LAG], -late / flight.dt)
+    return state
+
+
+@functools.lru_cache(maxsize=64)  # the same for every vehicle
+def _smoothed_states(flight: MeasuredFlight) -> np.ndarray:
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
@@ -119,11 +140,17 @@ def smoothed_states(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
     state[:, VX : VX + 3] = flight.velocity
     state[:, ROLL : ROLL + 3] = savgol_filter(flight.attitude, narrow, 2, axis=0)
     rates = savgol_filter(flight.attitude, narrow, 2, deriv=1, delta=dt, axis=0)
-    for k in range(flight.samples):
-        state[k, WX : WX + 3] = body_rates(state[k, ROLL], state[k, ROLL + 1], *rates[k])
-    if late := vehicle.effects_estimator_delay:
-        state[:, ROLL:LAG] = earlier(state[:, ROLL:LAG], -late / dt)
+    _turning(state, rates)
     return state
+
+
+@numba.njit(cache=True)
+def _turning(state, rates):
+    """Write the body rates of Euler rates (m, 3) into states (m, 13)."""
+    for k in range(len(state)):
+        state[k, WX], state[k, WY], state[k, WZ] = body_rates(
+            state[k, ROLL], state[k, PITCH], rates[k, 0], rates[k, 1], rates[k, 2]
+        )
 
 
 def start_state_noise(flight: MeasuredFlight) -> np.ndarray:

@@ -48,11 +48,11 @@ def white_residuals(
     Random effects of the flights included. at: where `local` is linearised.
     """
     change, _ = local.posterior(names)
-    errors, slopes_of = [], problem.jacobian(at, local.columns)
+    errors, jacobian_of = [], problem.jacobian(at, local.columns)
     for k, flight in enumerate(problem.flights):
         step = (change + local.random_effect(k, change)) * local.unit  # z + u of this flight
-        here, *slopes = slopes_of(flight, problem.form_jacobians[k])
-        error = flight.measured - here - np.tensordot(step, np.array(slopes), axes=1)
+        jacobian = jacobian_of(flight, problem.form_jacobians[k])
+        error = flight.measured - jacobian[0] - np.tensordot(step, jacobian[1:], axes=1)
         errors.append(flight.whitening(flight.cut(error)))
     return errors
 

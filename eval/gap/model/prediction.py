@@ -12,6 +12,9 @@ held between rows and averaged exactly over each step, which makes delays differ
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import numba
@@ -19,14 +22,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import pulled
-from inclined_landing.models.attitude import (
-    PITCH_COMMAND,
-    PWM,
-    ROLL_COMMAND,
-    YAW_RATE_COMMAND,
-    euler_rates,
-    tilted,
-)
+from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, euler_rates, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_angle_steps, yaw_steps
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import lag_step, lags, pack, wrench
@@ -43,6 +39,18 @@ UNITS_OF = {
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
+# Constants that act in the attitude loops alone, beside those of the table `attitude`.
+_OF_THE_LOOPS = {
+    f"effects_{n}"
+    for n in ("attitude_delay", "attitude_integral", "attitude_trim", "estimator_lean", "yaw_drift")
+}
+_translation = attrgetter(  # of a vehicle: all constants that its translation may depend on
+    *(
+        f.name
+        for f in dataclasses.fields(Vehicle)
+        if f.name not in _OF_THE_LOOPS and not f.name.startswith("attitude_")
+    )
+)
 
 
 def channels_of(flights) -> tuple[str, ...]:
@@ -50,59 +58,50 @@ def channels_of(flights) -> tuple[str, ...]:
     return CHANNELS if flights.channels == len(CHANNELS) else CHANNELS + REQUEST_CHANNELS
 
 
-def predict(flight, vehicle: Vehicle, like: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+def predict(flight, vehicle: Vehicle) -> np.ndarray:
     """Return what is predicted (m, C) of `vehicle` along a `MeasuredFlight`: x, y, z, roll, pitch, yaw, and
     the differences of the motors' requests where they were logged.
-
-    like: the result of `translated` for a vehicle with the same translation.
 
     Positions start at zero with velocity zero: compare them up to a line in time. Measurements that are
     late (mocap_delay) meet commands that are early by as much; a tilt (mocap_tilt) and a further delay
     (estimator_delay) of the measured attitude are taken off the attitude that drives the translation, and
     put on that of the loops.
     """
-    late = vehicle.effects_mocap_delay
-    vehicle, given = as_flown(flight, vehicle), vehicle
-    dt, packed = flight.dt, pack(vehicle)
-    tilt = vehicle.effects_mocap_tilt
-    out = np.empty((flight.samples, flight.channels))
-    out[:, :3], twist = translated(flight, vehicle) if like is None else like
-    commands, start = _loop_commands(flight, vehicle)
-    for k in (0, 1):
-        out[:, ROLL_CHANNEL + k] = angle_steps(k, commands[k], twist[:, k], start[k], dt, packed)
-    turns = averages(flight.command[:, YAW_RATE_COMMAND], dt, vehicle.effects_attitude_delay + late)
-    out[:, YAW_CHANNEL] = yaw_steps(turns, dt, packed)
-    if any(tilt):
-        angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
-        tilted(out[:, angles_of].copy(), *tilt, out[:, angles_of])
+    return predictions(flight, [vehicle])[0]
+
+
+def predictions(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
+    """Return what is predicted (n, m, C) of vehicles along a flight; in memory one channel after another."""
+    out = np.empty((len(vehicles), flight.channels, flight.samples))
+    packed = _packed(flight, vehicles)
+    seen = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]  # the same attitude
+    for alike in dict.fromkeys(seen):
+        own = [k for k, one in enumerate(seen) if one == alike]
+        first = vehicles[own[0]]
+        same = [_translation(vehicles[k]) == _translation(first) for k in own]
+        _predict(_Measured.of(flight, first), packed, np.array(own), np.array(same), out)
     if flight.requests is not None:
-        out[:, YAW_CHANNEL + 1 :] = requested_differences(flight, given)
-    return out
-
-
-def _loop_commands(flight, vehicle: Vehicle) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return what the loops of roll and pitch follow (m - 1,) each, and the attitude at which they start."""
-    late = vehicle.effects_mocap_delay + vehicle.effects_estimator_delay
-    delay = max(0.0, vehicle.effects_attitude_delay + late)
-    roll, pitch = (averages(flight.command[:, k], flight.dt, delay) for k in (ROLL_COMMAND, PITCH_COMMAND))
-    _, rotation, start = flight.attitude_of(vehicle)
-    if (
-        lean := vehicle.effects_estimator_lean
-    ):  # the angle at which the loops come to rest moves with the speed: as by a command
-        moved = lean / vehicle.attitude_gain * np.einsum("kji,kj->ki", rotation, flight.middle_velocity)
-        roll, pitch = roll - moved[:, 1], pitch + moved[:, 0]
-    return [roll, pitch], start
+        for vehicle, one in zip(vehicles, out):
+            one[YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle).T
+    return out.transpose(0, 2, 1)
 
 
 def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch along a flight's prediction."""
     if vehicle.effects_attitude_integral == 0.0:
         return np.zeros((flight.samples, 2))
-    vehicle, (_, twist) = as_flown(flight, vehicle), translated(flight, vehicle)
-    commands, start = _loop_commands(flight, vehicle)
-    packed, loops = pack(vehicle), zip((0, 1), commands, twist.T, start)
-    steps = [integrated_angle_steps(k, u, t, x, flight.dt, packed) for k, u, t, x in loops]
-    return np.stack([loop[:, 1] for loop in steps], axis=1)
+    return _integrals(_Measured.of(flight, vehicle), _packed(flight, [vehicle]))
+
+
+def _packed(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
+    """Return vehicles (n,) as the kernels take them, without what a flight's log shows otherwise."""
+    packed = [_packed_one(v, flight.thrust_is_measured, flight.requests is not None) for v in vehicles]
+    return np.stack([one.view(float) for one in packed]).view(packed[0].dtype)[:, 0]
+
+
+@functools.lru_cache(maxsize=512)  # the same for all flights
+def _packed_one(vehicle: Vehicle, thrust_is_measured: bool, requested: bool) -> np.ndarray:
+    return pack(_without_logged(vehicle, thrust_is_measured, requested))
 
 
 def as_flown(flight, vehicle: Vehicle) -> Vehicle:
@@ -111,9 +110,13 @@ def as_flown(flight, vehicle: Vehicle) -> Vehicle:
     Measured rotor speeds lag behind nothing. Where the requests of the motors were logged, these show a
     thrust beside the centre of mass: a controller that asks for them leaves nothing of it in the attitude.
     """
-    if flight.thrust_is_measured:
+    return _without_logged(vehicle, flight.thrust_is_measured, flight.requests is not None)
+
+
+def _without_logged(vehicle: Vehicle, thrust_is_measured: bool, requested: bool) -> Vehicle:
+    if thrust_is_measured:
         vehicle = vehicle.without_thrust_lag()
-    if flight.requests is not None:
+    if requested:
         vehicle = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
     return vehicle
 
@@ -147,61 +150,139 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
     return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
 
 
-def translated(flight, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (m, 3) from rest at zero, and angular accelerations (m - 1, 3) of roll, pitch, yaw."""
-    late, dt = vehicle.effects_mocap_delay, flight.dt
-    vehicle = as_flown(flight, vehicle)
-    pwm = averages(flight.command[:, PWM], dt, vehicle.effects_thrust_delay + late)
-    attitude, rotation, _ = flight.attitude_of(vehicle)
-    out, twist = np.empty((flight.samples, 3)), np.zeros((flight.samples - 1, 3))
-    measured = _Measured(flight.middle_position, flight.middle_velocity, rotation, attitude)
-    acceleration = np.empty_like(twist)
-    _accelerate(measured, pwm, flight.ambient, pack(vehicle), dt, acceleration, twist)
-    if vehicle.effects_load_mass != 0.0:
-        acceleration = pulled(flight, vehicle, acceleration)
-    _translate(acceleration, vehicle.environment_gravity, dt, out)
-    return out, twist
-
-
 class _Measured(NamedTuple):
-    """The measured motion in the middle of each of m steps."""
+    """What was measured in m rows, and in the middle of the m - 1 steps between them."""
 
+    command: np.ndarray  # (m, 4)
     position: np.ndarray  # (m, 3) m
-    velocity: np.ndarray  # (m, 3) m/s
-    rotation: np.ndarray  # (m, 3, 3), body to world
-    attitude: np.ndarray  # (m, 3) roll, pitch, yaw, rad
+    middle_position: np.ndarray  # (m - 1, 3) m
+    velocity: np.ndarray  # (m - 1, 3) m/s
+    rotation: np.ndarray  # (m - 1, 3, 3), body to world
+    attitude: np.ndarray  # (m - 1, 3) roll, pitch, yaw, rad
+    first_attitude: np.ndarray  # (3,) in the first row
+    ambient: np.ndarray  # (m - 1, AMBIENT_SIZE)
+    starts: np.ndarray  # (w,) first row of every window
+    rows: int  # of a window
+    dt: float  # s
+
+    @staticmethod
+    def of(flight, vehicle: Vehicle) -> _Measured:
+        """Return a flight as the kernels take it, attitudes as the rotors were (`attitude_of`)."""
+        attitude, rotation, first_attitude = flight.attitude_of(vehicle)
+        return _Measured(
+            command=flight.command,
+            position=flight.position,
+            middle_position=flight.middle_position,
+            velocity=flight.middle_velocity,
+            rotation=rotation,
+            attitude=attitude,
+            first_attitude=first_attitude,
+            ambient=flight.ambient,
+            starts=flight.starts,
+            rows=flight.rows,
+            dt=flight.dt,
+        )
 
 
 @numba.njit(cache=True, nogil=True)
-def _accelerate(measured, pwm, ambient, vehicle, dt, out, twist):
-    """Write accelerations without gravity's and a load's into out, of roll, pitch and yaw into twist."""
-    position, velocity, rotation, attitude = measured
-    v, f = vehicle[0], np.zeros(5)
-    lag = pwm[0] / v.thrust.lag_rate
-    for k in range(pwm.shape[0]):
-        u = pwm[k]
-        lag, mean = lag_step(lag, u, dt, v)
-        r = rotation[k]
+def _predict(measured, vehicles, own, as_first, out):
+    """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
+
+    as_first (k,): whether its translation is that of the first of these.
+    """
+    m, dt, pose = len(measured.command), measured.dt, slice(0, YAW_CHANNEL + 1)
+    angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
+    twist, first_twist, first_angles = np.zeros((m - 1, 3)), np.zeros((m - 1, 3)), np.empty((m, 3))
+    for k in range(len(own)):
+        vehicle, predicted, first = vehicles[own[k] : own[k] + 1], out[own[k], pose], out[own[0], pose]
+        if k == 0 or not as_first[k]:
+            acceleration = _accelerations(measured, vehicle[0], twist)
+            if vehicle[0].effects.load_mass != 0.0:
+                starts, rows = measured.starts, measured.rows
+                acceleration = pulled(acceleration, measured.position, starts, rows, dt, vehicle)
+            _translate(acceleration, vehicle[0].environment.gravity, dt, predicted)
+        else:
+            predicted[:ROLL_CHANNEL], twist[:] = first[:ROLL_CHANNEL], first_twist
+        angles = _angles(measured, twist, vehicle)
+        if k == 0:
+            first_twist[:], first_angles[:] = twist, angles
+        elif np.array_equal(angles, first_angles):
+            predicted[angles_of] = first[angles_of]
+            continue
+        tilt = vehicle[0].effects.mocap_tilt
+        if tilt[0] != 0.0 or tilt[1] != 0.0:
+            tilted(angles.copy(), tilt[0], tilt[1], angles)
+        predicted[angles_of] = angles.T
+
+
+@numba.njit(cache=True, nogil=True)
+def _accelerations(measured, v, twist):
+    """Return accelerations (m - 1, 3) without gravity's and a load's; write the angles' ones into twist."""
+    pwm = averages(measured.command[:, PWM], measured.dt, v.effects.thrust_delay + v.effects.mocap_delay)
+    out, f, lag = np.empty_like(measured.velocity), np.zeros(5), pwm[0] / v.thrust.lag_rate
+    position, velocity, ambient = measured.middle_position, measured.velocity, measured.ambient
+    for k in range(len(pwm)):
+        u, r = pwm[k], measured.rotation[k]
+        lag, mean = lag_step(lag, u, measured.dt, v)
         wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
         for i in range(3):
             out[k, i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
+            twist[k, i] = 0.0
         if f[3] != 0.0 or f[4] != 0.0:
-            twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(
-                attitude[k, 0], attitude[k, 1], f[3] / v.body.inertia[0], f[4] / v.body.inertia[1], 0.0
-            )
+            roll, pitch = measured.attitude[k, 0], measured.attitude[k, 1]
+            turning = f[3] / v.body.inertia[0], f[4] / v.body.inertia[1]
+            twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(roll, pitch, turning[0], turning[1], 0.0)
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
 def _translate(acceleration, gravity, dt, out):
-    """Write positions (m, 3) from rest at zero under accelerations (m - 1, 3) without gravity's into out."""
-    moved, speed = np.zeros(3), np.zeros(3)
-    out[0, 0] = out[0, 1] = out[0, 2] = 0.0
-    for k in range(len(acceleration)):
-        # x += dt (v + dt/2 a), v += dt a,  a = R f/m - (0, 0, g)
-        for i in range(3):
-            a = acceleration[k, i]
-            if i == 2:
-                a -= gravity
-            moved[i] += dt * (speed[i] + 0.5 * dt * a)
-            speed[i] += dt * a
-            out[k + 1, i] = moved[i]
+    """Write positions (3, m) from rest at zero under accelerations (m - 1, 3) without gravity's into out."""
+    for i in range(3):
+        moved, speed, down = 0.0, 0.0, gravity if i == 2 else 0.0
+        out[i, 0] = 0.0
+        for k in range(len(acceleration)):
+            # x += dt (v + dt/2 a), v += dt a,  a = R f/m - (0, 0, g)
+            a = acceleration[k, i] - down
+            moved += dt * (speed + 0.5 * dt * a)
+            speed += dt * a
+            out[i, k + 1] = moved
+
+
+@numba.njit(cache=True, nogil=True)
+def _angles(measured, twist, vehicle):
+    """Return roll, pitch and yaw (m, 3) by the loops, under the angular accelerations twist (m - 1, 3)."""
+    v, dt, out = vehicle[0], measured.dt, np.empty((len(measured.command), 3))
+    for axis in range(2):
+        command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
+        out[:, axis] = angle_steps(axis, command, twist[:, axis], start, dt, vehicle)
+    delay = v.effects.attitude_delay + v.effects.mocap_delay
+    out[:, 2] = yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], dt, delay), dt, vehicle)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _integrals(measured, vehicle):
+    """Return the integrals (m, 2) [rad s] of the errors of roll and pitch."""
+    v, twist, out = vehicle[0], np.empty_like(measured.velocity), np.empty((len(measured.command), 2))
+    _accelerations(measured, v, twist)
+    for axis in range(2):
+        command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
+        steps = integrated_angle_steps(axis, command, twist[:, axis], start, measured.dt, vehicle)
+        out[:, axis] = steps[:, 1]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _loop_command(measured, axis, v):
+    """Return what the loop of roll (axis 0) or pitch (1) follows (m - 1,) [rad]."""
+    lean, late = v.effects.estimator_lean, v.effects.mocap_delay + v.effects.estimator_delay
+    delay = max(0.0, v.effects.attitude_delay + late)
+    command = averages(measured.command[:, ROLL_COMMAND + axis], measured.dt, delay)
+    if lean != 0.0:  # the angle at which the loops come to rest moves with the speed: as by a command
+        aside, share = 1 - axis, (2 * axis - 1) * lean / v.attitude.gain
+        for k in range(len(command)):
+            r, velocity = measured.rotation[k], measured.velocity[k]
+            speed = r[0, aside] * velocity[0] + r[1, aside] * velocity[1] + r[2, aside] * velocity[2]
+            command[k] += share * speed
+    return command

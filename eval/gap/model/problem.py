@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.model.columns import (
     ParameterColumn,
     Values,
 )
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, translated
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
@@ -226,32 +226,33 @@ class Problem(Candidates):
 
     def jacobian(
         self, values: Values, columns: Sequence[Column]
-    ) -> Callable[[MeasuredFlight, np.ndarray], list[np.ndarray]]:
+    ) -> Callable[[MeasuredFlight, np.ndarray], np.ndarray]:
         """Return a function of a flight and its Jacobian in the base model's errors.
 
-        It returns the flight's prediction (m, C) at `values`, then its Jacobian's columns.
+        It returns (1 + P, m, C): the flight's prediction at `values`, then its Jacobian's columns.
         """
-        vehicle, order = self.corrected(values), list(BASE_DEVIATIONS)
+        order = list(BASE_DEVIATIONS)
         differences = {
             c: self.one_sided_difference(values, c) for c in columns if isinstance(c, ParameterColumn)
         }
-        with_errors = {c.effect for c in columns if isinstance(c, FormColumn)}
-        rest = {n: self.corrected({m: v for m, v in values.items() if m != n}) for n in with_errors}
+        without = {c.effect: {n: v for n, v in values.items() if n != c.effect} for c in columns}
+        without = {c.effect: without[c.effect] for c in columns if isinstance(c, FormColumn)}
+        vehicles = [self.corrected(v) for v in (values, *without.values())]
+        vehicles += [moved for moved, _ in differences.values()]
 
-        def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> list[np.ndarray]:
-            translation = translated(flight, vehicle)
-            here = predict(flight, vehicle, translation)
-            contribution = {name: here - predict(flight, other) for name, other in rest.items()}
-            result = [_with_model_errors(here, form_jacobian, values)]
-            for column in columns:
+        def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> np.ndarray:
+            here, *others = predictions(flight, vehicles)
+            rest, moved = dict(zip(without, others)), dict(zip(differences, others[len(without) :]))
+            # As in memory: one channel after another
+            result = np.empty((1 + len(columns), *here.T.shape)).transpose(0, 2, 1)
+            result[0] = _with_model_errors(here, form_jacobian, values)
+            for column, out in zip(columns, result[1:]):
                 if isinstance(column, BaseColumn):
-                    result.append(form_jacobian[order.index(column.form)])
+                    out[:] = form_jacobian[order.index(column.form)]
                 elif isinstance(column, FormColumn):
-                    result.append(column.along(contribution[column.effect], flight))
+                    out[:] = column.along(here - rest[column.effect], flight)
                 else:  # finite difference: dp/dx = (p(x + h) - p(x)) / h
-                    moved, step = differences[column]
-                    same = translation if self.library[column.effect].in_the_loops else None
-                    result.append((predict(flight, moved, same) - here) / step)
+                    np.divide(moved[column] - here, differences[column][1], out=out)
             return result
 
         return of
@@ -259,29 +260,28 @@ class Problem(Candidates):
     def linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
         """Return the Gram matrices of white errors and Jacobian at `values`."""
         share = np.sqrt(self.weight / self.inflation)  # (w, C) weighted least squares
-        a, b = np.zeros((self.groups, len(columns), len(columns))), np.zeros((self.groups, len(columns)))
-        c = np.zeros(self.groups)
-        jacobian_of = self.jacobian(values, columns)
+        unique = list(dict.fromkeys(columns))
+        grams = np.zeros((self.groups, 1 + len(unique), 1 + len(unique)))  # [e, J]' [e, J]
+        jacobian_of = self.jacobian(values, unique)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
-            here, *jacobian = jacobian_of(flight, self.form_jacobians[k])
-            stack = np.stack([flight.measured - here, *jacobian])  # (1 + P, m, C): [e, J]
-            groups = self.group_of[own]
+            stack = jacobian_of(flight, self.form_jacobians[k])
+            stack[0] = flight.measured - stack[0]  # [e, J]
+            of_windows, groups = flight.starts[:, None] + np.arange(flight.rows), self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):
-                live = np.flatnonzero(np.ptp(stack[:, :, channel], axis=1))
-                windows = stack[live[:, None, None], flight.starts[:, None] + np.arange(flight.rows), channel]
-                white = (windows @ matrix.T) * share[own, channel, None]  # (live, w, q)
+                series = stack[:, :, channel]
+                live = np.flatnonzero((series != series[:, :1]).any(axis=1))
+                windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
+                white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
+                white *= share[own, channel, None]
                 for g in np.unique(groups):
                     part = white[:, groups == g].reshape(len(live), -1)
-                    gram = part @ part.T  # [e, J]' [e, J]
-                    if len(live) and live[0] == 0:
-                        at = live[1:] - 1
-                        c[g] += gram[0, 0]
-                        b[g, at] += gram[0, 1:]
-                        a[np.ix_([g], at, at)] += gram[None, 1:, 1:]
+                    grams[np.ix_([g], live, live)] += part @ part.T
 
         list(_POOL.map(of, range(len(self.flights))))
+        at = [1 + unique.index(c) for c in columns]
+        a, b, c = grams[np.ix_(range(self.groups), at, at)], grams[:, at, 0], grams[:, 0, 0]
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
         return Linearisation(tuple(columns), a, b, c, flight_of)
 

@@ -14,7 +14,6 @@ import numba
 import numpy as np
 
 from inclined_landing.models.load import LOAD_SIZE, advance
-from inclined_landing.models.vehicle import Vehicle
 
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
 ANGLE = (
@@ -25,34 +24,39 @@ _ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
 
 
-def pulled(flight, vehicle: Vehicle, acceleration: np.ndarray) -> np.ndarray:
+@numba.njit(cache=True, nogil=True)
+def pulled(acceleration, position, starts, rows, dt, vehicle):
     """Return the mean accelerations (m - 1, 3) [m/s2] of a vehicle whose load swings, over a flight's steps.
 
-    flight: a `MeasuredFlight` of m rows. acceleration (m - 1, 3): without the load. Both without gravity's.
+    acceleration (m - 1, 3): without the load. Both without gravity's. position (m, 3) [m] measured; starts
+    (w,): first rows of the windows, of `rows` rows `dt` [s] apart. vehicle: see `forces.pack`.
     """
-    mass, length = vehicle.effects_load_mass, vehicle.effects_load_length
-    share = mass / (vehicle.body_mass + mass)
-    frequency = math.sqrt(vehicle.weight / (vehicle.body_mass * length))
+    v = vehicle[0]
+    mass, length = v.effects.load_mass, v.effects.load_length
+    total = v.body.mass + mass
+    share = mass / total
+    frequency = math.sqrt(total * v.environment.gravity / (v.body.mass * length))
     spread = np.array([ANGLE, ANGLE, ANGLE * frequency, ANGLE * frequency])
+    string = share, length, dt
     out = (1.0 - share) * acceleration  # as one body, beside the windows
-    position = np.ascontiguousarray(flight.measured[:, :2])
-    for starts in stretches(flight):
-        steps = slice(int(starts[0]), int(starts[-1]) + flight.rows - 1)
-        own, seen = acceleration[steps], position[steps.start : steps.stop + 1]
-        string = share, length, flight.dt
-        start = _start(seen, own, starts - steps.start, flight.rows, spread, string)
-        _swing(own, start, string, out[steps])
+    ends = stretches(starts, rows, dt)
+    for i in range(len(ends) - 1):
+        own = starts[ends[i] : ends[i + 1]]
+        first, last = own[0], own[-1] + rows - 1
+        free, seen = acceleration[first:last], position[first : last + 1]
+        _swing(free, _start(seen, free, own - first, rows, spread, string), string, out[first:last])
     return out
 
 
-def stretches(flight) -> list[np.ndarray]:
-    """Return the first rows of the windows, one array for each stretch of at most `STRETCH`."""
-    found: list[list[int]] = []
-    for start in flight.starts:
-        if not found or (start + flight.rows - 1 - found[-1][0]) * flight.dt > STRETCH:
-            found.append([])
-        found[-1].append(int(start))
-    return [np.array(starts) for starts in found]
+@numba.njit(cache=True, nogil=True)
+def stretches(starts, rows, dt):
+    """Return where stretches of at most `STRETCH` begin among the windows, and the number of these."""
+    found = [0]
+    for k in range(1, len(starts)):
+        if (starts[k] + rows - 1 - starts[found[-1]]) * dt > STRETCH:
+            found.append(k)
+    found.append(len(starts))
+    return np.array(found)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -77,28 +81,37 @@ def _swing(acceleration, start, string, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def _errors(position, acceleration, start, starts, rows, string):
-    """Return the errors (2 w rows,) [m] of x and y in the windows, each without its line."""
-    dt = string[2]
-    pull, moved = np.empty_like(acceleration), np.zeros((len(acceleration) + 1, 2))
-    _swing(acceleration, start, string, pull)
-    for i in range(2):
-        speed = 0.0
-        for k in range(len(pull)):
-            moved[k + 1, i] = moved[k, i] + dt * (speed + 0.5 * dt * pull[k, i])
-            speed += dt * pull[k, i]
-    out = np.empty(2 * len(starts) * rows)
-    middle, squares, at = 0.5 * (rows - 1), rows * (rows * rows - 1.0) / 12.0, 0
-    for first in starts:
-        for i in range(2):
-            mean, slope = 0.0, 0.0
-            for k in range(rows):
-                out[at + k] = position[first + k, i] - moved[first + k, i]
-                mean += out[at + k] / rows
-                slope += (k - middle) * out[at + k] / squares
-            for k in range(rows):
-                out[at + k] -= mean + slope * (k - middle)
-            at += rows
+def _errors(position, acceleration, loads, starts, rows, string):
+    """Return the errors (s, 2 w rows) [m] of x and y in the windows, each without its line.
+
+    loads (s, 6): states at the beginning, moved to the end.
+    """
+    share, length, dt = string
+    moved, speed = np.zeros((len(loads), 2, len(acceleration) + 1)), np.zeros((len(loads), 2))
+    for k in range(len(acceleration)):
+        a = acceleration[k]
+        for s in range(len(loads)):  # side by side: a processor works on several of these at once
+            x, y, _ = advance(loads[s], a[0], a[1], a[2], share, length, dt)
+            moved[s, 0, k + 1] = moved[s, 0, k] + dt * (speed[s, 0] + 0.5 * dt * x)
+            moved[s, 1, k + 1] = moved[s, 1, k] + dt * (speed[s, 1] + 0.5 * dt * y)
+            speed[s, 0] += dt * x
+            speed[s, 1] += dt * y
+    out = np.empty((len(loads), 2 * len(starts) * rows))
+    middle, squares = 0.5 * (rows - 1), rows * (rows * rows - 1.0) / 12.0
+    for s in range(len(loads)):
+        at = 0
+        for first in starts:
+            for i in range(2):
+                mean, slope = 0.0, 0.0
+                for k in range(rows):
+                    error = position[first + k, i] - moved[s, i, first + k]
+                    out[s, at + k] = error
+                    mean += error
+                    slope += (k - middle) * error
+                mean, slope = mean / rows, slope / squares
+                for k in range(rows):
+                    out[s, at + k] -= mean + slope * (k - middle)
+                at += rows
     return out
 
 
@@ -106,17 +119,17 @@ def _errors(position, acceleration, start, starts, rows, string):
 def _start(position, acceleration, starts, rows, spread, string):
     """Return the load's most probable state (6,) at the beginning of a stretch of k steps.
 
-    position (k + 1, 2) [m] measured, acceleration (k, 3) [m/s2] without the load, starts (w,) of the windows.
+    position (k + 1, 3) [m] measured, acceleration (k, 3) [m/s2] without the load, starts (w,) of the windows.
     """
     z, eye = np.zeros(4), np.eye(4)
-    errors = _errors(position, acceleration, _state(z, spread), starts, rows, string)
-    slopes = np.empty((4, len(errors)))
+    loads = np.empty((5, LOAD_SIZE))
     for _ in range(_ROUNDS):
+        loads[0] = _state(z, spread)
         for i in range(4):
-            state = _state(z + _STEP * eye[i], spread)
-            slopes[i] = (_errors(position, acceleration, state, starts, rows, string) - errors) / _STEP
+            loads[1 + i] = _state(z + _STEP * eye[i], spread)
+        errors = _errors(position, acceleration, loads, starts, rows, string)
+        here, slopes = errors[0], (errors[1:] - errors[0]) / _STEP
         # Minimise w |e + S dz|^2 + |z + dz|^2,  w = numbers/(rows mean e^2)
-        weight = _NUMBERS / (rows * (errors**2).mean() + 1e-12)
-        z -= np.linalg.solve(weight * (slopes @ slopes.T) + eye, weight * (slopes @ errors) + z)
-        errors = _errors(position, acceleration, _state(z, spread), starts, rows, string)
+        weight = _NUMBERS / (rows * (here**2).mean() + 1e-12)
+        z -= np.linalg.solve(weight * (slopes @ slopes.T) + eye, weight * (slopes @ here) + z)
     return _state(z, spread)

@@ -1,13 +1,12 @@
 """The swing of a slung load from the start that a flight shows."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from inclined_landing.eval.gap.model.swing import ANGLE, STRETCH, pulled, stretches
-from inclined_landing.models import load
+from inclined_landing.models import forces, load
 from inclined_landing.models.parameters import load_vehicle
 
 DT, ROWS, G = 0.01, 60, 9.81
@@ -15,13 +14,9 @@ V = load_vehicle().changed(effects_load_mass=0.004, effects_load_length=0.5)
 SHARE = V.effects_load_mass / (V.body_mass + V.effects_load_mass)
 
 
-class Flight(NamedTuple):
-    """What the estimate asks of a measured flight."""
-
-    measured: np.ndarray  # (m, 6)
-    starts: np.ndarray
-    rows: int = ROWS
-    dt: float = DT
+def pull(flight, vehicle, force):
+    """Accelerations (m - 1, 3) with the load, from those without it; flight: positions and windows."""
+    return pulled(force, *flight, ROWS, DT, forces.pack(vehicle))
 
 
 def flown(seconds=6.0, angle=0.3, noise=0.0, seed=0, vehicle=V):
@@ -34,22 +29,21 @@ def flown(seconds=6.0, angle=0.3, noise=0.0, seed=0, vehicle=V):
     true = np.array([load.advance(state, *a, share, vehicle.effects_load_length, DT) for a in force])
     speed = np.concatenate([np.zeros((1, 3)), np.cumsum(DT * true, axis=0)])
     position = np.concatenate([np.zeros((1, 3)), np.cumsum(DT * (speed[:-1] + 0.5 * DT * true), axis=0)])
-    measured = np.zeros((steps + 1, 6))
-    measured[:, :3] = position + noise * rng.normal(size=position.shape)
-    return Flight(measured, np.arange(0, steps + 1 - ROWS, ROWS)), force, true
+    measured = position + noise * rng.normal(size=position.shape)
+    return (measured, np.arange(0, steps + 1 - ROWS, ROWS)), force, true
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.6])
 def test_the_swing_is_that_of_the_flight(angle):
     """Accelerations within the angle that noise leaves: of 0.5 mm against 20 mm of swing, 2 % of its pull."""
     flight, force, true = flown(angle=angle, noise=5e-4)
-    found = pulled(flight, V, force)
-    steps = slice(0, flight.starts[-1] + ROWS - 1)
-    pull = SHARE * G * max(angle, 0.1)
-    assert np.sqrt(((found - true)[steps] ** 2).mean()) < 0.02 * pull
+    found = pull(flight, V, force)
+    steps = slice(0, flight[1][-1] + ROWS - 1)
+    size = SHARE * G * max(angle, 0.1)
+    assert np.sqrt(((found - true)[steps] ** 2).mean()) < 0.02 * size
     hanging = np.array(load.HANGING)
     still = np.array([load.advance(hanging, *a, SHARE, V.effects_load_length, DT) for a in force])
-    assert angle == 0.0 or np.sqrt(((still - true)[steps] ** 2).mean()) > 0.3 * pull
+    assert angle == 0.0 or np.sqrt(((still - true)[steps] ** 2).mean()) > 0.3 * size
 
 
 def test_next_to_no_load_is_nothing_to_estimate():
@@ -59,21 +53,20 @@ def test_next_to_no_load_is_nothing_to_estimate():
     share = 1e-6 / (V.body_mass + 1e-6)
     hanging = np.array(load.HANGING)
     wanted = np.array([load.advance(hanging, *a, share, V.effects_load_length, DT) for a in force])
-    steps = slice(0, flight.starts[-1] + ROWS - 1)
-    assert np.abs((pulled(flight, tiny, force) - wanted)[steps]).max() < 0.1 * share * G * ANGLE
+    steps = slice(0, flight[1][-1] + ROWS - 1)
+    assert np.abs((pull(flight, tiny, force) - wanted)[steps]).max() < 0.1 * share * G * ANGLE
 
 
 def test_long_flights_start_anew():
     """Each stretch holds whole windows, and ends within its time; gaps between windows are no matter."""
     starts = np.array([*range(0, 900, ROWS), *range(1200, 3000, ROWS)])
-    found = stretches(Flight(np.zeros((3100, 6)), starts))
-    np.testing.assert_array_equal(np.concatenate(found), starts)
+    found = np.split(starts, stretches(starts, ROWS, DT)[1:-1])
     assert len(found) == 3
     assert all((s[-1] - s[0] + ROWS - 1) * DT <= STRETCH for s in found)
     flight, force, true = flown(seconds=25.0, angle=0.2)
-    parts = stretches(flight)
+    parts = np.split(flight[1], stretches(flight[1], ROWS, DT)[1:-1])
     assert len(parts) == 3
-    error = pulled(flight, V, force) - true
+    error = pull(flight, V, force) - true
     for part in parts:
         steps = slice(part[0], part[-1] + ROWS - 1)
         assert np.sqrt((error[steps] ** 2).mean()) < 0.02 * SHARE * G * 0.2
@@ -81,7 +74,6 @@ def test_long_flights_start_anew():
 
 def test_steps_beside_the_windows_are_those_of_one_body():
     flight, force, _ = flown()
-    late = Flight(flight.measured, flight.starts[2:4])
-    found = pulled(late, V, force)
+    found = pull((flight[0], flight[1][2:4]), V, force)
     np.testing.assert_array_equal(found[: 2 * ROWS], (1.0 - SHARE) * force[: 2 * ROWS])
     np.testing.assert_array_equal(found[4 * ROWS - 1 :], (1.0 - SHARE) * force[4 * ROWS - 1 :])
