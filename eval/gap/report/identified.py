@@ -82,11 +82,13 @@ _FLIGHTS = {
 
 def missing_flights(found: Identification) -> list[str]:
     """Return a sentence on every regime that the flights lack: which effects it would identify better."""
-    rough, lines = [o.effect for o in found.identifiable if o.share > thresholds.ROUGH], []
+    rough = [o.effect for o in found.identifiable if o.share > thresholds.ROUGH]
+    rough, lines = [n for n in rough if not LIBRARY[n].told_by], []
     for regime, text in _FLIGHTS.items():
-        names = {n for n in rough if regime in LIBRARY[n].regimes and not LIBRARY[n].told_by}
+        names = {n for n in rough if regime in LIBRARY[n].regimes}
         if names and found.regimes[regime] < thresholds.FLOWN:
-            names |= {n for n in rough if not names.isdisjoint(LIBRARY[n].confused_with)}
+            if len(names) > 1:  # what is confounded with them is told from them as well
+                names |= {n for n in rough if not names.isdisjoint(LIBRARY[n].confused_with)}
             better = words.listed([words.label(n) for n in LIBRARY if n in names])
             lines.append(f"{text}, to tell {better} better: these flights have little of it.")
     return lines
