@@ -17,8 +17,10 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+import numba
 import numpy as np
 
+from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mode
 from inclined_landing.eval.gap.model.columns import (
     SHAPE_COVARIANCE,
     Candidates,
@@ -38,7 +40,6 @@ BOOTSTRAP_SAMPLES = 24
 MOST_SPIKE = 0.5  # largest standard deviation of the spike, in those of the slab
 MOST_SPIKE_ABOUT = 0.3  # the same of the two columns of an effect about a reference
 EM_ROUNDS = 3  # more let the between-flight variance of confounded parameters run away
-ACTIVE_SET_ROUNDS = 4
 PRIOR_FLIGHTS = 2.0  # weight of the prior between-flight variance (inverse gamma), in flights
 
 EffectSet = frozenset[str]
@@ -133,71 +134,6 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
         found = share * known + (1.0 - share) * second.mean(axis=0)
         variance = np.where(sized, np.clip(found, BETWEEN**2, most), BETWEEN**2)
     return {c.key: float(np.sqrt(v) * u) for c, v, u in zip(linear.columns, variance, unit)}
-
-
-@dataclasses.dataclass(frozen=True)
-class Bounds:
-    """Bounds of the coordinates along columns."""
-
-    low: np.ndarray  # (P,)
-    high: np.ndarray  # (P,)
-    # For the two columns of an effect about a reference: their indices, bounds of the size (their sum) and of
-    # the second one's share of it.
-    pairs: tuple[tuple[int, int, tuple[float, float], tuple[float, float]], ...]
-
-    @staticmethod
-    def of(problem: Problem, columns: Sequence[Column], unit: np.ndarray) -> Bounds:
-        """Return the bounds in units (P,), from neutral."""
-        low, high = np.full(len(columns), -np.inf), np.full(len(columns), np.inf)
-        pairs: list[tuple[int, int, tuple[float, float], tuple[float, float]]] = []
-        for k, column in enumerate(columns):
-            if not isinstance(column, ParameterColumn):
-                continue
-            p = problem.parameter(column)
-            least, most = (p.coordinate(x) / unit[k] for x in p.possible)
-            if not column.fixed:
-                low[k], high[k] = least, most
-            elif k and columns[k - 1].effect == column.effect:
-                effect = problem.library[column.effect]
-                about = effect.reference
-                assert about is not None  # a fixed parameter is a reference
-                first, last = sorted(effect.at_ends(1.0, x)[1] for x in about.possible)
-                pairs.append((k - 1, k, (least, most), (first, last)))
-        return Bounds(low, high, tuple(pairs))
-
-    def clip(self, at: np.ndarray) -> np.ndarray:
-        """Return coordinates (P,) clipped to the bounds."""
-        result = np.clip(at, self.low, self.high)
-        for i, j, (least, most), (first, last) in self.pairs:
-            size = at[i] + at[j]
-            share = min(max(at[j] / size if size else 0.5, first), last)
-            size = min(max(size, least), most)
-            result[i], result[j] = size * (1.0 - share), size * share
-        return result
-
-    def truncated_mode(
-        self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
-
-        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
-        """
-        # Active set A of coordinates fixed at their bounds c_A; the others conditioned on them:
-        #   x = m + C_.A C_AA^-1 (c_A - m_A),   log p(x) - log p(m) = -1/2 (c_A - m_A)' C_AA^-1 (c_A - m_A)
-        outside, result, log_ratio = np.zeros(len(at), bool), at, 0.0
-        for _ in range(ACTIVE_SET_ROUNDS):
-            clipped = self.clip(result)
-            beyond = np.zeros(len(at), bool)
-            beyond[own] = np.abs(clipped - result)[own] > 1e-9 * (1.0 + np.abs(clipped[own]))
-            if not beyond.any():
-                break
-            outside |= beyond
-            k = np.flatnonzero(outside)
-            shift = clipped[k] - at[k]
-            solved = np.linalg.solve(covariance[np.ix_(k, k)] + 1e-9 * np.eye(len(k)), shift)
-            result, log_ratio = at + covariance[:, k] @ solved, -0.5 * float(shift @ solved)
-            result[k] = clipped[k]
-        return result, log_ratio
 
 
 @dataclasses.dataclass(frozen=True)
@@ -425,23 +361,34 @@ class Evidence:
 
     def _mode(self, k: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide, and the log evidence."""
-        # With V = L L' the additional prior covariance,
-        #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
-        # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
-        prior = self.slab[np.ix_(k, k)] * np.outer(times, times) - np.eye(len(k))
-        root = np.linalg.cholesky(prior + np.diag(np.maximum(1e-9, 1e-6 - prior.diagonal())))
-        inner = np.eye(len(k)) + root.T @ self.a[np.ix_(k, k)] @ root
-        factor = np.linalg.cholesky(inner)
-        z = np.linalg.solve(factor, root.T @ self.b[k])
-        at = np.zeros(len(self.b))
-        at[k] = root @ np.linalg.solve(factor.T, z)
-        score = self.empty + 0.5 * float(z @ z) - float(np.log(np.diagonal(factor)).sum())
-        if np.array_equal(at, self.bounds.clip(at)):
-            return at, score
-        half, covariance = np.linalg.solve(factor, root.T), np.zeros_like(self.a)
-        covariance[np.ix_(k, k)] = half.T @ half
-        at, log_ratio = self.bounds.truncated_mode(at, covariance, k)
-        return at, score + log_ratio
+        at, gain = _bounded_mode(self.a, self.b, self.slab, self.bounds, k, times)
+        return at, self.empty + gain
+
+
+@numba.njit(cache=True, nogil=True)
+def _bounded_mode(a, b, slab, bounds, k, times):
+    """Return the bounded mode (P,) of the columns k, slabs `times` (k,) as wide; gain of the log evidence."""
+    # With V = L L' the additional prior covariance,
+    #   log p = log p_0 + 1/2 |z|^2 - 1/2 log det(1 + L' a L),
+    # F F' = 1 + L' a L (Cholesky),  z = F^-1 L' b,  mode L F'^-1 z
+    eye, prior = np.eye(len(k)), slab[k][:, k] * np.outer(times, times)
+    for i in range(len(k)):
+        prior[i, i] -= 1.0 - max(1e-9, 1e-6 - (prior[i, i] - 1.0))
+    root = np.linalg.cholesky(prior)
+    factor = np.linalg.cholesky(eye + root.T @ (np.ascontiguousarray(a[k][:, k]) @ root))
+    half = np.linalg.solve(factor, np.ascontiguousarray(root.T))
+    z, at = half @ b[k], np.zeros(len(b))
+    at[k] = half.T @ z
+    gain = 0.5 * (z @ z) - np.log(np.diag(factor)).sum()
+    if np.array_equal(at, clipped(at, bounds)):
+        return at, gain
+    covariance = np.zeros_like(a)
+    inner = half.T @ half
+    for i in range(len(k)):
+        for j in range(len(k)):
+            covariance[k[i], k[j]] = inner[i, j]
+    at, log_ratio = truncated_mode(at, covariance, k, bounds)
+    return at, gain + log_ratio
 
 
 def flight_weights(groups: int) -> np.ndarray:

@@ -15,8 +15,9 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
+from inclined_landing.eval.gap.infer.bounds import Bounds
 from inclined_landing.eval.gap.infer.fit import model_error_weights
-from inclined_landing.eval.gap.infer.gaussian import Bounds, LinearGaussian
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.infer.sets import SetProbability, _relevant_subsets
 from inclined_landing.eval.gap.model.columns import (
@@ -81,7 +82,7 @@ def test_disturbance_is_recovered_from_what_it_moved():
     assert found.noise == pytest.approx(1.0, abs=0.3)
 
 
-UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), ())
+UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), np.zeros((0, 6)))
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +174,7 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
     root, at = rng.standard_normal((4, 4)), rng.standard_normal(4)
     covariance = root @ root.T + 0.1 * np.eye(4)
     high = np.array([at[0] - 0.5, np.inf, np.inf, np.inf])
-    bounds = Bounds(np.full(4, -np.inf), high, ())
+    bounds = Bounds(np.full(4, -np.inf), high, np.zeros((0, 6)))
     found, unlikely = bounds.truncated_mode(at, covariance, np.arange(4))
     inverse = np.linalg.inv(covariance)
 
@@ -187,7 +188,7 @@ def test_within_bounds_is_the_likeliest_possible_point(seed):
 
 def test_bounds_of_an_effect_about_a_reference():
     """Sizes about both sides, of opposite signs: the reference lies no further than is possible."""
-    bounds = Bounds(np.full(2, -np.inf), np.full(2, np.inf), ((0, 1, (-2.0, 2.0), (-0.25, 1.25)),))
+    bounds = Bounds(np.full(2, -np.inf), np.full(2, np.inf), np.array([[0, 1, -2.0, 2.0, -0.25, 1.25]]))
     np.testing.assert_allclose(bounds.clip(np.array([4.0, -3.0])), [1.25, -0.25])
     np.testing.assert_allclose(bounds.clip(np.array([3.0, 3.0])), [1.0, 1.0])
     np.testing.assert_allclose(bounds.clip(np.array([0.4, 0.6])), [0.4, 0.6])
