@@ -8,7 +8,8 @@ Two models, after Kooi and Babuska (IROS 2021):
   exactly -1/tau and -B; with another damping than 1 the rate terms are that many times as large.
 
 With integral gains, k_i = integral/tau, both want the rate (k command - angle + integral I)/tau for roll and
-pitch, dI/dt = k command - angle. I is held where it would grow beyond +-integral_limit (anti-windup).
+pitch, dI/dt = k command - angle. I is held where it would grow beyond +-integral_limit (anti-windup). With a
+saturation no larger rate is wanted than 1/saturation.
 
 Symbols of the comments: phi, theta, psi roll, pitch and yaw.
 """
@@ -50,9 +51,9 @@ def angle_errors(roll, pitch, u, v, p):
 
 @numba.njit(cache=True, inline="always")
 def loop_rates(errors, integrals, u, v, p):
-    """Return the Euler rates [rad/s] of the paper's first-order loops under a command u (4,).
+    """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
 
-    errors: of `angle_errors`; integrals: of these over time [rad s], numbers for roll and pitch.
+    errors: of `angle_errors`; integrals: of these over time [rad s]; u: command (4,).
     """
     # dphi/dt = (error + integral I)/tau, theta alike; dpsi/dt = k_psi r_c + drift
     tau, integral = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_integral
@@ -64,6 +65,18 @@ def loop_rates(errors, integrals, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
+def excess(rate, v):
+    """Return a wanted rate [rad/s] of roll or pitch over the largest that the loops ask for, at least 1."""
+    return max(1.0, abs(rate) * v.effects.attitude_saturation)
+
+
+@numba.njit(cache=True, inline="always")
+def saturated(rates, v):
+    """Return wanted Euler rates [rad/s] with those of roll and pitch up to the largest."""
+    return rates[0] / excess(rates[0], v), rates[1] / excess(rates[1], v), rates[2]
+
+
+@numba.njit(cache=True, inline="always")
 def integral_rate(integral, error, v):
     """Return dI/dt [rad] of an angle error's integral I [rad s]."""
     if abs(integral) >= v.attitude.integral_limit and integral * error > 0.0:
@@ -72,26 +85,31 @@ def integral_rate(integral, error, v):
 
 
 @numba.njit(cache=True, inline="always")
-def rate_loop_acceleration(commanded_rate, rate, integrated, bandwidth, tau, damping):
+def rate_loop_acceleration(wanted, rate, integrated, tau, v):
     """Return the angular acceleration [rad/s2] of the loop whose poles are -1/tau and -B with damping 1.
 
-    integrated: integral dI/dt [rad/s], with which the poles of the first-order loop stay too.
+    wanted: rate [rad/s] of `loop_rates`; integrated: integral dI/dt [rad/s], with which the poles of the
+    first-order loop stay too.
     """
-    # d2phi/dt2 = B (rate_c - rate) + (integral dI/dt - rate)/tau - (damping - 1) (B + 1/tau) rate
-    beyond = (damping - 1.0) * (bandwidth + 1.0 / tau)
-    return bandwidth * (commanded_rate - rate) + (integrated - rate) / tau - beyond * rate
+    # d2phi/dt2 = B (rate_w - rate) + d(rate_w)/dt - (damping - 1) (B + 1/tau) rate
+    # d(rate_w)/dt = (integral dI/dt - rate)/tau, 0 where saturated
+    over = excess(wanted, v)
+    following = (integrated - rate) / tau if over == 1.0 else 0.0
+    beyond = (v.attitude.damping - 1.0) * (v.attitude.bandwidth + 1.0 / tau)
+    return v.attitude.bandwidth * (wanted / over - rate) + following - beyond * rate
 
 
 @numba.njit(cache=True, nogil=True)
 def angle_steps(axis, command, twist, start, dt, vehicle):
-    """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly.
+    """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly
+    where it neither integrates nor saturates.
 
     The loop starts at rest at `start` [rad]. command (m,) [rad] and twist (m,) further angular accelerations
     [rad/s2] are held for `dt` [s] each.
     """
     v = vehicle[0]
-    if v.effects.attitude_integral != 0.0:
-        return integrated_angle_steps(axis, command, twist, start, dt, vehicle)[:, 0].copy()
+    if v.effects.attitude_integral != 0.0 or v.effects.attitude_saturation != 0.0:
+        return integrated_steps(axis, command, twist, start, dt, vehicle)[:, 0].copy()
     a, b = 1.0 / v.attitude.time_constant, v.attitude.bandwidth
     gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
     # a = 1/tau, b = B: x'' = a b (rest - x) - damping (a + b) x', rest = k (command + trim) + twist/(a b).
@@ -121,44 +139,43 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
 
 
 @numba.njit(cache=True, nogil=True)
-def integrated_angle_steps(axis, command, twist, start, dt, vehicle):
-    """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of a loop with integral gains.
+def integrated_steps(axis, command, twist, start, dt, vehicle):
+    """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of any loop, integrated by RK4.
 
-    Arguments as of `angle_steps`; the integral starts as it holds the first twist. Exact within the
-    integral's limit, to which it is held after each step.
+    Arguments as of `angle_steps`. The integral starts where it holds the first twist.
     """
     v = vehicle[0]
-    a, b, integral = 1.0 / v.attitude.time_constant, v.attitude.bandwidth, v.effects.attitude_integral
-    # Of z = (x - k (command + trim), x', I, twist):
-    #   x'' = a b (integral I - z_0) - a integral z_0 - damping (a + b) x' + twist,  I' = -z_0
-    rates = np.zeros((4, 4))
-    rates[0, 1], rates[2, 0] = 1.0, -1.0
-    rates[1] = -a * (b + integral), -v.attitude.damping * (a + b), a * b * integral, 1.0
-    advance = _exponential(rates * dt)
-    out, z, limit = np.empty((len(command) + 1, 2)), np.zeros(4), v.attitude.integral_limit
-    z[2] = min(limit, max(-limit, -twist[0] / (a * b * integral)))
-    out[0] = start, z[2]
+    rates, limit = 1.0 / v.attitude.time_constant + v.attitude.bandwidth, v.attitude.integral_limit
+    parts = math.ceil(
+        4.0 * max(1.0, v.attitude.damping) * rates * dt
+    )  # 0.25^5/120: 8e-6 of the quickest change
+    h, integral = dt / parts, v.effects.attitude_integral
+    out, x, w, i = np.empty((len(command) + 1, 2)), start, 0.0, 0.0
+    if integral != 0.0:  # a b integral I + twist = 0
+        i = -twist[0] * v.attitude.time_constant / (v.attitude.bandwidth * integral)
+        i = min(limit, max(-limit, i))
+    out[0] = x, i
     for k in range(len(command)):
-        wanted = v.attitude.gain * (command[k] + v.effects.attitude_trim[axis])
-        z[0], z[3] = out[k, 0] - wanted, twist[k]
-        z = advance @ z
-        z[2] = min(limit, max(-limit, z[2]))
-        out[k + 1] = z[0] + wanted, z[2]
+        wanted, t = v.attitude.gain * (command[k] + v.effects.attitude_trim[axis]), twist[k]
+        for _ in range(parts):
+            x1, w1, i1 = _loop_derivative(x, w, i, wanted, t, v)
+            x2, w2, i2 = _loop_derivative(x + 0.5 * h * x1, w + 0.5 * h * w1, i + 0.5 * h * i1, wanted, t, v)
+            x3, w3, i3 = _loop_derivative(x + 0.5 * h * x2, w + 0.5 * h * w2, i + 0.5 * h * i2, wanted, t, v)
+            x4, w4, i4 = _loop_derivative(x + h * x3, w + h * w3, i + h * i3, wanted, t, v)
+            x += h / 6.0 * (x1 + 2.0 * (x2 + x3) + x4)
+            w += h / 6.0 * (w1 + 2.0 * (w2 + w3) + w4)
+            i += h / 6.0 * (i1 + 2.0 * (i2 + i3) + i4)
+        out[k + 1] = x, i
     return out
 
 
-@numba.njit(cache=True)
-def _exponential(matrix):
-    """Return the exponential of a matrix (n, n), by scaling and squaring of its Taylor series."""
-    halves = max(0, math.ceil(math.log2(np.abs(matrix).sum(axis=0).max() + 1e-300)) + 4)
-    scaled = matrix / 2.0**halves  # of norm 1/16: the series ends at 16^-12/12! = 1e-23
-    term, out = np.eye(len(matrix)), np.eye(len(matrix))
-    for k in range(1, 12):
-        term = term @ scaled / k
-        out += term
-    for _ in range(halves):
-        out = out @ out
-    return out
+@numba.njit(cache=True, inline="always")
+def _loop_derivative(angle, rate, integral, wanted, twist, v):
+    """Return the derivatives of angle, rate and integral of a loop at a wanted angle [rad]."""
+    error, tau, gain = wanted - angle, v.attitude.time_constant, v.effects.attitude_integral
+    moved = integral_rate(integral, error, v)
+    demanded = (error + gain * integral) / tau
+    return rate, rate_loop_acceleration(demanded, rate, gain * moved, tau, v) + twist, moved
 
 
 @numba.njit(cache=True, nogil=True)

@@ -34,6 +34,7 @@ from inclined_landing.models.attitude_loops import (
     integral_rate,
     loop_rates,
     rate_loop_acceleration,
+    saturated,
 )
 from inclined_landing.models.forces import AMBIENT_SIZE, TIME, free_air, lag_derivative, pack, wrench
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
@@ -148,18 +149,17 @@ def _derivative(y, s, v):
     dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
     errors, integrals = angle_errors(roll, pitch, u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
-    roll_rate, pitch_rate, yaw_rate = loop_rates(errors, integrals, u, v, p)  # commanded
+    wanted = loop_rates(errors, integrals, u, v, p)
     for k in range(2):
         dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
         phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        bandwidth, damping, integral = v.attitude.bandwidth, v.attitude.damping, v.effects.attitude_integral
-        moved = integral * dy[_INTEGRAL], integral * dy[_INTEGRAL + 1]
-        dy[_RATES] = rate_loop_acceleration(roll_rate, phid, moved[0], bandwidth, tau, damping)
-        dy[_RATES + 1] = rate_loop_acceleration(pitch_rate, thetad, moved[1], bandwidth, tau, damping)
-        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (yaw_rate - psid)
+        integral = v.effects.attitude_integral
+        dy[_RATES] = rate_loop_acceleration(wanted[0], phid, integral * dy[_INTEGRAL], tau, v)
+        dy[_RATES + 1] = rate_loop_acceleration(wanted[1], thetad, integral * dy[_INTEGRAL + 1], tau, v)
+        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (wanted[2] - psid)
         tx, ty, tz = f[3], f[4], 0.0
         if s.limited:
             over_x, over_y, over_z = _saturations(y, dy, v, s.torque_limits)
@@ -176,7 +176,7 @@ def _derivative(y, s, v):
             dy[_RATES + 1] += b
             dy[_RATES + 2] += d
     else:
-        dy[_PHI], dy[_THETA], dy[_PSI] = roll_rate, pitch_rate, yaw_rate
+        dy[_PHI], dy[_THETA], dy[_PSI] = saturated(wanted, v)
         dy[_RATES] = dy[_RATES + 1] = dy[_RATES + 2] = 0.0
 
 
@@ -293,7 +293,7 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
             errors = angle_errors(roll, pitch, s.command, v, s.perturbation)
             integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
             rates = loop_rates(errors, integrals, s.command, v, s.perturbation)
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = rates
+            y[_RATES], y[_RATES + 1], y[_RATES + 2] = saturated(rates, v)
         unpack_state(y, state[i])
         give_states(s, conditions.load, conditions.integral, i)
         conditions.ambient[i, TIME] = s.ambient[TIME]

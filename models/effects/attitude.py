@@ -164,6 +164,40 @@ EFFECTS = (
         says="the attitude loops integrate the angle error at {rate} more than modelled",
     ),
     Effect(
+        name="attitude_saturation",
+        description="The roll and pitch loops ask for no rate beyond a largest: large steps of the command "
+        "are followed at that rate, small ones as modelled.",
+        formula="|d(angle)/dt that is wanted| up to 1/(saturation + inverse)",
+        source="rate limits of flight controllers; motors that have no more to give act alike",
+        parameters=(
+            Parameter(
+                "inverse",
+                unit="s/rad",
+                bounds=(0.0, 4.0),
+                plausible=1.0,
+                negligible=0.2,
+                step=1.0,
+                one_signed=True,
+                adds_to="effects_attitude_saturation",
+                constant=FittedConstant(
+                    "attitude rate saturation, inverse",
+                    field="effects_attitude_saturation",
+                    unit="s/rad",
+                    offset=True,
+                ),
+            ),
+        ),
+        regimes=("attitude_step",),
+        confused_with=("attitude_time_constant", "second_order_attitude", "attitude_delay"),
+        remedy="Raise the controller's rate limit, or command smaller steps; a small and a large step tell "
+        "it from a slow loop.",
+        channels=("attitude",),
+        apply=added("effects_attitude_saturation", "inverse"),
+        in_the_loops=True,
+        is_lag=True,
+        says="the attitude loops ask for no larger rate than 1 over {inverse}",
+    ),
+    Effect(
         name="attitude_trim",
         description="Level flight is commanded, but the vehicle holds a small constant tilt in its own "
         "frame: a tilted sensor, an uncalibrated accelerometer, or motion capture markers out of level.",

@@ -442,5 +442,6 @@ def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept, integral):
         x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
         shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
         errors = attitude_loops.angle_errors(shown[0], shown[1], ctrl[i], v, p[i])
-        a, b, d = attitude_loops.loop_rates(errors, (integral[i, 0], integral[i, 1]), ctrl[i], v, p[i])
+        rates = attitude_loops.loop_rates(errors, (integral[i, 0], integral[i, 1]), ctrl[i], v, p[i])
+        a, b, d = attitude_loops.saturated(rates, v)
         qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)

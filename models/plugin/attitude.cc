@@ -109,7 +109,9 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     }
     const double wanted = error / tau;
     const double beyond = (config->damping - 1) * (config->bandwidth + 1 / tau);
-    return config->bandwidth * (wanted - rate) + (integrated - rate) / tau - beyond * rate;
+    const double over = std::max(1.0, std::abs(wanted) * config->saturation);
+    const double following = over > 1 ? 0 : (integrated - rate) / tau;
+    return config->bandwidth * (wanted / over - rate) + following - beyond * rate;
   };
   double yaw_wanted = 0, yaw_bandwidth = config->yaw_bandwidth;
   if (actuators[kYaw] >= 0) {

@@ -592,7 +592,15 @@ def test_vehicles_are_predicted_together_as_one_by_one(first):
 
 @pytest.mark.parametrize(
     "name",
-    ["level_calibration", "mocap_tilt", "attitude_trim", "yaw_loop", "estimator_lean", "attitude_integral"],
+    [
+        "level_calibration",
+        "mocap_tilt",
+        "attitude_trim",
+        "yaw_loop",
+        "estimator_lean",
+        "attitude_integral",
+        "attitude_saturation",
+    ],
 )
 def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     """Positions up to the line that the start state is, angles once the start has died away."""
@@ -607,7 +615,7 @@ def test_the_prediction_along_a_flight_knows_the_attitude_effects(name):
     (metres, radians), nominal = error(vehicle), error(V)
     # Attitudes between rows; velocities smoothed over 0.1 s, which leans by 10 mm/s of their error.
     # What an integral has of the start at rest dies away with its own rate, 0.5 1/s.
-    coarse = name in ("estimator_lean", "attitude_integral")
+    coarse = name in ("estimator_lean", "attitude_integral", "attitude_saturation")
     assert metres < 2e-4 and radians < (2e-4 if coarse else 1e-5)
     assert nominal[0] > 5 * metres or nominal[1] > 5 * radians
 
@@ -635,6 +643,15 @@ def test_an_integral_trims_a_moment_away_up_to_its_limit(kind):
         # The slowest pole, -3.2 1/s, leaves 2e-10 in 7 s; the step that reaches the limit is of 4 ms tilt.
         assert pitch[-1] == pytest.approx(left, abs=0.004 * rate * tilt if left else 1e-3 * tilt)
         assert plant.integral[0, 1] * rate == pytest.approx(pitch[-1] - tilt, rel=1e-2)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize("attitude", ["rate_loop", "kinematic"])
+def test_a_saturated_loop_turns_at_its_largest_rate(kind, attitude):
+    """A step that wants 2.4 rad/s: after 0.1 s, 5 time constants of the rate loop, and up to 0.7 s."""
+    plant = make_plant(kind, 1, V.changed(effects_attitude_saturation=2.0), attitude=attitude)
+    roll = hold(plant, 20, V.hover_pwm, roll=0.4)[:, ROLL]
+    np.testing.assert_allclose(np.diff(roll)[5:], 0.5 * 0.02, rtol=0.01)
 
 
 @pytest.mark.parametrize("plant", BOTH)

@@ -23,7 +23,7 @@ import numpy as np
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import pulled
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, euler_rates, tilted
-from inclined_landing.models.attitude_loops import angle_steps, integrated_angle_steps, yaw_steps
+from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import lag_step, lags, pack, wrench
 from inclined_landing.models.perturbation import NEUTRAL
@@ -41,8 +41,8 @@ ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
 # Constants that act in the attitude loops alone, beside those of the table `attitude`.
 _OF_THE_LOOPS = {
-    f"effects_{n}"
-    for n in ("attitude_delay", "attitude_integral", "attitude_trim", "estimator_lean", "yaw_drift")
+    *(f"effects_attitude_{n}" for n in ("delay", "integral", "saturation", "trim")),
+    *("effects_estimator_lean", "effects_yaw_drift"),
 }
 _translation = attrgetter(  # of a vehicle: all constants that its translation may depend on
     *(
@@ -268,7 +268,7 @@ def _integrals(measured, vehicle):
     _accelerations(measured, v, twist)
     for axis in range(2):
         command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
-        steps = integrated_angle_steps(axis, command, twist[:, axis], start, measured.dt, vehicle)
+        steps = integrated_steps(axis, command, twist[:, axis], start, measured.dt, vehicle)
         out[:, axis] = steps[:, 1]
     return out
 

@@ -33,6 +33,7 @@ V = dataclasses.replace(
     effects_rotor_loss=(0.02, 0.05, 0.01, 0.1),
     effects_attitude_integral=1.0,
     attitude_integral_limit=0.005,
+    effects_attitude_saturation=1.0,
     effects_attitude_trim=(0.02, -0.01),
     effects_estimator_lean=0.02,
     effects_yaw_drift=0.1,
