@@ -193,7 +193,6 @@ EFFECTS = (
         "it from a slow loop.",
         channels=("attitude",),
         apply=added("effects_attitude_saturation", "inverse"),
-        in_the_loops=True,
         is_lag=True,
         says="the attitude loops ask for no larger rate than 1 over {inverse}",
     ),
