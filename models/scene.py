@@ -131,6 +131,7 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
         plugin.config = {
             name: _text(getattr(v, field)) for name, field in plugins.fields()[plugin.name].items()
         }
+    spec.body("feet").pos[2] -= v.effects_foot_height
     x, y = v.effects_com_offset
     spec.site("thrust").pos = [-x, -y, 0]
     ranges = {

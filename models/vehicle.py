@@ -79,6 +79,7 @@ class Vehicle:
     effects_com_offset: tuple[float, float]
     effects_load_mass: float
     effects_load_length: float
+    effects_foot_height: float
     effects_thrust_delay: float
     effects_attitude_delay: float
     effects_attitude_integral: float

@@ -86,7 +86,8 @@ def diagnose(
     ahead = open_loop_errors(found, correction, evaluation, effects, plants, curves)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     clock("errors")
-    contact = contact_answer(use, vehicle, correction.vehicle, candidates)
+    landed = reference.landings if reference else None
+    contact = contact_answer(use, vehicle, correction.vehicle, candidates, landed)
     clock("touchdown")
 
     posterior = contact.sets(scored_sets(found))

@@ -716,6 +716,8 @@ def test_touchdown_effects_act(name):
         assert height(flown).min() < height(nominal).min() - 2e-4  # sinks in deeper
     elif name == "contact_damping":
         assert height(flown)[3:6].max() > height(nominal)[3:6].max() + 2e-3  # bounces
+    elif name == "foot_height":
+        assert (height(flown) - height(nominal))[-1] == pytest.approx(0.004, abs=2e-4)
     elif name == "platform_height":
         rise = changed(name).platform_surface_height - V.platform_surface_height
         assert (height(flown) - height(nominal))[-1] == pytest.approx(rise * math.cos(alpha), abs=2e-4)

@@ -28,6 +28,7 @@ from inclined_landing.eval.gap.infer.fit import (
 )
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
+from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
 from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
@@ -156,7 +157,8 @@ def identify(
         if not fewer.is_better_than(fitted):
             break
         fitted, kept = fewer, kept | more
-    problem, values, result = fitted.problem, fitted.values, fitted.vehicle
+    problem, values = fitted.problem, fitted.values
+    result, landings, moved = landing_reference(use.logs, fitted.vehicle, LIBRARY)
     reference, identifiable = _vehicle_posterior(problem, result)
     sized = fitted.local.estimates(values)
     notes = [
@@ -169,6 +171,8 @@ def identify(
             if one.share > thresholds.UNIDENTIFIABLE
         ),
     ]
+    if landings:
+        notes.append(f"contact is that of {sum(landings.count)} landings, with what they have in common")
     disturbance, ahead = disturbances(problem), fitted.ahead
     if not use.judged and len(use.fitted) < 2:
         notes.append(
@@ -178,9 +182,12 @@ def identify(
     elif ahead:
         errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)
         reference = dataclasses.replace(reference, errors=errors)
+    fields = field_half_widths(
+        vehicle, fitted.vehicle, _vehicles_a_half_width_away(problem, values, sized)
+    ) | field_half_widths(fitted.vehicle, result, moved)
     return Identification(
         vehicle=result,
-        reference=reference,
+        reference=dataclasses.replace(reference, landings=landings),
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=fitted.fit,
@@ -188,7 +195,7 @@ def identify(
         regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
         kept=tuple(n for n in library if n in kept),
         disturbance=disturbance,
-        fields=field_half_widths(vehicle, result, _vehicles_a_half_width_away(problem, values, sized)),
+        fields=fields,
         flights=tuple(f.name for f in use.fitted),
         notes=tuple(notes),
         inconsistent_flights=inconsistent,

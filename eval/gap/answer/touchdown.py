@@ -10,7 +10,13 @@ import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
-from inclined_landing.eval.gap.flights.landings import AFTER, BEFORE, Landing, landings_of
+from inclined_landing.eval.gap.flights.landings import (
+    AFTER,
+    BEFORE,
+    Landing,
+    LandingReference,
+    landings_of,
+)
 from inclined_landing.eval.gap.flights.usable import UsableFlights
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
@@ -53,23 +59,27 @@ class ContactAnswer:
 
 
 def contact_answer(
-    use: UsableFlights, vehicle: Vehicle, corrected: Vehicle, library: Mapping[str, Effect]
+    use: UsableFlights,
+    vehicle: Vehicle,
+    corrected: Vehicle,
+    library: Mapping[str, Effect],
+    reference: LandingReference | None = None,
 ) -> ContactAnswer:
     """Return the effects of contact that the landings of the flights show.
 
-    vehicle: the one diagnosed; corrected: for free flight.
+    vehicle: the one diagnosed; corrected: for free flight; reference: of its own landings.
     """
-    landings = landings_of(use.logs, corrected)
+    landings = landings_of(use.logs, corrected, reference)
     if len(landings) < thresholds.LEAST_LANDINGS or not any(e.contact for e in library.values()):
         few = f"{len(landings)} touchdown{'s' * (len(landings) > 1)} only"
         note = f"{few}: contact effects need {thresholds.LEAST_LANDINGS}"
         return ContactAnswer(corrected, notes=(note,) if landings else ())
-    problem, found = contact_posterior(landings, corrected, library)
+    problem, found = contact_posterior(landings, corrected, library, reference)
     effects = contact_effects(problem, found)
     after = problem.corrected({e.name: e.values() for e in effects})
     repeats = "something in the motion after the touch repeats that no effect explains"
     notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
-    test = tuple(landings_of(use.heldout, corrected) or landings)
+    test = tuple(landings_of(use.heldout, corrected, reference) or landings)
     worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in test])))
     where = (RegimeError("touchdown", "touchdown", worse, better, floor, "m", len(test)),)

@@ -26,6 +26,44 @@ TRANSIENT_ERROR = (0.0010, 0.0005, 0.0003, 0.010, 0.016, 0.006)
 REST_ERROR = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 
 
+@dataclasses.dataclass(frozen=True)
+class LandingReference:
+    """What landings of the reference vehicle leave, by surface (floor, platform), beside its constants.
+
+    Real contact has another law than MuJoCo's. What its landings have in common is expected of others too;
+    how they scatter is how well a landing is known.
+    """
+
+    count: tuple[int, int]  # landings
+    time: np.ndarray  # (k,) s after the touch
+    common: np.ndarray  # (2, 6, k) mean residual, in the surface frame [m, rad]
+    transient: np.ndarray  # (6,) as TRANSIENT_ERROR
+    rest: np.ndarray  # (6,) as REST_ERROR
+
+    def expected(self, t: np.ndarray, on_platform: bool) -> np.ndarray:
+        """Return the mean residual (m, 6) at t (m,) [s] after contact; none on a surface never landed on."""
+        return np.stack([np.interp(t, self.time, c) for c in self.common[int(on_platform)]], axis=1)
+
+    def to_json(self) -> dict:
+        """Return the record as plain lists and numbers."""
+        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+
+    @staticmethod
+    def from_json(table: dict) -> LandingReference:
+        """Return the record of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
+        floor, platform = map(int, table["count"])
+        time, common, transient, rest = (
+            np.array(table[name], float) for name in ("time", "common", "transient", "rest")
+        )
+        if common.shape != (2, 6, len(time)) or not transient.shape == rest.shape == (6,):
+            raise ValueError("landings of another shape")
+        if min(floor, platform) < 0 or not floor + platform or min(*transient, *rest) <= 0.0:
+            raise ValueError("landings without number or errors")
+        if not all(np.isfinite(x).all() for x in (time, common, transient, rest)):
+            raise ValueError("finite numbers")
+        return LandingReference((floor, platform), time, common, transient, rest)
+
+
 @dataclasses.dataclass
 class Landing:
     """One touchdown: start state, commands, measured motion and its covariance."""
@@ -40,11 +78,16 @@ class Landing:
     compared: np.ndarray  # (k,) steps after the start
     deviation: np.ndarray  # (k, 6) standard deviation of measured minus simulated
     whiten: np.ndarray  # (6, k, k) inverse Cholesky factors of the covariance
+    by_noise: np.ndarray  # (6, k, k) its part by measurement noise
+    by_model: np.ndarray  # (6, k, k) and that between two contact models
     command: np.ndarray  # (m, 4) of the whole log
     on_platform: bool
+    expected: np.ndarray  # (k, 6) mean residual of the reference's landings, in the surface frame
 
 
-def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
+def landings_of(
+    logs: Sequence[FlightLog], vehicle: Vehicle, reference: LandingReference | None = None
+) -> list[Landing]:
     """Return the touchdowns of flights with a contact channel: first contacts after 0.3 s of flight."""
     found = []
     for log in logs:
@@ -58,11 +101,13 @@ def landings_of(logs: Sequence[FlightLog], vehicle: Vehicle) -> list[Landing]:
                 continue
             if touch + rest >= len(log.t):
                 continue
-            found.append(_landing(log, int(touch), dt, vehicle))
+            found.append(_landing(log, int(touch), dt, vehicle, reference))
     return found
 
 
-def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing:
+def _landing(
+    log: FlightLog, touch: int, dt: float, vehicle: Vehicle, reference: LandingReference | None
+) -> Landing:
     """Return the landing whose first contact is the row `touch`."""
     first = touch - round(BEFORE / dt)
     back = round(FIT_BEFORE / dt)
@@ -85,9 +130,13 @@ def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing
     step = max(1, round(COMPARE_EVERY / dt))
     rows = touch - first + round(AFTER / dt)
     compared = np.arange(touch - first - step, rows + 1, step)
-    covariance = _covariance(compared * dt - BEFORE, noise, gain)
+    t = compared * dt - BEFORE
+    errors = (reference.transient, reference.rest) if reference else (TRANSIENT_ERROR, REST_ERROR)
+    by_noise, by_model = _noise_covariance(t, noise, gain), contact_model_covariance(t, *errors)
+    covariance = by_noise + by_model
     half = vehicle.slab_half_length * math.cos(vehicle.platform_inclination) + 0.05
     over = abs(value[0]) < half and abs(value[1]) < 0.5 * vehicle.platform_depth + 0.05
+    on_platform = bool(over and value[2] > 0.5 * vehicle.platform_surface_height)
     return Landing(
         log.name,
         dt,
@@ -99,31 +148,37 @@ def _landing(log: FlightLog, touch: int, dt: float, vehicle: Vehicle) -> Landing
         compared,
         np.sqrt(np.einsum("cii->ic", covariance)),
         np.linalg.inv(np.linalg.cholesky(covariance)),
+        by_noise,
+        by_model,
         np.where(np.isnan(log.command), 0.0, log.command),
-        bool(over and value[2] > 0.5 * vehicle.platform_surface_height),
+        on_platform,
+        reference.expected(t, on_platform) if reference else np.zeros((len(t), 6)),
     )
 
 
-def _covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.ndarray:
-    """Return the covariance (6, k, k) of measured minus simulated pose at t (k,) [s] after contact.
+def _noise_covariance(t: np.ndarray, noise: np.ndarray, gain: Sequence[float]) -> np.ndarray:
+    """Return the covariance (6, k, k) of measured minus simulated pose by noise, t (k,) [s] after contact.
 
     noise (6,) of the measurement; gain: noise gains of the start pose and rates. Start errors grow during the
     motion; along the normal, in roll and in pitch they decay after contact.
     """
-    # C = sigma^2 [1 + (g_0^2 + g_1^2 t t') d d'] + contact model error,  d = exp(-t / TRANSIENT) in z, roll,
-    # pitch
+    # C = sigma^2 [1 + (g_0^2 + g_1^2 t t') d d'],  d = exp(-t / TRANSIENT) in z, roll, pitch
     moving = np.clip(t, -BEFORE, 0.15) + BEFORE
     held = np.exp(-np.maximum(t, 0.0) / TRANSIENT)
-    result = contact_model_covariance(t)
+    result = np.empty((6, len(t), len(t)))
     for c in range(6):
         start = gain[0] ** 2 + gain[1] ** 2 * np.outer(moving, moving)
         if c in (2, 3, 4):
             start = start * np.outer(held, held)
-        result[c] += noise[c] ** 2 * (np.eye(len(t)) + start)
+        result[c] = noise[c] ** 2 * (np.eye(len(t)) + start)
     return result
 
 
-def contact_model_covariance(t: np.ndarray) -> np.ndarray:
+def contact_model_covariance(
+    t: np.ndarray,
+    transient: Sequence[float] | np.ndarray = TRANSIENT_ERROR,
+    rest: Sequence[float] | np.ndarray = REST_ERROR,
+) -> np.ndarray:
     """Return the covariance (6, k, k) between two idealised contact models at t (k,) [s] after contact."""
     # a^2 exp(-|t - t'| / TRANSIENT) f f' + b^2 s s',  f the transient's envelope, s = 1 - exp(-t / TRANSIENT)
     touched = np.clip(t / TRANSIENT, 0.0, 1.0)
@@ -131,4 +186,4 @@ def contact_model_covariance(t: np.ndarray) -> np.ndarray:
     fleeting = touched * np.exp(-np.maximum(t - 0.1, 0.0) / TRANSIENT)
     near = np.exp(-np.abs(t[:, None] - t) / TRANSIENT)
     first, stays = near * np.outer(fleeting, fleeting), np.outer(settled, settled)
-    return np.stack([a**2 * first + b**2 * stays for a, b in zip(TRANSIENT_ERROR, REST_ERROR)])
+    return np.stack([a**2 * first + b**2 * stays for a, b in zip(transient, rest)])

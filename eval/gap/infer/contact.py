@@ -22,7 +22,7 @@ from scipy import stats
 from scipy.special import logsumexp
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.flights.landings import BEFORE, Landing, contact_model_covariance
+from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE, SetProbability
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
@@ -32,7 +32,8 @@ from inclined_landing.models.vehicle import Vehicle
 
 MOST_EFFECTS = 2  # of a set
 MODEL_ERROR = 0.1  # standard deviation between two idealised contact models, in plausible sizes
-SCAN = (0.2, 0.55, 1.1, 2.4)  # sizes simulated on both sides of neutral, in plausible sizes
+SCAN = (0.2, 0.55, 1.1, 2.4, 4.5)  # sizes simulated on both sides of neutral, in plausible sizes
+TAIL = 0.2, 4.0  # of the slab: weight of a normal so many times as wide
 REFINEMENTS = 2  # grid points added at the mode
 RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
@@ -72,11 +73,18 @@ class ContactPosterior:
 
 
 def contact_posterior(
-    landings: Sequence[Landing], vehicle: Vehicle, library: Mapping[str, Effect]
+    landings: Sequence[Landing],
+    vehicle: Vehicle,
+    library: Mapping[str, Effect],
+    reference: LandingReference | None = None,
 ) -> tuple[TouchdownProblem, ContactPosterior]:
-    """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight."""
+    """Return the posterior over sets of contact effects; `vehicle` is corrected for free flight.
+
+    reference: whose mean residual the landings expect.
+    """
     problem = TouchdownProblem.of(landings, vehicle, library)
-    engine = _ContactModel(problem)
+    # The mean of m landings subtracted from each of n: its error is theirs in common.
+    engine = _ContactModel(problem, 1.0 + len(landings) / sum(reference.count) if reference else 1.0)
     sets, chosen = engine.distribution()
     values = sets[0].values
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
@@ -135,7 +143,7 @@ def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
 class _ContactModel:
     """Simulated errors on a grid of every effect (one parameter each), and the evidence of every set."""
 
-    def __init__(self, problem: TouchdownProblem):
+    def __init__(self, problem: TouchdownProblem, inflated: float = 1.0):
         self.problem = problem
         self.names = list(problem.library)
         self.parameters = [problem.library[n].parameters[0] for n in self.names]
@@ -148,8 +156,8 @@ class _ContactModel:
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
         self.slopes = np.stack([scan.slopes() for scan in self.scans], axis=-1)  # (n, 6, q, P)
         everywhere = np.concatenate([scan.errors for scan in self.scans])
-        nearest = everywhere[np.argmin(-_log_t(everywhere).sum(axis=(1, 2)))]
-        self.inflation = inflation(nearest, self.slopes)
+        nearest = everywhere[np.argmin(-log_t(everywhere).sum(axis=(1, 2)))]
+        self.inflation = inflated * inflation(nearest, self.slopes)
         self.scans = [self._refined(j, scan, self._widths({j}), {}) for j, scan in enumerate(self.scans)]
 
     def _errors(self, sizes: Mapping[int, float]) -> np.ndarray:
@@ -188,7 +196,7 @@ class _ContactModel:
         """Return the grid with a point added at the posterior mode, REFINEMENTS times."""
         for _ in range(REFINEMENTS):
             sizes = _subdivided(scan.sizes, 4)
-            log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] - 0.5 * (sizes / width[j]) ** 2
+            log = self._logs(j, scan.at(sizes), width, beside)[0][:, 0] + self._log_prior(sizes, j, width[j])
             best = float(sizes[np.argmax(log)])
             if np.abs(scan.sizes - best).min() < 1e-3 * self.slab[j]:
                 break
@@ -217,13 +225,13 @@ class _ContactModel:
         squares = np.einsum("icqp,icqs->icps", slopes, slopes, optimize=True)
         for step in range(NEWTON_STEPS + 1):
             residual = errors - np.einsum("icqp,mp->micq", slopes, m, optimize=True) if step else errors
-            weight = _weights(residual) * share
+            weight = weights(residual) * share
             b = np.einsum("micq,icqp,mic->mip", residual, slopes, weight, optimize=True)
             a = np.einsum("icps,mic->mips", squares, weight, optimize=True)
             if step < NEWTON_STEPS:
                 h = b.sum(axis=1) - precision * (m + at)
                 m = m + np.linalg.solve(a.sum(axis=1) + prior, h[..., None])[..., 0]
-        each = (_log_t(residual) * share).sum(axis=-1)
+        each = (log_t(residual) * share).sum(axis=-1)
         total = np.einsum("di,mips->mdps", self.weights, a, optimize=True) + prior[:, None]
         h = np.einsum("di,mip->mdp", self.weights, b) - (precision * (m + at))[:, None]
         square = (h * np.linalg.solve(total, h[..., None])[..., 0]).sum(axis=-1)
@@ -237,13 +245,13 @@ class _ContactModel:
         named = {k for k, n in enumerate(self.names) if n in names}
         width, sizes = self._widths(named), _subdivided(scan.sizes, 2)
         log, _, known = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
-        k = int(np.argmax(log[:, 0] - 0.5 * (sizes / width[j]) ** 2))
+        k = int(np.argmax(log[:, 0] + self._log_prior(sizes, j, width[j])))
         spread = 1.0 / math.sqrt(known[k, :, j].sum() + 1.0 / width[j] ** 2)
         sizes = np.concatenate([sizes, sizes[k] + spread * FINE_GRID])
         sizes = np.unique(np.clip(sizes, scan.sizes[0], scan.sizes[-1]))
         log, best, _ = self._logs(j, scan.at(sizes), self._coupled_widths(named, j, sizes), beside)
-        # p(data | S) = sum_x p(data | x) N(x; 0, width^2) q(x) dx,  q the factor of the non-local prior
-        prior = -0.5 * (sizes / width[j]) ** 2 - math.log(width[j] * math.sqrt(2.0 * math.pi))
+        # p(data | S) = sum_x p(data | x) p(x) q(x) dx,  q the factor of the non-local prior
+        prior = self._log_prior(sizes, j, width[j])
         at = best.copy()
         at[:, j] = sizes
         own = [k for k, n in enumerate(self.names) if n in names]
@@ -251,6 +259,14 @@ class _ContactModel:
         k = int(np.argmax(log[0] - np.log(np.gradient(sizes))))
         best[k, j] = sizes[k]
         return _Profile(names, self.names[j], sizes, log, best[k])
+
+    def _log_prior(self, sizes: np.ndarray, j: int, width: float) -> np.ndarray:
+        """Return the log prior (m,) of effect j at sizes (m,): its spike, or its slab with a wide tail."""
+        normal = stats.norm.logpdf(sizes, scale=width)
+        if width != self.slab[j]:
+            return normal
+        wide = stats.norm.logpdf(sizes, scale=TAIL[1] * width)
+        return np.logaddexp(math.log1p(-TAIL[0]) + normal, math.log(TAIL[0]) + wide)
 
     def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
         """Return the log factor (m,) of a non-local prior (Johnson and Rossell 2010) at sizes (m, k)."""
@@ -316,7 +332,7 @@ class _ContactModel:
         """Return the estimates of a set with credible intervals, and those of single landings."""
         own, result = self._best(profiles), {}
         residual = self._errors(own) if own else self.neutral
-        weight = _weights(residual) / self.inflation
+        weight = weights(residual) / self.inflation
         for profile in profiles:
             j = self.names.index(profile.name)
             p, slopes = self.parameters[j], self.slopes[..., j]
@@ -338,12 +354,12 @@ class _ContactModel:
         """Return effect -> share of the set's decrease in deviance that is lost without it."""
 
         def deviance(some: Values) -> float:
-            return -float(_log_t(self.problem.errors(self.problem.corrected(some))).sum())
+            return -float(log_t(self.problem.errors(self.problem.corrected(some))).sum())
 
         if not values:
             return {}
         after = deviance(values)
-        closed = max(-float(_log_t(self.neutral).sum()) - after, 1e-9)
+        closed = max(-float(log_t(self.neutral).sum()) - after, 1e-9)
         rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
         return {name: float(np.clip((deviance(rest[name]) - after) / closed, 0.0, 1.0)) for name in values}
 
@@ -360,13 +376,13 @@ def _subdivided(sizes: np.ndarray, parts: int) -> np.ndarray:
     return np.append(np.concatenate(inner), sizes[-1])
 
 
-def _log_t(errors: np.ndarray) -> np.ndarray:
+def log_t(errors: np.ndarray) -> np.ndarray:
     """Return the log-likelihood (..., 6) of errors (..., 6, q): multivariate Student t with nu = q."""
     # log t_nu(e) = -(nu + q) / 2 log(1 + |e|^2 / nu),  nu = q
     return -errors.shape[-1] * np.log1p((errors**2).mean(axis=-1))
 
 
-def _weights(errors: np.ndarray) -> np.ndarray:
+def weights(errors: np.ndarray) -> np.ndarray:
     """Return the robust weights (..., 6) of the axes by that t distribution at errors (..., 6, q)."""
     # w = (nu + q) / (nu + |e|^2),  nu = q
     return 2.0 / (1.0 + (errors**2).mean(axis=-1))
@@ -379,7 +395,7 @@ def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """
     # Empirical over model variance of the scores s = J'w e (as in a sandwich estimator): within an axis
     # max_p sum_i s_ip^2 / sum_i (J'wJ)_ip; then likewise of whole landings, mean over the effects p.
-    weight = _weights(errors)[..., None]
+    weight = weights(errors)[..., None]
     score = weight * np.einsum("icq,icqp->icp", errors, slopes)
     known = weight * np.einsum("icqp,icqp->icp", slopes, slopes)
     ratio = (score**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1e-12)
@@ -397,9 +413,8 @@ def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, i
     # Score test of a component common to all landings, in the COMMON_MODES largest eigenvectors V of the
     # contact model error (scaled by their standard deviations), a = V'wV, h = V'w e:
     #   h' (a + a a)^-1 h ~ chi^2(COMMON_MODES),  a + a^2 the variance of h by noise and by model error.
-    weight, q, values = _weights(residual) / inflated, residual.shape[2], []
-    first = landings[0]
-    sizes, shapes = np.linalg.eigh(contact_model_covariance(first.compared[:q] * first.dt - BEFORE))
+    weight, q, values = weights(residual) / inflated, residual.shape[2], []
+    sizes, shapes = np.linalg.eigh(landings[0].by_model[:, :q, :q])
     ways = (shapes * np.sqrt(np.maximum(sizes, 0.0))[:, None])[:, :, -COMMON_MODES:]  # (6, q, MODES)
     on_platform = np.array([x.on_platform for x in landings])
     for own in (on_platform, ~on_platform):

@@ -27,7 +27,8 @@ from inclined_landing.models.plants.recorder import fly
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
-STEP = 0.00125  # s, largest step of the engine: three times the damping is unstable at twice as much
+STEP = 0.00125  # s, largest step of the engine
+MOST_DAMPING = 0.75 / STEP  # 1/s: with more the engine is unstable, and a vehicle seems to bounce
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,8 +52,14 @@ class TouchdownProblem(Candidates):
 
     def errors(self, vehicle: Vehicle) -> np.ndarray:
         """Return the white errors (n, 6, samples), in standard deviations."""
+        errors, q = self.deviations(vehicle), self.samples
+        whiten = np.stack([x.whiten[:, :q, :q] for x in self.landings])
+        return np.einsum("ncij,njc->nci", whiten, errors, optimize=True)
+
+    def deviations(self, vehicle: Vehicle) -> np.ndarray:
+        """Return measured minus simulated and expected pose (n, samples, 6), in the surface frame."""
         simulated = simulate(self.landings, vehicle)
-        result = np.empty((len(self.landings), 6, self.samples))
+        result = np.empty((len(self.landings), self.samples, 6))
         si, ci = math.sin(self.vehicle.platform_inclination), math.cos(self.vehicle.platform_inclination)
         # MuJoCo's contact has no static deflection: the difference to the nominal one is added, exponentially
         # settled after contact.
@@ -69,8 +76,7 @@ class TouchdownProblem(Candidates):
             error[:, 2] += lower * settled
             if landing.on_platform:
                 error[:, 4] -= leaning * settled
-            whiten = landing.whiten[:, : self.samples, : self.samples]
-            result[k] = np.einsum("cij,jc->ci", whiten, error)
+            result[k] = error - landing.expected[: self.samples]
         return result
 
 
@@ -101,6 +107,9 @@ def simulate(landings: Sequence[Landing], vehicle: Vehicle) -> np.ndarray:
         commands[k, len(part) :] = part[-1]
         state[k, LAG] = lag[x.first]
     step = dt / math.ceil(dt / STEP - 1e-9)
+    stiffness, damping = spring_of(vehicle)
+    if damping > MOST_DAMPING:
+        vehicle = vehicle.changed(contact_solref=(-stiffness, -MOST_DAMPING))
     plant = MujocoPlant(
         n,
         without_delays(vehicle),

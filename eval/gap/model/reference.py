@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import block_diag
 
+from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
     BASE,
@@ -95,6 +96,7 @@ class VehiclePosterior:
     library: frozenset[str]
     from_flights: bool = True  # or from the uncertainties in a vehicle file
     errors: ReferenceErrors | None = None  # None: not known
+    landings: LandingReference | None = None  # None: too few
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; 0 where they met none."""
@@ -156,6 +158,7 @@ class VehiclePosterior:
             },
             "functions": [[*key, w.tolist()] for key, w in functions.weights.items()],
             "errors": dataclasses.asdict(self.errors) if self.errors else None,
+            "landings": self.landings.to_json() if self.landings else None,
         }
 
     @staticmethod
@@ -186,7 +189,9 @@ class VehiclePosterior:
                 raise ValueError(f"weights of {target} with {on}")
         library = frozenset(map(str, table.get("library", [c.effect for c in columns])))
         return VehiclePosterior(
-            columns, mean, covariance, ReferenceResidual(bases, weights), library, errors=_errors(table)
+            *(columns, mean, covariance, ReferenceResidual(bases, weights), library),
+            errors=_errors(table),
+            landings=LandingReference.from_json(found) if (found := table.get("landings")) else None,
         )
 
 

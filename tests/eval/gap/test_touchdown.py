@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
-from inclined_landing.eval.gap.flights.landings import contact_model_covariance, landings_of
+from inclined_landing.eval.gap.flights.landings import LandingReference, contact_model_covariance, landings_of
 from inclined_landing.eval.gap.infer.contact import (
     ContactEstimate,
     ContactPosterior,
@@ -16,11 +16,13 @@ from inclined_landing.eval.gap.infer.contact import (
     contact_posterior,
     inflation,
 )
+from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.sets import SetProbability
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests.proof.gap_blind import cases
 from tests.proof.gap_blind.generate import landings, logs
 
 VEHICLE = load_vehicle()
@@ -177,6 +179,41 @@ def test_sets_of_flight_and_of_contact_are_told_together(higher, monkeypatch):
     total = sum(s.probability for s in found.sets)
     assert sets[0].probability == pytest.approx(0.8 * found.sets[0].probability / total)
     assert marginal(sets, ["wind"]) == pytest.approx(0.8, abs=1e-4)  # as of the flights alone
+
+
+def test_what_the_reference_leaves_is_expected_of_other_landings(higher, monkeypatch):
+    """A motion that all landings have beside the model is no effect; it is read back from its file."""
+    flights, few = higher[0], {"friction": LIBRARY["friction"]}
+    monkeypatch.setattr("inclined_landing.eval.gap.infer.landing_reference._fitted", lambda _: [{}])
+    vehicle, reference, _ = landing_reference(flights[:8], VEHICLE, few)
+    assert vehicle == VEHICLE and reference.count == (2, 6)
+    again = LandingReference.from_json(reference.to_json())
+    known, unknown = (
+        TouchdownProblem.of(landings_of(flights[8:], VEHICLE, one), VEHICLE, few).deviations(VEHICLE)
+        for one in (again, None)
+    )
+    # The platform is some 3 cm off; the mean of 12 axes' noise of 1 mm is 0.4 mm, start states leave 1 mm.
+    on_platform = [k for k in range(8) if (k + 8) % 4 != 3]
+    assert np.abs(unknown[on_platform, 20:, 2].mean()) > 0.015
+    assert np.abs(known[on_platform, 20:, 2].mean()) < 0.003
+    with pytest.raises(ValueError, match="another shape"):
+        LandingReference.from_json(reference.to_json() | {"time": [0.0]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("engine", "cause"), [("landings", "foot_height"), ("bullet", "friction"), ("bullet", None)]
+)
+def test_effects_of_contact_are_named_on_two_engines(engine, cause):
+    """After landings without the cause."""
+    if engine == "bullet":
+        pytest.importorskip("pybullet", reason="needs pybullet")
+    flown = cases.draw(engine, "touchdown", cause or (), "strong", seed=6).fly()
+    vehicle, reference, _ = landing_reference(flown.identify, VEHICLE, LIBRARY)
+    landed = landings_of(flown.gap, vehicle, reference)
+    _, found = contact_posterior(landed, vehicle, LIBRARY, reference)
+    sure = {name for name in LIBRARY if found.probability(name) > thresholds.SURE}
+    assert sure == ({cause} if cause else set())
 
 
 @pytest.mark.slow

@@ -7,7 +7,12 @@ from __future__ import annotations
 LEVEL = ("thrust_scale", "thrust_bias", "mass")
 
 # The library's name of a cause that is named otherwise here.
-EFFECT = {"lateral_drag": "rotor_drag", "log_delay": "mocap_delay"}
+EFFECT = {
+    "lateral_drag": "rotor_drag",
+    "log_delay": "mocap_delay",
+    "restitution": "contact_damping",
+    "soft_feet": "contact_stiffness",
+}
 
 _DELAYS = frozenset({"thrust_delay", "attitude_delay"})
 # A cause is also named rightly by any of these sets of effects, for the reason given.

@@ -23,7 +23,7 @@ from tests.proof.simulator import Reality, World
 
 from . import causes, generate
 from .accepted import LEVEL, accepted
-from .causes import DISTURBANCE, FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, Drawn
+from .causes import DISTURBANCE, FREE_FLIGHT, LANDINGS, SIZES, TOUCHDOWN, UNKNOWN, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
@@ -35,6 +35,9 @@ _NONE_HAS = {
     *TOUCHDOWN,
 }
 _NO_DRAG = {"rotor_drag", "lateral_drag", "wind", "updraft", "gust", "slow_gust"}
+# Sets, and families, of landings alone, after an identification by others: on the feet of the simulator's
+# reference, and on Bullet's contact.
+ENGINES = ("landings", "bullet")
 # The causes that a family cannot have.
 LACKS = {
     "rotorpy": _NONE_HAS | {"spin_down", "axial_inflow", "com_offset"},
@@ -49,6 +52,7 @@ STRATA = (
     *("unknown", "disturbance", "touchdown"),
 )
 IDENTIFY, HELDOUT = 10, 3  # flights: every kind once to identify with
+LANDED = 12  # landings of the same
 # Constants that are 10 % off after identification, by the name of the effect that rescales them.
 BASE_OFF = {
     "mass": ("body_mass",),
@@ -113,7 +117,7 @@ class Case:
     @property
     def identified(self) -> bool:
         """Does the user identify the vehicle first?"""
-        return self.stratum not in ("paper", "touchdown")
+        return self.family in ENGINES or self.stratum not in ("paper", "touchdown")
 
     def label(self) -> dict:
         """What the scorer needs to know, as plain data."""
@@ -142,8 +146,12 @@ class Case:
         drawn = causes.combined(*self.drawn.values())
         count = self.count + HELDOUT
         if self.stratum == "touchdown":
-            recordings = generate.land_all(drawn, rng, count=count)
-            gap, plain = generate.logs(recordings, contact=True), []
+            fly = simulator.fly
+            if self.family == "bullet":
+                from .bullet_reality import fly
+            groups = ((Drawn({}, {}), LANDED * self.identified), (drawn, count))
+            landed = [generate.land_all(one, rng, count=n, fly=fly) for one, n in groups]
+            plain, gap = (generate.logs(one, contact=True) for one in landed)
         else:
             charge = {"battery_voltage": (-0.15, 0.15)}
             # Without a channel that shows its battery, every flight starts on the same charge.
@@ -179,7 +187,8 @@ def draw(
     rng = np.random.default_rng(entropy)
     members = SETS.get(family, (family,))
     chosen = members[rng.integers(len(members))]
-    reality = _fitted(_reality(chosen if stratum != "touchdown" else "reference", rng), stratum, rng)
+    landed = stratum == "touchdown"
+    reality = _fitted(_reality("reference" if landed else chosen, rng), stratum, rng)
     hidden = (
         _hidden(stratum, rng, family)
         if cause is None
@@ -195,16 +204,18 @@ def draw(
         reality = _fitted(_reality(chosen, rng), stratum, rng)
         drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
     # Many vehicles log their battery, whether or not it matters.
-    logged = stratum != "touchdown" and "battery_sag" not in hidden and rng.uniform() < 0.4
+    logged = not landed and "battery_sag" not in hidden and rng.uniform() < 0.4
     return Case(
         name=name,
-        family=reality.family,
+        family=family if family in ENGINES else reality.family,
         stratum=stratum,
         causes=hidden,
         size=size,
         drawn=drawn,
         reality=reality,
-        count={"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
+        count=LANDED
+        if family in ENGINES
+        else {"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
         voltage=logged or any(one.voltage for one in drawn.values()),
         base={one: 1 + 0.1 * rng.choice([-1, 1]) for one in BASE_OFF} if stratum == "base off" else {},
         entropy=(*entropy, 1),
@@ -213,6 +224,9 @@ def draw(
 
 def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tuple[str, ...], str | None]]:
     """(stratum, causes, size) of the cases of a full set of a family, stratum by stratum."""
+    if family in ENGINES:
+        every = [((name,), size) for name in LANDINGS for size in SIZES[1:]] + [((), None)] * 2
+        return [("touchdown", hidden, size) for hidden, size in every * 3]
     names = [name for name in FREE_FLIGHT if _has(family, name)]
     # Two of the three sizes for every cause, so that each size has its share.
     result = [
@@ -242,7 +256,7 @@ def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
 
     limit: at most so many, the strata keeping their shares.
     """
-    entropy = ([*SETS, *OTHERS].index(name) + 1, seed)
+    entropy = ([*SETS, *OTHERS, *ENGINES].index(name) + 1, seed)
     rng = np.random.default_rng(entropy)
     chosen = plans(rng, name)
     if limit is not None and limit < len(chosen):
@@ -284,7 +298,8 @@ def _candidates(stratum: str) -> list[str]:
     """Causes for a stratum: with constants off, those that are not the like of one of them."""
     off = {"paper": _PAPER_OFF, "base off": tuple(BASE_OFF)}.get(stratum, ())
     off = {*off, *(LEVEL if off else ()), *(("body_drag", "lateral_drag") if off else ())}
-    table = {"unknown": UNKNOWN, "disturbance": DISTURBANCE, "touchdown": TOUCHDOWN}.get(stratum, FREE_FLIGHT)
+    tables = {"unknown": UNKNOWN, "disturbance": DISTURBANCE, "touchdown": TOUCHDOWN}
+    table = tables.get(stratum, FREE_FLIGHT)
     return [name for name in table if not any(names & off for names in accepted(name))]
 
 

@@ -62,6 +62,10 @@ def _less(field: str) -> Draw:
     return draw
 
 
+def _divided(field: str) -> Draw:
+    return lambda size, rng, reality: Drawn({field: 1 / (1 + size)}, {"scale": 1 / (1 + size)})
+
+
 def _plain(field: str, parameter: str, signed: bool = False, force: bool = False) -> Draw:
     """force: labelled as for the paper's mass, since flights show forces over mass alone."""
 
@@ -202,8 +206,17 @@ TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "platform_tilt": ((0.02, 0.05, 0.1), _plain("surface_tilt", "offset", signed=True)),
 }
 
+# Those of landings after an identification: see `cases.ENGINES`.
+LANDINGS: dict[str, tuple[tuple[float, float, float], Draw]] = {
+    "friction": TOUCHDOWN["friction"],
+    "restitution": ((0.5, 0.8, 1.2), _divided("damping_scale")),
+    "platform_tilt": TOUCHDOWN["platform_tilt"],
+    "soft_feet": ((0.6, 1.3, 2.5), _divided("stiffness_scale")),
+    "foot_height": ((0.002, 0.004, 0.008), _plain("foot_height", "offset", signed=True)),
+}
 
-ALL = FREE_FLIGHT | UNKNOWN | DISTURBANCE | TOUCHDOWN
+
+ALL = FREE_FLIGHT | UNKNOWN | DISTURBANCE | TOUCHDOWN | LANDINGS
 
 
 def draw(name: str, size: str, rng: np.random.Generator, reality: Reality | None = None) -> Drawn:

@@ -20,19 +20,20 @@ from inclined_landing.models.errors import UserError
 
 from ..shared import check_known, in_processes
 from . import score
-from .cases import OTHERS, SETS, Case, of_set
+from .cases import ENGINES, OTHERS, SETS, Case, of_set
 from .tables import markdown, results_of
 
 _NEEDED = {
     "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
     "crazyflow": ("crazyflow", "jax", "casadi"),
+    "bullet": ("pybullet",),
 }
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,crazyflow}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,crazyflow,landings,bullet}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int, Meta(ge=1, le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
@@ -42,12 +43,13 @@ def command(
     Args:
         out: folder for results.json and table.md; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure; or flights of a simulator by others (needs rotorpy or crazyflow).
+            structure; or flights of a simulator by others (needs rotorpy or crazyflow). Landings after
+            other landings: on the simulator's feet, or on Bullet's contact (needs pybullet).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         processes: cases diagnosed at a time.
     """
-    check_known("set", [set], (*SETS, *OTHERS))
+    check_known("set", [set], (*SETS, *OTHERS, *ENGINES))
     if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
         raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)

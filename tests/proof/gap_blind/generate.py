@@ -8,7 +8,7 @@ Names and sizes are in `causes.py`; whole cases in `cases.py`. The same argument
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +94,12 @@ def fly_all(
     return recordings
 
 
-def land_all(drawn: causes.Drawn, rng: np.random.Generator, *, count: int = LANDINGS) -> list[Recording]:
+def land_all(
+    drawn: causes.Drawn, rng: np.random.Generator, *, count: int = LANDINGS, fly: Callable = fly
+) -> list[Recording]:
     """Land `count` times in the world of `drawn`; only landings that come to rest on the feet are kept.
+
+    fly: of the simulator, or `bullet_reality.fly`.
 
     The pilot goes by the nominal platform. Every fourth landing is on the floor, 2 m beside it, where
     height and tilt of the platform do not matter.

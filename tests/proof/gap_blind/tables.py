@@ -11,9 +11,10 @@ from inclined_landing.envs.shared.statistics import proportion
 
 from ..shared import table
 from .cases import STRATA
-from .causes import SIZES
+from .causes import LANDINGS, SIZES, TOUCHDOWN
 from .score import GOOD, OUTCOMES
 
+_KINDS = (((), None), *(((cause,), size) for cause in TOUCHDOWN | LANDINGS for size in SIZES))
 BINS = 10
 # Shares over all strata: what is said of a row of the results (`score.score_case`).
 SHARES = {
@@ -36,6 +37,9 @@ def results_of(rows: list[Mapping]) -> dict:
         for size in SIZES if stratum == "single" else ():
             if part := [row for row in members if row["size"] == size]:
                 lines.append({"stratum": f"{stratum}, {size}"} | line(part))
+        for cause, size in _KINDS if stratum == "touchdown" else ():
+            if part := [row for row in members if (row["causes"], row["size"]) == ([*cause], size)]:
+                lines.append({"stratum": f"{' '.join(cause) or 'nothing'}, {size or '-'}"} | line(part))
     more = {"shares": shares(rows), "families": families(rows), "calibration": calibration(rows)}
     return {"table": lines, **more, "cases": rows}
 

@@ -227,9 +227,10 @@ def pull_load(s, mass, c, w, ds):
 def feet(s, tx, ty, tz, anchor, mass, c, w, r, contact, ds):
     """The torque (x, y, z) with that of the feet added, and their forces added to ds."""
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
+    arm = c.arm * w.foot_spread
     for k in range(4):
         contact[k] = 0.0
-        x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
+        x, y, z = arm * SIDE_X[k], arm * SIDE_Y[k], -c.foot_height - w.foot_height
         lx = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
         ly = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
         lz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
@@ -283,8 +284,9 @@ def move_anchors(s, r, anchor, contact, c, w):
     """Where the feet stick after a step: set on first touch, dragged along by slipping, lost in the air."""
     rotation(s[QUATERNION : QUATERNION + 4], r)
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
+    arm = c.arm * w.foot_spread
     for k in range(4):
-        x, y, z = c.arm * SIDE_X[k], c.arm * SIDE_Y[k], -c.foot_height
+        x, y, z = arm * SIDE_X[k], arm * SIDE_Y[k], -c.foot_height - w.foot_height
         px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
         py = s[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
         pz = s[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
