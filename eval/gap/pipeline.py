@@ -15,6 +15,7 @@ from inclined_landing.eval.gap.answer.named import (
     corrected,
     disturbances,
     named_effects,
+    refitted,
     relevant_values,
     scored_sets,
     unidentifiable_sets,
@@ -77,7 +78,7 @@ def diagnose(
     clock("sets")
 
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
-    values = useful_values(found, relevant_values(found))
+    found, values = refitted(found, useful_values(found, relevant_values(found)))
     effects, correction = named_effects(found, values), corrected(found, values)
     clock("names")
 
@@ -142,7 +143,7 @@ def _verdict(d: Diagnosis) -> Verdict:
         return "unknown"
     if d.effects:
         return "effects"
-    if d.probability(*d.likely) >= thresholds.UNDECIDED:
+    if d.probability(*d.possible) >= thresholds.UNDECIDED:
         return "undecided"
     return "unknown" if d.exceeds_reference else "nothing"
 

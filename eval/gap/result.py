@@ -122,10 +122,14 @@ class ResidualAnalysis:
     error: float = math.nan  # m, remaining position error one second ahead, root mean square
 
     def material(self, one: Dependence) -> bool:
-        """Return whether a function explains a share MATERIAL of the squared error; yaw never does."""
+        """Return whether a function surely moves the vehicle, by a share MATERIAL of the squared error.
+
+        Yaw never does.
+        """
         if one.channel == "yaw" or not math.isfinite(self.error):
             return one.channel != "yaw"
-        return one.displacement**2 >= thresholds.MATERIAL * self.error**2
+        surely = one.displacement_ci95[0] > 0.0
+        return surely and one.displacement**2 >= thresholds.MATERIAL * self.error**2
 
     @property
     def unexplained(self) -> bool:
@@ -294,19 +298,22 @@ class Diagnosis:
 
     @property
     def possible(self) -> dict[str, float]:
-        """Return the effects that were not named, with their probabilities, most probable first."""
+        """Return the effects not named that may matter, with their probabilities, most probable first.
+
+        Their sizes make a share MATERIAL of the squared error left. Smaller ones are directions in which the
+        flights show little.
+        """
         named = {name for effect in self.effects for name in effect.members}
         others = {name for one in self.sets for name in one.effects} - named
+        least = thresholds.MATERIAL * self.residual.error**2
         found = sorted(
             ((name, self.probability(name)) for name in others), key=lambda item: (-item[1], item[0])
         )
-        return {name: part for name, part in found if part >= thresholds.POSSIBLE}
-
-    @property
-    def likely(self) -> dict[str, float]:
-        """Return the possible effects whose size makes a share MATERIAL of the squared error."""
-        least = thresholds.MATERIAL * self.residual.error**2
-        return {n: part for n, part in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}
+        return {
+            name: part
+            for name, part in found
+            if part >= thresholds.POSSIBLE and not self.displacements.get(name, math.inf) ** 2 < least
+        }
 
     @property
     def explained(self) -> float:

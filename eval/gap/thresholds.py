@@ -62,6 +62,10 @@ CONFOUNDED = 0.03  # probability from which an effect is confounded with a named
 CONFOUNDED_WITHIN = 0.95
 # larger: smaller classes, which hold the cause less often. measured: fresh, it was another of the class in
 # 1 of 45
+ALIKE = 0.5  # share of a named effect's contribution that an effect confounded with it reproduces
+# larger: smaller classes, which hold the cause less often. measured: -
+TIED = 0.98  # the same, above: the flights do not distinguish the two, whatever their probabilities
+# larger: smaller classes. measured: -
 RELEVANT = 0.03  # share of the squared error of a channel that an effect must explain to be named
 # larger: more weak effects missed. measured: fresh, weak effects: alone in 4 of 6
 USEFUL = 0.1  # growth of an error one second ahead, others fitted again, without which a name is dropped

@@ -76,6 +76,7 @@ EFFECTS = (
         apply=added("effects_mocap_delay", "delay"),
         is_lag=True,
         starts=_STARTS,
+        same_as=("thrust_delay", "attitude_delay"),
         says="the measured pose is {delay} older than its time stamp",
     ),
     Effect(

@@ -251,6 +251,8 @@ class Effect:
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
     # Values that a fit begins at too: where an effect is not linear, its slopes at neutral may mislead.
     starts: tuple[Mapping[str, float], ...] = ()
+    # Effects that, together and of its size, are the same to every flight.
+    same_as: tuple[str, ...] = ()
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
     @property

@@ -20,9 +20,9 @@ from inclined_landing.eval.gap.infer.fit import (
     leave_one_out_modes,
     vehicles_a_half_width_away,
 )
-from inclined_landing.eval.gap.infer.gaussian import EffectSet
+from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
-from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
@@ -37,7 +37,7 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
     problem = found.problem
     sizes, lost = _estimates(found, values), _squared_error_increase(problem, values)
     before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
-    members = {name: (name, *confounded_with(found, name)) for name in values}
+    members = {name: equivalence_class(found, name) for name in values}
     slow = [f.name for f in problem.flights if not f.shows_lags]
     which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(slow)})" if slow else ""
     too_slow = f"{which} do not distinguish lags: log 50 or more."
@@ -68,14 +68,29 @@ def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
     return fit_least_squares(problem, values, prior=slab_deviations).values
 
 
+def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
+    """Return the posterior linearised anew at a set's values, and the values fitted there."""
+    # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
+    names, problem = frozenset(values), found.problem
+    if not (names and problem.identified):
+        return found, values
+    columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
+    linear = problem.linearise(values, columns)
+    local = LinearGaussian.of(problem, found.spread, linear, values)
+    there = dataclasses.replace(found, local=local, at=values)
+    new = fitted_values(there, names)
+    return (there, new) if problem.squares(new) <= problem.squares(values) else (found, values)
+
+
 def relevant_values(found: SetPosterior) -> FittedValues:
     """Return the values of the probable effects that matter: RELEVANT of the squared error in a channel.
 
-    With many flights a change too small to matter is certain.
+    Or USEFUL of the error one second ahead, as few windows may show one. With many flights a change too small
+    to matter is certain.
     """
     # Effects of the best set of probability >= NAMED, those confounded with them added.
     names = frozenset(
-        n for n in found.names if found.probability(n, *confounded_with(found, n)) >= thresholds.NAMED
+        n for n in found.names if found.probability(*equivalence_class(found, n)) >= thresholds.NAMED
     )
     while True:
         values = fitted_values(found, names)
@@ -85,10 +100,21 @@ def relevant_values(found: SetPosterior) -> FittedValues:
         shares = {}
         for name, lost in _squared_error_increase(found.problem, values).items():
             shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
-        least = min(shares, key=lambda name: shares[name], default="")
-        if not least or shares[least] >= thresholds.RELEVANT:
+        small = sorted((n for n in shares if shares[n] < thresholds.RELEVANT), key=lambda name: shares[name])
+        least = next((n for n in small if not _shows_ahead(found, values, n)), "")
+        if not least:
             return values
         names -= {least}
+
+
+def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
+    """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
+    ahead = _Ahead.of(found, fitted_values)
+    by = _judged_by(found.problem.library[name])
+    if ahead is None or not by:
+        return False
+    here, without = (ahead.fitted(names)[0][by] for names in (frozenset(values), frozenset(values) - {name}))
+    return bool((without > (1.0 + thresholds.USEFUL) * here).any())
 
 
 def useful_values(
@@ -104,21 +130,11 @@ def useful_values(
     stretch is so long. fit: values of a set of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    problem = found.problem
-    try:
-        starts = rollout.RolloutWindows.of(problem.flights)
-    except UserError:
+    ahead = _Ahead.of(found, fit)
+    if ahead is None:
         return values
-    by = {name: _judged_by(problem.library[name]) for name in values}
-
-    def errors(left_out: Sequence[Values]) -> np.ndarray:
-        return rollout.pose_errors(starts, [problem.corrected(v) for v in left_out])
-
-    def fitted(names: EffectSet) -> tuple[np.ndarray, FittedValues, list[FittedValues]]:
-        there = fit(found, names)
-        left_out = leave_one_out(problem, found.local.with_wide_slabs(names), names, there)
-        return errors(left_out), there, left_out
-
+    errors, fitted = ahead.errors, ahead.fitted
+    by = {name: _judged_by(found.problem.library[name]) for name in values}
     here, values, left_out = fitted(frozenset(values))
     while values:
         fewer = []
@@ -134,6 +150,33 @@ def useful_values(
             break
         _, (here, values, left_out) = min(fewer, key=lambda one: one[0])
     return values
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ahead:
+    """Errors one second ahead on flights left out, of any set of effects."""
+
+    found: SetPosterior
+    fit: Callable[[SetPosterior, EffectSet], FittedValues]
+    starts: rollout.RolloutWindows
+
+    @staticmethod
+    def of(found: SetPosterior, fit: Callable[[SetPosterior, EffectSet], FittedValues]) -> _Ahead | None:
+        """Return them; None where no stretch is so long."""
+        try:
+            return _Ahead(found, fit, rollout.RolloutWindows.of(found.problem.flights))
+        except UserError:
+            return None
+
+    def errors(self, left_out: Sequence[Values]) -> np.ndarray:
+        """Return the errors (3,) of position, tilt and heading, with values for every flight."""
+        return rollout.pose_errors(self.starts, [self.found.problem.corrected(v) for v in left_out])
+
+    def fitted(self, names: EffectSet) -> tuple[np.ndarray, FittedValues, list[FittedValues]]:
+        """Return the errors of a set fitted again, its values, and those without each flight."""
+        there, local = self.fit(self.found, names), self.found.local.with_wide_slabs(names)
+        left_out = leave_one_out(self.found.problem, local, names, there)
+        return self.errors(left_out), there, left_out
 
 
 def _judged_by(effect: Effect) -> list[int]:
@@ -158,6 +201,20 @@ def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[
             (beside if name in one.names else alone)[other] += one.probability
     ranked = sorted(alone.items(), key=lambda item: -item[1])
     return tuple(n for n, share in ranked if share > max(beside[n], thresholds.CONFOUNDED))
+
+
+def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
+    """Return an effect of the best set, and those that the flights do not distinguish from it.
+
+    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights;
+    or TIED of it; or are by their definition the same together (`same_as`).
+    """
+    local, library = found.local, found.problem.library
+    others = {o: local.reproduced(found.names, name, o) for o in library if o not in found.names}
+    replacing = [o for o in confounded_with(found, name) if others.get(o, 0.0) >= thresholds.ALIKE]
+    tied = sorted((o for o in others if others[o] >= thresholds.TIED), key=lambda o: -others[o])
+    same = [o for o in library[name].same_as if o in others]
+    return tuple(dict.fromkeys((name, *replacing, *tied, *same)))
 
 
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:

@@ -253,6 +253,18 @@ class LinearGaussian:
         """Return the posterior mode (P,) of delta within bounds (truncated normal), in spikes."""
         return self.bounds.truncated_mode(*self.change(names, weights), self.index(names))[0]
 
+    def reproduced(self, names: EffectSet, name: str, other: str) -> float:
+        """Return the share of what `name` contributes, at its mode in a set, that `other` reproduces."""
+        # R^2 of the regression, with the prior V of the other:  b'(a + V^-1)^-1 b / x'a x,  b = a x
+        own, its, a = self.index([name]), self.index([other]), self.a.sum(axis=0)
+        x = self.bounded_mode(names)[own]
+        whole = float(x @ a[np.ix_(own, own)] @ x)
+        if whole <= 0.0 or not len(its):
+            return 0.0
+        b = a[np.ix_(its, own)] @ x
+        inner = a[np.ix_(its, its)] + np.linalg.inv(self.slab[np.ix_(its, its)])
+        return float(b @ np.linalg.solve(inner, b)) / whole
+
     def standard_errors(self, names: EffectSet) -> np.ndarray:
         """Return the standard errors (P,) of delta, in spikes."""
         return np.sqrt(np.maximum(self.change(names)[1].diagonal(), 0.0))

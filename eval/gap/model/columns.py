@@ -37,11 +37,11 @@ _MOTOR = 0.065  # s, lag of the load
 _HOVER = load_vehicle().hover_pwm  # the same for all vehicles and flights, so that weights mean the same
 # Errors of the base model, with the standard deviations of their weights: from development families.
 BASE_DEVIATIONS = {
-    **{f"thrust {what}": 0.02 for what in ("load", "speed", "climb", "time")},
-    **{f"drag {what}": 0.1 for what in ("load", "speed", "climb", "x")},
-    **{f"attitude {what}": 0.05 for what in ("angle", "load", "time", "roll")},
-    "attitude bend": 0.3,
-    **{f"yaw {what}": 0.05 for what in ("turn", "time")},
+    **{f"thrust {what}": 0.03 for what in ("load", "speed", "climb", "time")},
+    **{f"drag {what}": 0.14 for what in ("load", "speed", "climb", "x")},
+    **{f"attitude {what}": 0.07 for what in ("angle", "load", "time", "roll")},
+    "attitude bend": 0.42,
+    **{f"yaw {what}": 0.07 for what in ("turn", "time")},
 }
 ALONE = 0.05  # share of these that is free where no flights of a reference have shown them
 _CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}

@@ -143,11 +143,28 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
     """
     # With the centre of mass at (x, y), the torques over arm and weight that the rotors must give:
     #   t_roll = J_x p'/(arm m g) + y/arm,  t_pitch = J_y q'/(arm m g) - x/arm,  t_yaw = imbalance
-    # and the request of a motor that has lost the share l_i:  r_i ~ (1 + sum_k s_ki t_k) / (1 - l_i)
+    # and the request of a motor that has lost the share l_i:  r_i ~ ((1 + sum_k s_ki t_k) / (1 - l_i))^(1/e),
+    # e = d log F / d log PWM in hover
     x, y = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
     wanted = flight.requests.torques + [y, -x, vehicle.effects_yaw_imbalance]
-    requested = (1.0 + wanted @ REQUEST_SIGNS) / (1.0 - np.array(vehicle.effects_rotor_loss))
+    needed = (1.0 + wanted @ REQUEST_SIGNS) / (1.0 - np.array(vehicle.effects_rotor_loss))
+    requested = np.maximum(needed, 0.0) ** (1.0 / thrust_elasticity(vehicle))
     return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
+
+
+def thrust_elasticity(vehicle: Vehicle) -> float:
+    """Return by what power of its command a rotor's thrust goes in hover, at the same voltage."""
+    # F = (k u + bias) (1 - sag (u / reference - 1)):  e = k u / (k u + bias) - sag u / reference / (1 - ...)
+    u = vehicle.hover_pwm
+    for _ in range(3):  # the command at which this is the weight
+        load = u / vehicle.effects_battery_reference
+        sag = 1.0 - vehicle.effects_battery_sag * (load - 1.0)
+        u = (vehicle.weight / max(sag, 0.1) - vehicle.effects_thrust_bias) / vehicle.thrust_per_pwm
+    line = vehicle.thrust_per_pwm * u
+    load = u / vehicle.effects_battery_reference
+    slope = line / (line + vehicle.effects_thrust_bias)
+    slope -= vehicle.effects_battery_sag * load / max(1.0 - vehicle.effects_battery_sag * (load - 1.0), 0.1)
+    return min(max(slope, 0.3), 3.0)
 
 
 class _Measured(NamedTuple):

@@ -199,7 +199,7 @@ def headline(d: Diagnosis) -> str:
         if d.verdict == "unknown":
             return unknown[0].upper() + unknown[1:] + "."
         if d.verdict == "undecided":
-            names = [f"{label(name)} ({probability(part)})" for name, part in d.likely.items()]
+            names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
             return f"Undecided: {listed(names, 'or')}."
         how = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
@@ -283,7 +283,7 @@ class Answer:
 
 def answers(d: Diagnosis) -> list[Answer]:
     """Return the named effects, or those among which it is undecided, then what material depends on."""
-    found = [_undecided(d, name) for name in d.likely] if d.verdict == "undecided" else []
+    found = [_undecided(d, name) for name in d.possible] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
         notes = tuple(text for text in (confounding_sentence(d, e), plain(e.note)) if text)
