@@ -176,11 +176,15 @@ class ReferenceErrors:
         return error > thresholds.LARGER_ERROR * max(self.error, floor)
 
     def disturbed(self, disturbance: Mapping[str, Disturbance]) -> dict[str, float]:
-        """Return the channels whose disturbance is larger, by intervals too, and how many times as large."""
+        """Return the axes along which the disturbance is larger, by intervals too, and how many times so.
+
+        That of the angles goes with how much a flight steers: no loop is quite of its form.
+        """
         return {
             channel: one.size / max(own.size, 1e-9)
             for channel, one in disturbance.items()
-            if (own := self.disturbance.get(channel))
+            if channel in ("x", "y", "z")
+            and (own := self.disturbance.get(channel))
             and one.size >= thresholds.LARGER_DISTURBANCE * own.size
             and one.size_ci95[0] > own.size_ci95[1]
         }
