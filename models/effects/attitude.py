@@ -161,6 +161,7 @@ EFFECTS = (
         "with, or accept the new constant.",
         channels=("attitude",),
         apply=added("effects_attitude_integral", "rate"),
+        identified=False,
         says="the attitude loops integrate the angle error at {rate} more than modelled",
     ),
     Effect(
@@ -194,6 +195,7 @@ EFFECTS = (
         channels=("attitude",),
         apply=added("effects_attitude_saturation", "inverse"),
         is_lag=True,
+        identified=False,
         says="the attitude loops ask for no larger rate than 1 over {inverse}",
     ),
     Effect(

@@ -253,8 +253,8 @@ class Effect:
     starts: tuple[Mapping[str, float], ...] = ()
     # Effects that, together and of its size, are the same to every flight.
     same_as: tuple[str, ...] = ()
-    # A fault of one part: identification leaves it as it is, and takes its moment for the vehicle's.
-    is_fault: bool = False
+    # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
+    identified: bool = True
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
     @property

@@ -44,7 +44,7 @@ def _weak_rotor(k: int) -> Effect:
         apply=apply,
         says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust",
         requires={"request_differences": 0.0},
-        is_fault=True,
+        identified=False,
     )
 
 

@@ -142,7 +142,7 @@ def identify(
     vehicle = as_vehicle(vehicle)
     use = usable_flights(flights, heldout, vehicle, platform)
     library, unidentifiable = identifiable_effects(
-        {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by or e.is_fault)}, use.fitted
+        {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by) and e.identified}, use.fitted
     )
     problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
@@ -293,7 +293,7 @@ def _vehicle_posterior(
     problem: Problem, vehicle: Vehicle
 ) -> tuple[VehiclePosterior, tuple[Identifiable, ...]]:
     """Return the posterior of the identified vehicle and the identifiability of each effect."""
-    free = {name: effect for name, effect in free_effects().items() if not effect.is_fault}
+    free = {name: effect for name, effect in free_effects().items() if effect.identified}
     library, _ = identifiable_effects(free, problem.flights)
     around = _with_library(dataclasses.replace(problem, vehicle=vehicle), library)
     reference = identified_reference(around)

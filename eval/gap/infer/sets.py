@@ -132,19 +132,20 @@ def _fit_set(
     a single step is enough.
     """
     new = {n: {**problem.library[n].neutral, **start.get(n, {})} for n in problem.library if n in names}
-    best: FittedSet | None = None
+    best, beside = None, FittedValues()
     for _ in range(NEWTON_STEPS):
         values = new
         columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
-        linear = problem.linearise(values, columns)
-        local = LinearGaussian.of(problem, spread, linear, values)
+        around = {**beside, **values}
+        local = LinearGaussian.of(problem, spread, problem.linearise(around, columns), around)
         new = posterior_mode(problem, local, names)
+        beside = _requested(problem, local, names)
         screen = local.evidence()
         score = screen(names) + log_prior(problem, names) if _all_nonzero(problem, names, new) else -np.inf
         at, step = problem.coordinates(values, columns), problem.coordinates(new, columns)
         step = step - at
         if best is None or score > best.score:
-            best = FittedSet(names, values, new, local, screen, score)
+            best = FittedSet(names, around, new, local, screen, score)
         elif np.isfinite(best.score):
             back = problem.coordinates(best.at, columns)
             new = problem.values_at(names, columns, 0.5 * (back + at))
@@ -154,6 +155,17 @@ def _fit_set(
             break
     assert best is not None
     return best
+
+
+def _requested(problem: Problem, local: LinearGaussian, names: EffectSet) -> FittedValues:
+    """Return the most probable values of the effects beside a set that the requests of the motors show.
+
+    In these small differences of rotors are large, and their products too.
+    """
+    others = [n for n, e in problem.library.items() if "requests" in e.channels and n not in names]
+    if not (problem.requested and others):
+        return {}
+    return problem.values_at(others, local.columns, (local.at + local.posterior(names)[0]) * local.unit)
 
 
 def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:
