@@ -32,7 +32,7 @@ def _weak_rotor(k: int) -> Effect:
                 bounds=(-0.03, 0.6),
                 plausible=0.12,
                 negligible=0.01,
-                placement=0.03,
+                placement=0.015,
                 one_signed=True,
                 adds_to=f"effects_rotor_loss.{k}",
             ),
@@ -45,6 +45,8 @@ def _weak_rotor(k: int) -> Effect:
         says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust",
         requires={"request_differences": 0.0},
         identified=False,
+        forms=("requests yaw",),
+        form=0.7,
     )
 
 

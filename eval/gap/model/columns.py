@@ -258,7 +258,7 @@ def slab_covariance(candidates: Candidates, columns: Sequence[Column]) -> np.nda
 
 def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) -> np.ndarray:
     group, what = name.split()
-    own = _CHANNELS[group]
+    own = _CHANNELS.get(group, slice(0))
     result, part = np.zeros_like(contribution), contribution[:, own]
     if what == "late":
         result[:, own] = -LATE * np.gradient(part, flight.dt, axis=0)
@@ -266,6 +266,8 @@ def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) ->
         result[:, own] = LATE**2 * np.gradient(np.gradient(part, flight.dt, axis=0), flight.dt, axis=0)
     elif what == "roll":
         result[:, 3] = contribution[:, 3]
+    elif group == "requests":  # in yaw: a rotor that loses thrust keeps more or less of its torque
+        result[:, -1] = contribution[:, -1]
     elif group == "translation":
         result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
     else:
