@@ -62,7 +62,7 @@ CONFOUNDED = 0.03  # probability from which an effect is confounded with a named
 CONFOUNDED_WITHIN = 0.95
 # larger: smaller classes, which hold the cause less often. measured: fresh, it was another of the class in
 # 1 of 45
-ALIKE = 0.5  # share of a named effect's contribution that an effect confounded with it reproduces
+ALIKE = 0.3  # share of a named effect's contribution that an effect confounded with it reproduces
 # larger: smaller classes, which hold the cause less often. measured: -
 TIED = 0.98  # the same, above: the flights do not distinguish the two, whatever their probabilities
 # larger: smaller classes. measured: -

@@ -309,7 +309,10 @@ class Effect:
         parameters = (
             dataclasses.replace(p, manoeuvre=max(p.manoeuvre, p.placement)) for p in self.parameters
         )
-        return dataclasses.replace(self, parameters=tuple(parameters))
+        # A controller that asks for the moment leaves nothing of it in the attitude.
+        unseen = {"attitude"} if "requests" in self.channels else set()
+        channels = tuple(c for c in self.channels if c not in unseen)
+        return dataclasses.replace(self, parameters=tuple(parameters), channels=channels)
 
     def sized_for(self, vehicle: Vehicle) -> Effect:
         """Return the effect with the bounds and sizes that apply to `vehicle`."""

@@ -206,15 +206,22 @@ def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[
 def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     """Return an effect of the best set, and those that the flights do not distinguish from it.
 
-    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights;
-    or TIED of it; or are by their definition the same together (`same_as`).
+    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights, or
+    make the same kind of moment, or are a part of it; or reproduce all but all of it (TIED), whatever their
+    probabilities; or are together the same by their definition (`same_as`).
     """
     local, library = found.local, found.problem.library
-    others = {o: local.reproduced(found.names, name, o) for o in library if o not in found.names}
-    replacing = [o for o in confounded_with(found, name) if others.get(o, 0.0) >= thresholds.ALIKE]
-    tied = sorted((o for o in others if others[o] >= thresholds.TIED), key=lambda o: -others[o])
-    same = [o for o in library[name].same_as if o in others]
-    return tuple(dict.fromkeys((name, *replacing, *tied, *same)))
+    effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
+    alike = {other: local.reproduced(found.names, name, other) for other in others}
+
+    def replaces(other: str) -> bool:
+        moment = "requests" in effect.channels and "requests" in library[other].channels
+        return alike[other] >= thresholds.ALIKE or moment or name in library[other].same_as
+
+    replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
+    tied = [o for o in others if alike[o] >= thresholds.TIED and others[o].reference is None]
+    same = [o for o in effect.same_as if o in others]
+    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -alike[o]), *same)))
 
 
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:
