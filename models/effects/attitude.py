@@ -196,7 +196,7 @@ EFFECTS = (
         apply=added("effects_attitude_saturation", "inverse"),
         is_lag=True,
         identified=False,
-        says="the attitude loops ask for no larger rate than 1 over {inverse}",
+        says="the attitude loops limit the rate that they ask for; the inverse of the limit is {inverse}",
     ),
     Effect(
         name="attitude_trim",

@@ -206,8 +206,8 @@ def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[
 def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     """Return an effect of the best set, and those that the flights do not distinguish from it.
 
-    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights, or
-    make the same kind of moment, or are a part of it; or reproduce all but all of it (TIED), whatever their
+    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights,
+    or make a moment too, or are a part of it; or reproduce all but all of it (TIED), whatever their
     probabilities; or are together the same by their definition (`same_as`).
     """
     local, library = found.local, found.problem.library

@@ -187,11 +187,12 @@ class VehiclePosterior:
         for (target, on), w in weights.items():
             if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
                 raise ValueError(f"weights of {target} with {on}")
+        landings = table["landings"] if table["version"] == VERSION else None
         library = frozenset(map(str, table.get("library", [c.effect for c in columns])))
         return VehiclePosterior(
             *(columns, mean, covariance, ReferenceResidual(bases, weights), library),
             errors=_errors(table),
-            landings=LandingReference.from_json(found) if (found := table.get("landings")) else None,
+            landings=LandingReference.from_json(landings) if landings else None,
         )
 
 
@@ -205,11 +206,12 @@ def digest(vehicle: Vehicle) -> str:
 
     So it stays what it was when the library grows.
     """
-    neutral = load_vehicle()
+    neutral, idle = load_vehicle(), not vehicle.effects_attitude_integral
     values = {
         name: value
         for name, value in vars(vehicle).items()
         if not name.startswith("disturbance")
+        and not (name == "attitude_integral_limit" and idle)
         and not (name.startswith("effects_") and value == getattr(neutral, name))
     }
     text = repr(sorted(values.items()))
