@@ -175,9 +175,9 @@ EFFECTS = (
                 "inverse",
                 unit="s/rad",
                 bounds=(0.0, 4.0),
-                plausible=1.0,
-                negligible=0.2,
-                step=1.0,
+                plausible=0.4,
+                negligible=0.08,
+                step=0.4,
                 one_signed=True,
                 adds_to="effects_attitude_saturation",
                 constant=FittedConstant(
