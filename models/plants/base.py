@@ -43,7 +43,7 @@ class Snapshot:
     arrays: dict[str, np.ndarray]
 
 
-_SIZE = ("rotor_arm", "rotor_height", "rotor_radius")  # what shapes depend on
+_SIZE = ("rotor_arm", "rotor_height", "rotor_radius", "effects_foot_height")  # what shapes depend on
 
 
 def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:

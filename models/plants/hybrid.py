@@ -66,7 +66,7 @@ class _Vehicles(NamedTuple):
     size: np.ndarray  # (n,) member of the fleet
     fleet: geometry.Fleet
     contact: np.ndarray  # (n, 4), the last the feet's reach below the centre of mass [m]
-    foot_height: float  # m, nominal
+    foot_height: float  # m, without the effect of that name
     keep_out: float  # m
     command_range: np.ndarray  # (4, 2)
     torque_limited: bool
@@ -128,7 +128,8 @@ class HybridPlant(MujocoPlant):
         self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, for_engine)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
-            *(self.foot_height, float(self.keep_out), model.actuator_ctrlrange),
+            self.foot_height - self.vehicle.effects_foot_height,
+            *(float(self.keep_out), model.actuator_ctrlrange),
             bool(model.actuator_forcelimited[self._loops].all()),
             model.opt.timestep,
             self.substeps,
@@ -224,7 +225,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
         ambient[forces.TIME], ambient[forces.VOLTAGE] = engine.time[i], math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = d[PITCH], present
         ambient[forces.AZIMUTH] = d[YAW]
-        lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height)
+        lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height - v.effects.foot_height)
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(results.state[i], y)
         equations.take_states(s, results.load, integral, i, v)

@@ -343,7 +343,7 @@ def test_the_saved_xml_flies_with_the_effects(integrator):
     start[0, Z] = 1.6
     plant.reset([0], start)
     data.qpos[:7] = [*start[0, :3], 1, 0, 0, 0]  # behind it the slung load, which hangs straight down
-    data.act[:] = start[0, LAG]
+    data.act[model.actuator("thrust").actadr] = start[0, LAG]
     for actuator in range(4):  # MuJoCo's own past is all zeros
         samples = model.actuator_history[actuator, 0]
         mujoco.mj_initCtrlHistory(model, data, actuator, None, np.full(samples, COMMANDS[0, 0, actuator]))
