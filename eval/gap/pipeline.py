@@ -14,6 +14,7 @@ from inclined_landing.eval.gap.answer.evaluation import Evaluation, open_loop_er
 from inclined_landing.eval.gap.answer.named import (
     corrected,
     disturbances,
+    hover_acceleration,
     named_effects,
     refitted,
     relevant_values,
@@ -32,9 +33,7 @@ from inclined_landing.eval.gap.model.problem import Problem, identifiable_effect
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.result import Diagnosis, Verdict, marginal
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -157,13 +156,9 @@ def steady_force(candidates: Candidates, values: Values) -> float:
     tilt = float(max(tilts, default=0.0))
     if "wind" not in values:
         return tilt
-    vehicle, rest = candidates.vehicle, {name: of for name, of in values.items() if name != "wind"}
-    state, command = np.zeros(STATE_SIZE), np.array([vehicle.hover_pwm, 0.0, 0.0, 0.0])
-    state[LAG] = vehicle.hover_lag
-    windy, calm = (
-        derivative(state, command, candidates.corrected(v))["acceleration"] for v in (values, rest)
-    )
-    return max(tilt, float(np.hypot(*(windy - calm)[:2])) / vehicle.environment_gravity)
+    calm = {name: of for name, of in values.items() if name != "wind"}
+    push = hover_acceleration(candidates, values) - hover_acceleration(candidates, calm)
+    return max(tilt, float(np.hypot(*push[:2])) / candidates.vehicle.environment_gravity)
 
 
 def _data_notes(problem: Problem) -> list[str]:

@@ -63,6 +63,9 @@ class NamedEffect:
     remedy: str
     note: str = ""  # a sentence
     cost: float = math.nan  # m, position error one second ahead that it alone makes
+    # m/s2, acceleration that it makes in hover, and its 95 % interval, the vehicle's other constants as they
+    # are: the product with these that the flights see. None where its size does not need them.
+    product: tuple[float, tuple[float, float]] | None = None
     unresolved: bool = False  # a lag or a delay, from flights whose sampling rate is too low for it
 
     @property

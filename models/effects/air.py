@@ -85,6 +85,7 @@ EFFECTS = (
         channels=("translation",),
         apply=added("effects_wind", "x", "y"),
         says="the air moves with {x} along x and {y} along y",
+        product="the push of the air; the speed of the wind follows from the drag",
         of_the_place=True,
     ),
     Effect(

@@ -28,6 +28,7 @@ EFFECTS = (
         channels=("translation",),
         apply=scaled("body_mass"),
         says="the vehicle has {scale} times the modelled mass",
+        product="the change of thrust over mass; which of the two has changed, a balance tells",
         scales_thrust=True,
         told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",
     ),
@@ -68,6 +69,7 @@ EFFECTS = (
         channels=("translation",),
         apply=_slung_load,
         says="a load of {mass} swings on a string of {length}",
+        product="the weight of the load; the string's length follows from its swing",
         starts=tuple(
             {"mass": mass, "length": length}
             for mass in (0.0015, 0.004)

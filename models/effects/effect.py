@@ -255,6 +255,9 @@ class Effect:
     same_as: tuple[str, ...] = ()
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
+    # What flights see of it where its size follows only with another constant known: the acceleration that it
+    # makes in hover, as part of a sentence on that product.
+    product: str = ""
     told_by: str = ""  # how it is measured without a flight, a sentence; "": by flights
 
     @property

@@ -33,6 +33,7 @@ EFFECTS = (
         channels=("translation",),
         apply=scaled("thrust_state_gain", "thrust_direct_gain"),
         says="the rotors give {scale} times the modelled thrust",
+        product="the change of thrust over mass; which of the two has changed, a balance tells",
         scales_thrust=True,
     ),
     Effect(

@@ -22,12 +22,14 @@ from inclined_landing.eval.gap.infer.fit import (
 )
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
-from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, Candidates, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.values import LEAST_RATE
+from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect
+from inclined_landing.models.equations import derivative
 from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.vehicle import Vehicle
 
@@ -51,6 +53,7 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
             gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
             remedy=problem.library[name].remedy,
             note=too_slow if unresolved[name] else "",
+            product=_product(found, values, name) if problem.library[name].product else None,
             unresolved=unresolved[name],
         )
         for name in values
@@ -260,6 +263,36 @@ def _estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estim
                 spread=known.between,
             )
     return result
+
+
+def _product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:
+    """Return the acceleration [m/s2] that an effect makes in hover, and its 95 % interval."""
+    # By propagation of the sizes' errors, the others as they are:  C = (a + V^-1)^-1,  var = g' C g
+    problem, local = found.problem, found.local.with_wide_slabs(frozenset(values))
+    own = [k for k in local.index([name]) if not problem.parameter(local.columns[k]).is_reference]
+    columns, unit = [local.columns[k] for k in own], local.unit[own]
+    information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
+    covariance = np.linalg.inv(information) * np.outer(unit, unit)
+    at, others = problem.coordinates(values, columns), {n: v for n, v in values.items() if n != name}
+    without = hover_acceleration(problem, others)
+
+    def made(coordinates: np.ndarray) -> float:
+        sizes = {c.key[1]: problem.parameter(c).value_at(x) for c, x in zip(columns, coordinates)}
+        there = hover_acceleration(problem, {**others, name: {**values[name], **sizes}})
+        return float(np.linalg.norm(there - without))
+
+    here, step = made(at), 0.1 * np.sqrt(covariance.diagonal())
+    slope = np.array([(made(at + move) - here) / x for move, x in zip(np.diag(step), step)])
+    half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
+    return here, (max(0.0, here - half), here + half)
+
+
+def hover_acceleration(candidates: Candidates, values: Values) -> np.ndarray:
+    """Return the acceleration (3,) [m/s2] of the level vehicle at its hover command, with effects."""
+    vehicle = candidates.vehicle
+    state, command = np.zeros(STATE_SIZE), np.array([vehicle.hover_pwm, 0.0, 0.0, 0.0])
+    state[LAG] = vehicle.hover_lag
+    return derivative(state, command, candidates.corrected(values))["acceleration"]
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:

@@ -240,8 +240,7 @@ def how_much(d: Diagnosis) -> str:
             share = f"{100.0 * (1.0 - g.after / g.before):.0f} %"
             lines.append(f"Explained: {share} of the {error}, {before} to {after} ({beside}).")
         else:
-            it = "it" if len(d.effects) == 1 else "these"
-            lines.append(f"With {it} corrected, the {error} grows from {before} to {after} ({beside}).")
+            lines.append(f"As corrected, the {error} grows from {before} to {after} ({beside}).")
     material = [one for one in d.residual.depends_on if d.residual.material(one)]
     if material:
         most = max(material, key=lambda one: one.displacement)
@@ -251,9 +250,7 @@ def how_much(d: Diagnosis) -> str:
         times = listed([f"{channel} {ratio:.1f}" for channel, ratio in d.disturbed.items()])
         lines.append(f"The disturbance is larger than in the reference flights: {times} times.")
     if d.verdict == "undecided":
-        lines.append(
-            "landing-eval identify with these flights estimates all constants again, without a name."
-        )
+        lines.append("landing-eval identify with these flights fits all constants anew, without a name.")
     return " ".join(lines)
 
 
@@ -282,20 +279,35 @@ class Answer:
 
 
 def answers(d: Diagnosis) -> list[Answer]:
-    """Return the named effects, or those among which it is undecided, then what material depends on."""
+    """Return named effects, or those among which it is undecided, then what material depends on."""
     found = [_undecided(d, name) for name in d.possible] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
-        notes = tuple(text for text in (confounding_sentence(d, e), plain(e.note)) if text)
+        notes = tuple(t for t in (product_sentence(e), confounding_sentence(d, e), plain(e.note)) if t)
         found.append(Answer(title(e), how_sure(e), size_rows(e), cost, e.remedy, sentence(e), notes))
     for one in d.residual.depends_on:
         if d.residual.material(one):
-            ends = interval(one.displacement_ci95, "m")
-            moved = ("displacement in 1 s", quantity(one.displacement, "m"), ends)
+            size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
+            moved = ("displacement in 1 s", size, ends)
             name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
-            remedy = "landing-eval plan designs a more informative flight."
-            found.append(Answer(name, how, (moved,), centimetres(one.displacement), remedy))
+            found.append(
+                Answer(
+                    name,
+                    how,
+                    (moved,),
+                    centimetres(one.displacement),
+                    "landing-eval plan designs a better flight.",
+                )
+            )
     return found
+
+
+def product_sentence(e: NamedEffect) -> str:
+    """Return a sentence on the product of sizes that the flights see; empty where they see the size."""
+    if e.product is None:
+        return ""
+    number, ends = quantity(e.product[0], "m/s2"), interval(e.product[1], "m/s2")
+    return f"What the flights see is {LIBRARY[e.name].product}: {number} ({ends}) in hover."
 
 
 def _undecided(d: Diagnosis, name: str) -> Answer:
@@ -303,17 +315,16 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
     effect, best = LIBRARY[name], next(one for one in d.sets if name in one.effects)
     rows, sizes = [], {}
     for p in (p for p in effect.parameters if p.name in best.values[name]):
-        value, half = (
-            best.values[name][p.name],
-            1.96 * best.standard_errors.get(name, {}).get(p.name, math.nan),
-        )
+        error = best.standard_errors.get(name, {}).get(p.name, math.nan)
+        value, half = best.values[name][p.name], 1.96 * error
         sizes[p.name] = rounded(value, (value - half, value + half), p.unit)
         if not p.is_reference:
             ends = interval((value - half, value + half), p.unit) if math.isfinite(half) else ""
             rows.append((label(p.name), sizes[p.name], ends))
-    how, says = f"undecided, {probability(d.probability(name))}", effect.says.format(**sizes)
-    rows = rows if len(rows) > 1 else [("", *rows[0][1:])]
-    return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Perhaps, {says}.")
+    how, rows = f"undecided, {probability(d.probability(name))}", rows[1:] and rows or [("", *rows[0][1:])]
+    return Answer(
+        label(name), how, tuple(rows), "", effect.remedy, f"Perhaps, {effect.says.format(**sizes)}."
+    )
 
 
 def possible_sentence(d: Diagnosis) -> str:
