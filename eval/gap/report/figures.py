@@ -26,8 +26,9 @@ from inclined_landing.eval.base.style import (
     panel,
     styled,
 )
+from inclined_landing.eval.gap.report.numbers import shown
 from inclined_landing.eval.gap.report.tracks import Track
-from inclined_landing.eval.gap.report.words import REGIMES, centimetres, is_identifiable, label, shown
+from inclined_landing.eval.gap.report.words import REGIMES, centimetres, is_identifiable, label
 from inclined_landing.eval.gap.report.words import axis as axis_of
 from inclined_landing.eval.gap.result import (
     Diagnosis,

@@ -17,7 +17,7 @@ from inclined_landing.eval.base.style import BLUE, MUTED, panel, styled
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
-from inclined_landing.eval.gap.report import figures, words
+from inclined_landing.eval.gap.report import figures, numbers, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields, rounded, rounded_fields
 from inclined_landing.eval.gap.report.page import render
@@ -44,8 +44,8 @@ def headline(found: Identification) -> str:
 def sentences(found: Identification) -> list[str]:
     """Return the constants that differ, the errors of both models, and which flights would help."""
     values = [
-        f"{words.label(p.name)} {words.rounded(p.value, p.ci95, p.unit)} "
-        f"(nominal {words.exact(p.before, p.unit)})"
+        f"{words.label(p.name)} {numbers.rounded(p.value, p.ci95, p.unit)} "
+        f"(nominal {numbers.exact(p.before, p.unit)})"
         for p in changed_parameters(found)
     ]
     fits = [
@@ -177,11 +177,11 @@ def rows(parameters: Sequence[Identified]) -> list[tuple[str, ...]]:
     return [
         (
             words.label(p.name) + (f" ({p.note})" if p.note else ""),
-            words.exact(p.before, p.unit),
-            words.rounded(p.value, p.ci95, p.unit),
-            words.interval(p.ci95, p.unit),
-            words.quantity(p.spread, p.unit) if math.isfinite(p.spread) else "",
-            words.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
+            numbers.exact(p.before, p.unit),
+            numbers.rounded(p.value, p.ci95, p.unit),
+            numbers.interval(p.ci95, p.unit),
+            numbers.quantity(p.spread, p.unit) if math.isfinite(p.spread) else "",
+            numbers.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
         )
         for p in parameters
     ]
@@ -219,7 +219,7 @@ def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str,
     sources = {
         field: f"identified by landing-eval identify from {len(found.flights)} flights"
         + "".join(
-            f"; {p.name} {words.interval(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, [])
+            f"; {p.name} {numbers.interval(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, [])
         )
         for field in found.fields
     }

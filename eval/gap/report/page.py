@@ -11,6 +11,7 @@ from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.model import MJCF, VEHICLE
+from inclined_landing.eval.gap.report.numbers import exact, interval
 from inclined_landing.eval.gap.report.tracks import EVERY, Track
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.effects import LIBRARY
@@ -35,8 +36,8 @@ def page(
     for effect in d.effects:
         first, last = words.label(effect.name), LIBRARY[effect.name].formula
         for name, p in effect.parameters.items():
-            ends = words.interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
-            row = (name, words.value(p), ends, words.exact(p.neutral, p.unit))
+            ends = interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
+            row = (name, words.value(p), ends, exact(p.neutral, p.unit))
             rows.append((first, *row, last))
             first = last = ""
     caption = track and (

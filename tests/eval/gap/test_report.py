@@ -15,6 +15,7 @@ from inclined_landing.eval.gap.pipeline import _verdict
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report import figures, model, terminal, words
+from inclined_landing.eval.gap.report.numbers import interval
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.result import (
@@ -327,7 +328,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
         assert all(words.title(effect) in one and words.how_sure(effect) in one for one in seen)
         for name, p in effect.parameters.items():
             assert entry["parameters"][name]["value"] == p.value
-            assert f"{words.value(p)} {words.interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
+            assert f"{words.value(p)} {interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
     for names, part in words.set_rows(d):
         assert f"{names} {words.probability(part)}" in seen[0]
     # Sizes: every decimal of the effects' sentences is that of the size with its interval.
