@@ -29,6 +29,7 @@ from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
 SAME_RATIO = frozenset(("mass", "thrust_scale"))
 LEFT_OUT = 30.0  # nat
+SWING_START = 2.0  # nat, of four numbers whose errors are some 0.4 of their prior deviations
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
 MOST_FITS = 12  # sets fitted through the simulator
@@ -120,7 +121,9 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
     # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
     share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
     both = len(SAME_RATIO) if names >= SAME_RATIO else 0
-    return len(names) * math.log(share / (1.0 - share)) - both * LEFT_OUT
+    # Beside a load's mass and string, where it swings at the start of every stretch is fitted: four numbers.
+    begun = problem.swing_starts if "slung_load" in names else 0
+    return len(names) * math.log(share / (1.0 - share)) - both * LEFT_OUT - begun * SWING_START
 
 
 def _fit_set(

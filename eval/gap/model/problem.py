@@ -28,6 +28,7 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
+from inclined_landing.eval.gap.model.swing import stretches
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -151,6 +152,11 @@ class Problem(Candidates):
     def logged(self) -> np.ndarray:
         """Return 1 for the channels of windows (w, C) that were logged, else 0."""
         return np.array([f.logged for f in self.flights])[self.flight_of].astype(float)
+
+    @cached_property
+    def swing_starts(self) -> int:
+        """Return the number of stretches in which a slung load's start is fitted."""
+        return sum(len(stretches(f.starts, f.rows, f.dt)) - 1 for f in self.flights)
 
     @property
     def rows(self) -> np.ndarray:
