@@ -52,7 +52,7 @@ def diagnose(
 ) -> Diagnosis:
     """Return the missing effects that explain `flights` best, and the errors with and without them.
 
-    reference: posterior of the vehicle's identification; None: its constants are exact, its formulas nearly.
+    reference: posterior of the identified vehicle; None: its constants are exact, its formulas nearly.
     heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
     the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
     has contacts). plants: measure the gap in these. curves: also error against horizon.
@@ -91,10 +91,8 @@ def diagnose(
     clock("touchdown")
 
     posterior = contact.sets(scored_sets(found))
-    effects = tuple(
-        dataclasses.replace(e, probability=marginal(posterior, e.members))
-        for e in (*ahead.effects, *contact.effects)
-    )
+    named = (*ahead.effects, *contact.effects)
+    effects = tuple(dataclasses.replace(e, probability=marginal(posterior, e.members)) for e in named)
     answer = Diagnosis(
         verdict="nothing",
         set_aside=use.set_aside,

@@ -119,12 +119,9 @@ class MujocoPlant(Plant):
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
         self.foot_height = float(geometry.reach_below(self.shapes, part="feet"))
-        own = self.vehicle.effects_foot_height
+        level = self.foot_height - self.vehicle.effects_foot_height
         self._contact_of_each = np.array(
-            [
-                [v.contact_friction, *v.contact_solref, self.foot_height + v.effects_foot_height - own]
-                for v in self._vehicles
-            ]
+            [[v.contact_friction, *v.contact_solref, level + v.effects_foot_height] for v in self._vehicles]
         )
         self._contact = self._contact_of_each[self.choice]
         self.set_platform(np.arange(n), self.inclination)
