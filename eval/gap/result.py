@@ -70,16 +70,15 @@ class NamedEffect:
 
     @property
     def sure(self) -> bool:
-        """Return whether the probability is at least SURE: few such names were wrong on held-out families.
+        """Return whether the probability is at least SURE: few such names were wrong on other families.
 
-        Not where the fit ends at a bound, as the flights ask for more of it than there can be, nor where the
-        interval of every size holds the neutral value, nor a lag that the flights cannot show.
+        One of its sizes must differ from neutral by its interval, and not end at a bound: the flights ask
+        for more of it than there can be. No lag is sure that the flights cannot show.
         """
         about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
         sizes = [p for name, p in self.parameters.items() if name not in about]
-        differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] for p in sizes)
-        at_bound = any(p.at_bound for p in self.parameters.values())
-        return self.probability >= thresholds.SURE and differs and not (at_bound or self.unresolved)
+        differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] and not p.at_bound for p in sizes)
+        return self.probability >= thresholds.SURE and differs and not self.unresolved
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""
