@@ -64,7 +64,8 @@ CONFOUNDED_WITHIN = 0.95
 # larger: smaller classes, which hold the cause less often. measured: fresh, it was another of the class in
 # 1 of 45
 ALIKE = 0.3  # share of a named effect's contribution that an effect confounded with it reproduces
-# larger: smaller classes, which hold the cause less often. measured: again, of 13 right names none by its class
+# larger: smaller classes, which hold the cause less often. measured: again, of 13 right names none by its
+# class alone
 TIED = 0.98  # the same, above: the flights do not distinguish the two, whatever their probabilities
 # larger: smaller classes. measured: -
 RELEVANT = 0.03  # share of the squared error of a channel that an effect must explain to be named
@@ -78,8 +79,8 @@ AT_BOUND = 1e-6  # share of a parameter's range, below: a fit is at its bound, i
 # Undecided
 
 UNDECIDED = 0.5  # probability that an effect of a size that matters (MATERIAL) is missing, none being named
-# larger: fewer verdicts undecided, more causes under `nothing`. measured: again, of 4 answers `nothing` 1 hid a
-# medium cause (a lateral drag in three flights); no verdict was undecided
+# larger: fewer verdicts undecided, more causes under `nothing`. measured: again, one of 4 answers `nothing`
+# hid a medium cause, a lateral drag in three flights; no verdict was undecided
 LARGER_ERROR = 1.4  # error one second ahead over that of the reference's flights: something is missing
 # larger: fewer false alarms in rougher flights, more causes under `nothing`. measured: again, nothing hidden:
 # exceeded in 0 of 2; a cause outside the library: `unknown` in 2 of 3
