@@ -223,7 +223,7 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
     tied = [o for o in others if alike[o] >= thresholds.TIED and others[o].reference is None]
-    same = [o for o in effect.same_as if o in others]
+    same = [o for o in effect.same_as if o in library]
     return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -alike[o]), *same)))
 
 
