@@ -169,7 +169,7 @@ EFFECTS = (
         description="The roll and pitch loops ask for no rate beyond a largest: large steps of the command "
         "are followed at that rate, small ones as modelled.",
         formula="|d(angle)/dt that is wanted| up to 1/(saturation + inverse)",
-        source="rate limits of flight controllers; motors that have no more to give act alike",
+        source="rate limits of flight controllers; motors that have no more to give act the same way",
         parameters=(
             Parameter(
                 "inverse",

@@ -84,7 +84,7 @@ EFFECTS = (
         description="The logged attitude is older than the logged position: the onboard estimator trails, or "
         "its log comes by another way than that of the motion capture. Drag seems larger by it, as the tilt "
         "that brakes the vehicle is logged later.",
-        formula="measured attitude(t) = attitude(t - delay) beside measured position(t) = position(t)",
+        formula="measured attitude(t) = attitude(t - delay), measured position(t) = position(t)",
         source="stream offsets of the nanobench flights: -20 to 35 ms",
         parameters=(
             Parameter(

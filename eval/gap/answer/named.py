@@ -72,7 +72,7 @@ def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
 
 
 def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the posterior linearised anew at a set's values, and the values fitted there."""
+    """Return the posterior linearised again at a set's values, and the values fitted there."""
     # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
     names, problem = frozenset(values), found.problem
     if not (names and problem.identified):
@@ -215,16 +215,16 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     """
     local, library = found.local, found.problem.library
     effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
-    alike = {other: local.reproduced(found.names, name, other) for other in others}
+    share = {other: local.reproduced(found.names, name, other) for other in others}
 
     def replaces(other: str) -> bool:
         moment = "requests" in effect.channels and "requests" in library[other].channels
-        return alike[other] >= thresholds.ALIKE or moment or name in library[other].same_as
+        return share[other] >= thresholds.ALIKE or moment or name in library[other].same_as
 
     replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
-    tied = [o for o in others if alike[o] >= thresholds.TIED and others[o].reference is None]
+    tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
     same = [o for o in effect.same_as if o in library]
-    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -alike[o]), *same)))
+    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))
 
 
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:

@@ -193,8 +193,7 @@ def simulate(
     else:
         pose = _mujoco(starts, vehicle, state, integral, commands, ambient, lag)
     if late:
-        for window in pose:
-            window[:, 3:] = earlier(window[:, 3:], late / starts.dt)
+        pose[:, :, 3:] = earlier(pose[:, :, 3:], late / starts.dt)
     if any(tilt):
         for window in pose:
             tilted(window[:, 3:].copy(), *tilt, window[:, 3:])

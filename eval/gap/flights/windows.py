@@ -175,9 +175,12 @@ class MotorRequests:
 
 
 def earlier(values: np.ndarray, rows: float) -> np.ndarray:
-    """Return values (m, k) as they were some rows, whole or not, before (negative: after)."""
-    at = np.arange(len(values), dtype=float)
-    return np.stack([np.interp(at - rows, at, column) for column in values.T], axis=1)
+    """Return values (..., m, k) as they were some rows, whole or not, before (negative: after)."""
+    last = values.shape[-2] - 1
+    at = np.clip(np.arange(last + 1) - rows, 0.0, last)
+    low = np.minimum(at.astype(int), last - 1)
+    part = (at - low)[:, None]
+    return (1.0 - part) * values[..., low, :] + part * values[..., low + 1, :]
 
 
 def remove_tilt(attitude: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:

@@ -321,7 +321,7 @@ def identifiable_effects(
         if measured and effect.of_the_drive:
             continue  # the speeds of the rotors are given
         if not effect.identified and "requests" not in effect.channels:
-            continue  # no flights have told it from lags and gains of the loops
+            continue  # flights do not distinguish it from lags and gains of the loops
         if not requested and "requests" in effect.channels and effect.requires:
             continue  # as in most logs; a note for each would hide the others
         why = {_why_unidentifiable(channel, least, flights) for channel, least in effect.requires.items()}

@@ -184,7 +184,7 @@ def how_much(d: Diagnosis) -> str:
         times = listed([f"{channel} {ratio:.1f}" for channel, ratio in d.disturbed.items()])
         lines.append(f"The disturbance is larger than in the reference flights: {times} times.")
     if d.verdict == "undecided":
-        lines.append("landing-eval identify with these flights fits all constants anew, without a name.")
+        lines.append("landing-eval identify with these flights fits all constants again, without a name.")
     return " ".join(lines)
 
 

@@ -53,7 +53,7 @@ def _between(rng, low: float, high: float) -> float:
 
 
 class Batch(abc.ABC):
-    """Flights side by side: their state (n, 20) and what came of it, period by period."""
+    """Flights side by side: their state (n, 20) and their record, period by period."""
 
     def __init__(self, rows: np.ndarray, worlds: Sequence[World], rng, reality: Reality):
         self.rows, self.worlds, self.reality, n = rows, worlds, reality, len(worlds)
