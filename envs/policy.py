@@ -401,5 +401,5 @@ def _unknown_task(metadata: dict, path: Path) -> UserError:
         )
     return UserError(
         f"policy {path}: {METADATA} in it names an unknown task, {shown(name, 40)}; "
-        f"known are {' and '.join(TASKS)}"
+        f"the known tasks are {' and '.join(TASKS)}"
     )

@@ -64,7 +64,10 @@ COMMANDS = {
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
     "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
-    "gap-example": ("gap", "Twenty flights with hidden effects, of an independent simulator, to try gap."),
+    "gap-example": (
+        "gap",
+        "Write twenty flights with hidden effects, to try gap on.",
+    ),
     "fly": (
         "flying",
         "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",

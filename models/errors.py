@@ -60,11 +60,11 @@ def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
 def choices(names: Iterable[str], wanted: str) -> str:
     """What may be named, as the end of a sentence: all, or of many those nearest to `wanted`."""
     names = list(names)
-    every = f"known are {', '.join(names)}"
+    every = f"choose from {', '.join(names)}"
     if len(every) <= LONGEST_LIST:
         return every
     near = difflib.get_close_matches(wanted, names, 3, 0.5) or names[:3]
-    return f"known are {len(names)}, such as {', '.join(near)}"
+    return f"choose from {len(names)} names, such as {', '.join(near)}"
 
 
 def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:

@@ -35,7 +35,7 @@ def perturb(rows: np.ndarray, **changes) -> np.ndarray:
     rows = rows.copy()
     for name, value in changes.items():
         if name not in NAMES:
-            raise UserError(f"unknown perturbation {name!r}; known are {', '.join(NAMES)}")
+            raise UserError(f"unknown perturbation {name!r}; choose from {', '.join(NAMES)}")
         value = np.asarray(value, float)
         if not np.isfinite(value).all() or (name in _POSITIVE and (value <= 0).any()):
             raise UserError(f"perturbation {name} must be finite and scales must be positive")

@@ -83,7 +83,7 @@ def build_spec(
     plugins.load()
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UserError(
-            f"unknown integrator {shown(repr(integrator), 40)}; known are {', '.join(INTEGRATORS)}"
+            f"unknown integrator {shown(repr(integrator), 40)}; choose from {', '.join(INTEGRATORS)}"
         )
     schema.check({"timestep": timestep, "keep_out": keep_out}, schema.kinds_of(build_spec))
     spec = _as_drawn(visuals).copy()

@@ -43,10 +43,10 @@ def check_picture_options(width: int, height: int, camera: str | View, backend: 
                 f"a picture has 16 to 4096 pixels a side, not {shown(f'{width!r} x {height!r}', 40)}"
             )
     if not isinstance(camera, View) and not (isinstance(camera, str) and camera in CAMERAS):
-        raise UserError(f"unknown camera {shown(repr(camera), 40)}; known are {', '.join(CAMERAS)}")
+        raise UserError(f"unknown camera {shown(repr(camera), 40)}; choose from {', '.join(CAMERAS)}")
     if not (isinstance(backend, str) and backend in BACKENDS):
         raise UserError(
-            f"unknown rendering backend {shown(repr(backend), 40)}; known are {', '.join(BACKENDS)}"
+            f"unknown rendering backend {shown(repr(backend), 40)}; choose from {', '.join(BACKENDS)}"
         )
 
 

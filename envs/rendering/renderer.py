@@ -116,7 +116,7 @@ class SceneRenderer(abc.ABC):
         if isinstance(self.camera, str):
             names = [model.camera(k).name for k in range(model.ncam)]
             if self.camera not in names:
-                raise UserError(f"unknown camera {self.camera!r}; known are {', '.join(names)}")
+                raise UserError(f"unknown camera {self.camera!r}; choose from {', '.join(names)}")
         self._prepare(model)
         self._platform = pose.platform_key
 

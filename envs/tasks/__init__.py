@@ -73,7 +73,7 @@ def known(name) -> bool:
 def task_class(name: str) -> type[Task]:
     """Return the class of a task by name, or by its path if imported; raises UserError for an unknown one."""
     if not known(name):
-        raise UserError(f"unknown task {shown(repr(name), 60)}; known are {', '.join(TASKS)}")
+        raise UserError(f"unknown task {shown(repr(name), 60)}; choose from {', '.join(TASKS)}")
     return TASKS[name] if name in TASKS else _OWN[name]
 
 

@@ -79,5 +79,5 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
 def check_format(format: str) -> None:
     """Raise UserError for an unknown format, and ImportError for one whose package is not installed."""
     if format not in FORMATS:
-        raise UserError(f"unknown format {shown(repr(format), 40)}; known are {', '.join(FORMATS)}")
+        raise UserError(f"unknown format {shown(repr(format), 40)}; choose from {', '.join(FORMATS)}")
     importlib.import_module(FORMATS[format])

@@ -31,12 +31,12 @@ def command(
 ) -> None:
     """Name the effects that the model lacks, from flights, and write the corrected model.
 
-    Takes seconds. The model's uncertainty is taken into account: the posterior of identify, found beside the
-    vehicle file, or the uncertainties in the vehicle file alone.
+    Takes seconds. The model's uncertainty is read from the posterior that identify wrote next to the vehicle
+    file; without one, from the uncertainties in the vehicle file.
 
     Args:
-        reference: flights of the reference vehicle: it is identified from them first, and the effects named
-            are changes since then.
+        reference: logs of the reference vehicle. It is identified from these first, and gap names what has
+            changed since.
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml.
     """
     runs.check_new_run(out)

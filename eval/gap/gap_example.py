@@ -22,10 +22,10 @@ ground_effect = { strength = 5.0 }  # a floor that the model lacks
 
 
 def command(out: Folder) -> None:
-    """Twenty flights with hidden effects, of an independent simulator, to try gap.
+    """Write twenty flights with hidden effects, to try gap on.
 
     Args:
-        out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which says what is hidden in them.
+        out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which lists the hidden effects.
     """
     flights = resources.files(__package__).joinpath("example_flights.zip")
     with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
@@ -39,6 +39,6 @@ def introduce(out: Path) -> None:
     command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
     print(f"To name the effects that the model lacks: {command}")
     say(
-        f"Twenty flights with hidden effects are in {out}, those of its folder heldout to judge with. "
-        f"{out / 'hidden.toml'} says what was hidden: read it afterwards."
+        f"{out} holds twenty flights with hidden effects; those in its folder heldout are for evaluation. "
+        f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards."
     )

@@ -13,13 +13,13 @@ from inclined_landing.models.parameters import load_vehicle
 
 
 def command(source: Flat[FlightSource], out: Folder) -> None:
-    """Identify thrust, lags, delays, attitude loops and drag: a vehicle file.
+    """Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file.
 
     Takes seconds.
 
     Args:
-        out: new folder for vehicle.toml, vehicle.posterior.json (its posterior covariance, which gap
-            finds beside the vehicle file), report.html and report.json.
+        out: new folder for vehicle.toml, vehicle.posterior.json (posterior covariance, read by gap),
+            report.html and report.json.
     """
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)

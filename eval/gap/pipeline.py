@@ -123,8 +123,8 @@ def diagnose(
 # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that no
 # formula of the library has: they would be named as changes of the loops.
 _IN_WIND = (
-    "a strong steady force, as of wind, turns a vehicle against its attitude loops too: these were not "
-    "judged, and translation is predicted along the measured attitude"
+    "a strong steady force, such as wind, also acts on the attitude loops: these were not judged, and "
+    "translation is predicted along the measured attitude"
 )
 
 
@@ -164,12 +164,12 @@ def _data_notes(problem: Problem) -> list[str]:
     n, notes = len(problem.flights), []
     if n < thresholds.FEW_FLIGHTS:
         notes.append(
-            f"{n} flight{'s' * (n > 1)} only: parts of a flight take the place of flights left out, and "
-            "how far flights differ is a guess"
+            f"only {n} flight{'s' * (n > 1)}: parts of flights are left out in turn, not whole flights, "
+            "and the spread between flights is a guess"
         )
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
-        notes.append(f"{seconds:.0f} s of usable flight only: small effects cannot be seen")
+        notes.append(f"only {seconds:.0f} s of usable flight: small effects cannot be detected")
     if not problem.logged[:, :2].any():
         notes.append("roll or pitch not logged: only the motion up and down can be judged")
     if not problem.logged[:, 3:5].any():
@@ -181,7 +181,7 @@ def _data_notes(problem: Problem) -> list[str]:
         notes.append("yaw or its command not logged: the yaw channel was left out")
     if problem.flights[0].thrust_is_measured:
         notes.append(
-            "the thrust is that of the measured rotor speeds: how the motors answer cannot be judged"
+            "thrust is computed from the measured rotor speeds: the response of the motors cannot be judged"
         )
     return notes
 

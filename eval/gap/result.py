@@ -220,7 +220,7 @@ class Difference:
 
 @dataclasses.dataclass(frozen=True)
 class SetAside:
-    """A flight that cannot be used: nothing is computed with it."""
+    """A flight that cannot be used, and the reason."""
 
     flight: str
     reason: str  # a sentence

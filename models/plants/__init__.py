@@ -59,7 +59,7 @@ PLANTS = {"mujoco": MujocoPlant, "hybrid": HybridPlant, "analytic": AnalyticPlan
 def check_plant(kind: str) -> None:
     """Raise UserError unless `kind` is one of PLANTS."""
     if not isinstance(kind, str) or kind not in PLANTS:
-        raise UserError(f"unknown plant {shown(repr(kind), 40)}; known are {', '.join(PLANTS)}")
+        raise UserError(f"unknown plant {shown(repr(kind), 40)}; choose from {', '.join(PLANTS)}")
 
 
 def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):

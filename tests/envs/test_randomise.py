@@ -68,7 +68,7 @@ def test_a_file_of_ranges(tmp_path):
     ("", r"has no range, like \[effects.thrust_scale\] with scale = \[0.8, 1.1\]"),
     ("nominal = 0.5", "has no range"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
-    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; known are 43, such as thrust_"),
+    ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; choose from 43 names, such as thrust_"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; it has scale"),
     ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),
     ("[effects]\nthrust = [1, 2]", "effects.thrust is not an effect with parameters, .* or an entry"),

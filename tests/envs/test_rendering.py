@@ -252,7 +252,7 @@ def test_arrows_start_where_the_larger_vehicle_stands(hero):
 
 
 def test_wrong_arguments_are_sentences():
-    with pytest.raises(UserError, match="unknown camera 'top'; known are"):
+    with pytest.raises(UserError, match="unknown camera 'top'; choose from"):
         make_renderer(camera="top", backend="ray")
     with pytest.raises(UserError, match="unknown rendering backend 'vulkan'"):
         make_renderer(backend="vulkan")

@@ -192,7 +192,10 @@ BAD = [
     (["success", "none.zip"], "none.zip does not exist"),
     (["success", "{policy}", "--task", "setpoint"], "trained for the task landing, not for setpoint"),
     (["success", "{policy}", "--task", "hover"], "unknown task 'hover'"),
-    (["success", "{policy}", "--plant", "moon"], "unknown plant 'moon'; known are mujoco, hybrid, analytic"),
+    (
+        ["success", "{policy}", "--plant", "moon"],
+        "unknown plant 'moon'; choose from mujoco",
+    ),
     (["success", "{policy}", "--inclination", "80"], "outside the supported range of -50 to 50 deg"),
     (["success", "{policy}", "--thrust-scale", "0"], "must be a number above 0"),
     (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml does not exist"),

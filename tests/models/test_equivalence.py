@@ -71,7 +71,7 @@ def test_the_neutral_perturbation_changes_no_bit(build):
 
 
 @pytest.mark.parametrize("changes, sentence", [
-    ({"wind": 1.0}, "unknown perturbation 'wind'; known are thrust_scale"),
+    ({"wind": 1.0}, "unknown perturbation 'wind'; choose from thrust_scale"),
     ({"mass_scale": 0.0}, "perturbation mass_scale must be finite and scales must be positive"),
     ({"lag_scale": -1.0}, "lag_scale"),
     ({"thrust_bias": np.nan}, "thrust_bias"),

@@ -425,7 +425,7 @@ def test_the_keep_out_zone_has_no_force():
 
 
 @pytest.mark.parametrize("kind, options, sentence", [
-    ("mujoco", {"integrator": "rk4"}, "unknown integrator 'rk4'; known are RK4, implicitfast, Euler"),
+    ("mujoco", {"integrator": "rk4"}, "unknown integrator 'rk4'; choose from RK4, implicitfast, Euler"),
     ("mujoco", {"timestep": 0.003}, "control period 0.02 s is not a whole number of time steps of 0.003 s"),
     ("mujoco", {"timestep": math.nan}, "timestep must be a number"),
     ("mujoco", {"attitude": "quaternion"}, "attitude must be 'kinematic' or 'rate_loop', not 'quaternion'"),
@@ -434,7 +434,7 @@ def test_the_keep_out_zone_has_no_force():
     ("analytic", {"substeps": 0}, "substeps must be a whole number from 1 to 1000, not 0"),
     ("analytic", {"vehicle": 3}, "vehicle must be a Vehicle or the path of a file, not 3"),
     ("analytic", {"pool": 3}, "pool "),
-    ("gazebo", {}, "unknown plant 'gazebo'; known are mujoco, hybrid, analytic"),
+    ("gazebo", {}, "unknown plant 'gazebo'; choose from mujoco, hybrid, analytic"),
 ])  # fmt: skip
 def test_wrong_options_are_refused(kind, options, sentence):
     with pytest.raises(UserError, match=sentence):

@@ -78,7 +78,7 @@ def test_a_whole_number_becomes_the_float_next_to_it(number):
         (("part", "sides"), [1], "[part] sides must be a list of 2, each a number from 0 to 1, not [1]"),
         (("part", "sides", 1), -1, "[part] sides[1] must be a number from 0 to 1, not -1"),
         (("part", "side"), 1, "unknown entry 'side' in [part]; did you mean sides?"),
-        (("part", "colour"), 1, "unknown entry 'colour' in [part]; known are size, sides, from"),
+        (("part", "colour"), 1, "unknown entry 'colour' in [part]; choose from size, sides, from"),
         (("part",), 3, "part must be a table, not 3"),
         (("title",), "", "title must be text of 1 to 5 characters, not ''"),
         (("kind",), "left", "kind must be 'down' or 'up' or a number from 0 to 1, not 'left'"),
@@ -89,7 +89,7 @@ def test_a_whole_number_becomes_the_float_next_to_it(number):
             "rows must be a list of at most 2 entries, each a list, each text or a table, not ",
         ),
         (("rows", 1, 1, "size"), 2, "[rows[1][1]] size must be a number from 0 to 1, not 2"),
-        (("x - at `$.part",), 1, "unknown entry 'x - at `$.part' in the file; known are seed, part"),
+        (("x - at `$.part",), 1, "unknown entry 'x - at `$.part' in the file; choose from seed, part"),
     ],
 )
 def test_what_does_not_fit_is_named(keys, value, sentence):

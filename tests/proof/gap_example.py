@@ -22,7 +22,7 @@ SETS = {"fit": 10, "heldout": 10}  # every kind of ordinary flight once in each
 
 
 def command(out: Folder, seed: Seed = 0) -> None:
-    """Twenty flights with hidden effects, of an independent simulator, to try gap.
+    """Write twenty flights with hidden effects, from an independent simulator.
 
     Args:
         out: new folder for fit/*.csv, heldout/*.csv and hidden.toml.

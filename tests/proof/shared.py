@@ -20,7 +20,7 @@ def check_known(what: str, names: Iterable[str], known: Collection[str]) -> None
     """Raise UserError unless all names are known."""
     for name in names:
         if name not in known:
-            raise UserError(f"unknown {what} {name!r}; known are {', '.join(known)}")
+            raise UserError(f"unknown {what} {name!r}; choose from {', '.join(known)}")
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -207,7 +207,7 @@ def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
             "unknown placeholder {sed} in landing-train",
         ),
         ({"together": ["landing-eval curves {seed}"]}, [], "unknown placeholder {seed} in landing-eval"),
-        ({"answer": "{steps}"}, [], "unknown placeholder {steps} in {steps}; known are a.steps"),
+        ({"answer": "{steps}"}, [], "unknown placeholder {steps} in {steps}; choose from a.steps"),
         ({"seeds": "many"}, [], "seeds must be a list"),
         ({"seeds": [1, 1]}, [], "a seed is listed twice"),
         ({"variants": {"a/b": ""}}, [], "variants must be a table"),

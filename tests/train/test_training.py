@@ -560,7 +560,7 @@ def test_a_policy_goes_on_with_what_it_observed(options, sentence, tmp_path):
 # --- wrong input -------------------------------------------------------------------------------------
 
 WRONG = {
-    "hover": "unknown task 'hover'; known are landing, setpoint, touchdown",
+    "hover": "unknown task 'hover'; choose from landing, setpoint, touchdown",
     "--plant gazebo": "gazebo",
     "--net-arch 64 0": "--net-arch",
     "--from landing-nominal --net-arch 32": "has another network than training uses",

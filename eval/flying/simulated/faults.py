@@ -48,7 +48,7 @@ class Fault:
         """Return the fault NAME, NAME@SECONDS or NAME@EVENT+SECONDS. Raises UserError."""
         name, at, when = text.partition("@")
         if name not in FAULTS:
-            raise UserError(f"unknown fault {shown(name, 40)}; known are {', '.join(FAULTS)}")
+            raise UserError(f"unknown fault {shown(name, 40)}; choose from {', '.join(FAULTS)}")
         if not at:
             return Fault(name, "air", 1.0)
         event, plus, seconds = when.partition("+")

@@ -172,12 +172,14 @@ def identify(
         ),
     ]
     if landings:
-        notes.append(f"contact is that of {sum(landings.count)} landings, with what they have in common")
+        notes.append(
+            f"contact was identified from {sum(landings.count)} landings, with their common residual"
+        )
     disturbance, ahead = disturbances(problem), fitted.ahead
     if not use.judged and len(use.fitted) < 2:
         notes.append(
-            "one flight only: all errors are on the flight that was fitted, and whether others are predicted "
-            "better is not known"
+            "only one flight: all errors are on the fitted flight, and it is unknown whether others are "
+            "predicted better"
         )
     elif ahead:
         errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)

@@ -77,7 +77,7 @@ def contact_answer(
     problem, found = contact_posterior(landings, corrected, library, reference)
     effects = contact_effects(problem, found)
     after = problem.corrected({e.name: e.values() for e in effects})
-    repeats = "something in the motion after the touch repeats that no effect explains"
+    repeats = "the motion after touchdown has a repeated error that no effect explains"
     notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
     test = tuple(landings_of(use.heldout, corrected, reference) or landings)
     worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))

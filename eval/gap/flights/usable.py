@@ -65,7 +65,7 @@ def check_apart(*groups: Sequence[str]) -> None:
     where = [storage.real(file) for file in every]
     for file, path in zip(every, where):
         if where.count(path) > 1:
-            raise UserError(f"{file} is given more than once; fit and judgement need different flights")
+            raise UserError(f"{file} is given more than once; fitting and evaluation need different flights")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,14 +142,15 @@ def _crash(log: FlightLog, vehicle: Vehicle) -> str:
     upright = np.cos(log.attitude[live, 0]) * np.cos(log.attitude[live, 1])  # of the thrust's direction
     over = np.flatnonzero(upright < np.cos(thresholds.TURNED_OVER))  # NaN: not logged
     if len(over) * step >= 0.5 * MOMENT:
-        return f"it turns over after {t[over[0]] - log.t[0]:.1f} s."
+        return f"the vehicle turns over {t[over[0]] - log.t[0]:.1f} s into the log."
     rows = max(1, round(MOMENT / step))
     if len(t) > 2 * rows:
         speed = np.linalg.norm(position[rows:] - position[:-rows], axis=1) / (t[rows:] - t[:-rows])
         lost = speed[:-rows] - speed[rows:]
         if np.any(lost > thresholds.CRASH_SPEED):
             k = int(np.nanargmax(lost))
-            return f"it hits something at {speed[k]:.1f} m/s after {t[k + rows] - log.t[0]:.1f} s."
+            after = t[k + rows] - log.t[0]
+            return f"the vehicle hits something at {speed[k]:.1f} m/s, {after:.1f} s into the log."
     return ""
 
 
@@ -167,5 +168,6 @@ def _strange_touch(log: FlightLog, vehicle: Vehicle, platform: bool) -> str:
             away = min(away, float(np.linalg.norm(np.maximum([above, *beside], 0.0))))
         if away > thresholds.STRANGE_TOUCH + 2.0 * vehicle.rotor_arm:
             where = "slab and floor" if platform else "the floor"
-            return f"it touches something {away:.1f} m from {where} after {log.t[k] - log.t[0]:.1f} s."
+            after = log.t[k] - log.t[0]
+            return f"the vehicle touches something {away:.1f} m from {where}, {after:.1f} s into the log."
     return ""

@@ -236,7 +236,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     starts = _window_starts(usable, rows)
     if not len(starts):
         raise UserError(
-            f"{log.name}: no window of {WINDOW:g} s in free flight; nothing of it can be used "
+            f"{log.name}: no window of {WINDOW:g} s in free flight, so that it cannot be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)
@@ -307,7 +307,7 @@ def prepare_all(
         raise UserError(first_of(refused))
     if len({f.thrust_is_measured for f in flights}) > 1:
         raise UserError(
-            "some flights have the thrust by measured rotor speeds, others by command: take one of them"
+            "some flights have thrust from measured rotor speeds, others from commands; use one kind only"
         )
     if len({f.requests is None for f in flights}) > 1:
         silent = [dataclasses.replace(log, requests=None) for log in logs]

@@ -342,7 +342,7 @@ def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFl
         return f"{channel} not logged in every flight"
     used = [x[f.usable] for x, f in zip(logged, flights)]
     constant = max(map(np.ptp, used)) < least and np.ptp([x.mean() for x in used]) < least
-    return f"the {channel} logged is constant" if constant else ""
+    return f"the logged {channel} is constant" if constant else ""
 
 
 @dataclasses.dataclass(frozen=True)

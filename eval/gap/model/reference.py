@@ -238,11 +238,11 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
             return reference.with_new_effects(vehicle), ""
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(
-            f"{file} is damaged ({error}); identify the vehicle anew, or remove the file"
+            f"{file} is damaged ({error}); identify the vehicle again, or remove the file"
         ) from error
     return (
         VehiclePosterior.of_file(path, vehicle),
-        f"{file.name} is of another vehicle than {path.name}: it was left aside",
+        f"{file.name} belongs to another vehicle than {path.name} and was ignored",
     )
 
 

@@ -34,15 +34,15 @@ def command(
 ) -> None:
     """Plan a safe flight that best separates the candidate explanations of a report.
 
-    Takes half a minute. Where no flight would separate them, it says what would instead and writes nothing.
-    landing-eval fly --plan flies it.
+    Takes about a minute. If no flight would separate them, it says what would and writes nothing.
+    Fly the plan with landing-eval fly --plan.
 
     Args:
-        report: folder that landing-eval gap wrote.
+        report: report folder that landing-eval gap wrote.
         out: new folder for flight.csv, plan.json and plan.png.
         seconds: duration of the flight.
-        vehicle: vehicle file (TOML) of the report, where it has been moved.
-        seed: of the search.
+        vehicle: the vehicle file (TOML) of the report, if it has been moved.
+        seed: seed for the search.
     """
     runs.check_new_run(out)
     plan_input, arena = read_report(report, vehicle)
@@ -67,7 +67,7 @@ def command(
     beyond = words.measured_otherwise(found)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
         say(words.in_doubt(found), *beyond)
-        say("No flight was planned: none within the safe space would tell these apart.")
+        say("No flight was planned: none within the safe space would distinguish these.")
         return
     lines = [words.in_doubt(found), *filter(None, [words.outcome(found)])] if found else []
     lines += beyond
@@ -83,7 +83,7 @@ def command(
     flight = out / "flight.csv"
     say(*words.flight(plan), *lines)
     print(f"To fly it: {words.fly_command(flight, plan_input.platform, arena)}")
-    say(f"The flight that tells most of what is in doubt is {flight}.", style="bold")
+    say(f"The most informative flight is {flight}.", style="bold")
 
 
 def to_json(

@@ -51,7 +51,7 @@ class RegressorCoverage:
         for name in names:
             if name not in typical:
                 known = ", ".join(typical)
-                raise UserError(f"no quantity is called {shown(repr(name))}; known are {known}")
+                raise UserError(f"unknown quantity {shown(repr(name))}; choose from {known}")
         self._features = {name: _RandomFeatures(typical[name]) for name in names}
 
     @staticmethod

@@ -118,7 +118,7 @@ def design(
         refused.append(violation)
         search.exclude(path, violation.time)
     raise UserError(
-        f"none of {ATTEMPTS} flights planned is safe under every set of effects: the last "
+        f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last "
         f"{refused[-1].text} after {refused[-1].time:.1f} s"
     )
 

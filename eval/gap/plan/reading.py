@@ -113,7 +113,9 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     for what is missing or invalid.
     """
     if not folder.is_dir():
-        raise UserError(f"{shown(folder)} is no folder; name the report folder that landing-eval gap wrote")
+        raise UserError(
+            f"{shown(folder)} is not a folder; name the report folder that landing-eval gap wrote"
+        )
     path, run = folder / "report.json", folder / "run.json"
     data = schema.parse(storage.read_json(path, "report"), dict[str, Any], f"report {path}: ")
     options: dict[str, Any] = {}
@@ -122,7 +124,7 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     if vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
     if data.get("version") != VERSION or "sets" not in data:
-        raise UserError(f"report {path} is not from landing-eval gap of this version; run it again")
+        raise UserError(f"report {path} was not written by this version of landing-eval gap; run gap again")
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
     same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     where = f"report {path}: "

@@ -63,11 +63,11 @@ def plan_violation(points: Setpoints, space: Space) -> Violation | None:
     surface = clearance(path.position, points.attitude, space)
     needed = np.where(path.near, CLEAR_NEAR + 0.02, CLEAR)
     return _first(
-        ("leaves the space that is free", inside < -1e-9),
+        ("leaves the free space", inside < -1e-9),
         (f"is faster than {SPEED:g} m/s", speed > SPEED),
         (f"tilts beyond {math.degrees(TILT * limit):.0f} deg", tilt > TILT * limit),
-        ("asks for more tilt than can be commanded", commanded > 0.95 * limit),
-        ("asks for thrust at the end of its range", pwm < 0.0),
+        ("needs more tilt than can be commanded", commanded > 0.95 * limit),
+        ("needs thrust at the end of its range", pwm < 0.0),
         ("comes too close to a surface", surface < needed),
         ("comes too close to the fence", beyond_fence(path.position, points.velocity, v, FENCE)),
     )

@@ -76,7 +76,7 @@ def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
     shown = listed([label(one.name) for one in found if one.left < least], "or")
     if shown and worth:
         lines.append(
-            f"A flight helps to show whether the model lacks {shown}: {piece.text}, again and again."
+            f"A flight would help to show whether the model lacks {shown}: {piece.text}, repeatedly."
         )
     return " ".join([*lines, *measured_otherwise(found)]), worth or bool(plan_input.vary)
 
@@ -108,7 +108,9 @@ def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:
     remedies = dict.fromkeys(t for n in beyond if (t := LIBRARY[n].told_by))
     if not remedies:
         return []
-    return [" ".join([f"No flight tells {listed([label(n) for n in beyond])} apart.", *remedies])]
+    names = listed([label(n) for n in beyond])
+    limit = f"distinguish {names}" if len(beyond) > 1 else f"show whether the model lacks {names}"
+    return [" ".join([f"No flight can {limit}.", *remedies])]
 
 
 def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
@@ -120,7 +122,7 @@ def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
 def variation(names: Sequence[str]) -> str:
     """Return a sentence on the regressors that the flight varies."""
     what = listed(list(dict.fromkeys(names)))
-    return f"The residual depends on {what}: the flight varies that as broadly as it can."
+    return f"The residual depends on {what}; the flight varies it as widely as possible."
 
 
 def flight(plan: Plan) -> list[str]:
@@ -140,9 +142,9 @@ def why_near(plan: Plan) -> list[str]:
     what = set_label(plan.discrimination.hypotheses[k])
     surface = "slope" if low.kind == "slope_hover" else "floor"
     return [
-        f"It goes down to {low.height:.2f} m above the {surface}, since {what} cannot be identified higher "
-        f"up: if the model lacks that, its expected probability is {probability(with_it[k])}, without going "
-        f"there {probability(without[k])}."
+        f"The flight descends to {low.height:.2f} m above the {surface} because {what} cannot be identified "
+        f"higher up: if the model lacks it, its expected probability is {probability(with_it[k])}, compared "
+        f"with {probability(without[k])} without the descent."
     ]
 
 

@@ -229,7 +229,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Fi
         axis.grid(axis="y")
         what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
         axis.set_title(what + (" (at its bound)" if p.at_bound else ""), loc="left")
-        axis.set_xlabel(f"{label(name)} [{unit or 1}]", labelpad=1)
+        axis.set_xlabel(label(name) + (f" [{unit}]" if unit else ""), labelpad=1)
         figures.append(figure)
     return figures
 

@@ -34,8 +34,8 @@ def headline(found: Identification) -> str:
     """Return how many constants differ from the nominal model, or in what the nominal one is better."""
     if found.worse:
         return (
-            f"The identified vehicle predicts {words.listed(found.worse)} of flights left out worse than the "
-            "nominal one: use the nominal one for that."
+            f"On flights left out, the identified vehicle predicts {words.listed(found.worse)} worse "
+            "than the nominal one; use the nominal one there."
         )
     n, changed = len(found.parameters), len(changed_parameters(found))
     return f"{changed or 'None'} of {n} constants differ{'s' * (changed == 1)} from the nominal model."
@@ -62,7 +62,7 @@ def sentences(found: Identification) -> list[str]:
         )
     if found.kept:
         kept = words.listed([words.label(name) for name in found.kept])
-        lines.append(f"Fitted too, flights left out were predicted worse; left as they were: {kept}.")
+        lines.append(f"Left unchanged, because fitting them made predictions of other flights worse: {kept}.")
     helpful = missing_flights(found)
     if found.worse and not helpful:
         helpful = ["More and longer flights of all kinds would help."]
@@ -73,10 +73,10 @@ def sentences(found: Identification) -> list[str]:
 _FLIGHTS = {
     "hover": "Hover at several headings",
     "climb": "Climb and descend fast",
-    "lateral": "Fly sideways, slowly and fast",
+    "lateral": "Fly sideways both slowly and fast",
     "attitude_step": "Command steps of roll and pitch",
     "near_surface": "Hover at several heights above the floor",
-    "low_battery": "Fly a full and a half-empty battery",
+    "low_battery": "Fly with a full and with a half-empty battery",
 }
 
 
@@ -90,7 +90,7 @@ def missing_flights(found: Identification) -> list[str]:
             if len(names) > 1:  # what is confounded with them is told from them as well
                 names |= {n for n in rough if not names.isdisjoint(LIBRARY[n].confused_with)}
             better = words.listed([words.label(n) for n in LIBRARY if n in names])
-            lines.append(f"{text}, to tell {better} better: these flights have little of it.")
+            lines.append(f"{text} to identify {better} better; these flights contain little of it.")
     return lines
 
 
@@ -126,7 +126,7 @@ def identifiability(found: Identification) -> Figure:
             colour = BEFORE if one.share > thresholds.UNIDENTIFIABLE else colour
             axis.barh(k, min(one.share, 1.0), color=colour, height=0.62)
         axis.axvline(thresholds.ROUGH, color=MUTED, linewidth=0.8, linestyle=(0, (2, 2)))
-        axis.set(xlim=(0.0, 1.0), xlabel="standard error / prior standard deviation [1]")
+        axis.set(xlim=(0.0, 1.0), xlabel="standard error / prior standard deviation")
         name_rows(axis, [words.label(one.effect) for one in found.identifiable], 8.5)
         axis.grid(axis="x")
         looks = (("well identified", AFTER), ("roughly", BLUE), ("not identifiable", BEFORE))
@@ -194,13 +194,13 @@ def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None 
         constants.add_row(*row)
     answer = headline(found)
     if vehicle is not None:
-        answer += f" The file is {vehicle}." if found.worse else f" It is {vehicle}."
+        answer += f" The vehicle file is {vehicle}."
     print_answer(answer, sentences(found), constants, (*found.notes, *notes), found)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:
     """Write vehicle.toml and its posterior into `folder`; base: the vehicle file that it started from."""
-    heading = "Identified by landing-eval identify.\nEvery command takes it with --vehicle."
+    heading = "Identified by landing-eval identify.\nEvery command accepts it with --vehicle."
     write_vehicle(folder / VEHICLE, *described(found), base=base, heading=heading)
     write_posterior(folder / VEHICLE, found.reference)
 

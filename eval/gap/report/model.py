@@ -39,7 +39,7 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
         sources,
         uncertainties,
         base=base,
-        heading=f"Corrected by landing-eval gap: {names}.\nEvery command takes it with --vehicle.",
+        heading=f"Corrected by landing-eval gap: {names}.\nEvery command accepts it with --vehicle.",
     )
     spec = build_spec(corrected)
     spec.compile()  # to_xml needs it

@@ -12,7 +12,7 @@ from inclined_landing.eval.gap.answer.identify import Identification
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis
 
-_HEADS = ("what is wrong", "size", "95 % interval", "how sure", "costs after 1 s")
+_HEADS = ("effect", "size", "95 % interval", "confidence", "error after 1 s")
 
 
 def show(
@@ -50,7 +50,7 @@ def print_answer(
         show_table(rows)
     say(*sentences)
     for aside in found.set_aside:
-        say(f"{aside.flight} is set aside, and nothing is computed with it: {aside.reason}", style="bold")
+        say(f"{aside.flight} was set aside and not used: {aside.reason}", style="bold")
     for one in found.inconsistent_flights:
         who, *more = words.inconsistency(one)
         say(who, style="bold")

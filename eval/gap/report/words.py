@@ -98,7 +98,7 @@ def sentence(effect: NamedEffect) -> str:
         factor = float(value(p))
         change = f"{abs(round(100 * (factor - 1)))} % {'higher' if factor > 1 else 'lower'} than modelled"
         name = title(effect) if is_ratio(effect) else label(effect.name)
-        text = f"{name} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled'}"
+        text = f"{name} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled value'}"
     else:
         text = LIBRARY[effect.name].says.format(**{name: value(p) for name, p in parts.items()})
     return text[0].upper() + text[1:] + "."
@@ -113,7 +113,7 @@ def probability(part: float) -> str:
 
 def how_sure(effect: NamedEffect) -> str:
     """Return the verdict on a named effect with the probability of its equivalence class."""
-    at_bound = "; as large as it can be" * any(p.at_bound for p in effect.parameters.values())
+    at_bound = "; at the bound of its range" * any(p.at_bound for p in effect.parameters.values())
     return f"{'sure' if effect.sure else 'possible'}, {probability(effect.probability)}{at_bound}"
 
 
@@ -123,27 +123,27 @@ def confounding_sentence(d: Diagnosis, effect: NamedEffect) -> str:
         return ""
     each = [f"{label(name)} ({probability(d.probability(name))})" for name in effect.members]
     shows = "free flight shows only the ratio of thrust to mass" if is_ratio(effect) else ""
-    return f"It is {listed(each, 'or')}: {shows or 'these flights do not tell them apart'}."
+    return f"This could be {listed(each, 'or')}: {shows or 'these flights cannot distinguish them'}."
 
 
 def headline(d: Diagnosis) -> str:
     """Return what is wrong with the model in a sentence or two."""
-    unknown = "something is wrong that no effect explains"
+    unknown = "the flights show an error that no effect of the library explains"
     if not d.effects:
         if d.verdict == "unknown":
             return unknown[0].upper() + unknown[1:] + "."
         if d.verdict == "undecided":
             names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
-            return f"Undecided: {listed(names, 'or')}."
+            return f"Undecided: the model may lack {listed(names, 'or')}."
         how = f" ({probability(d.nothing)})" if d.sets else ""
         if d.inconsistent_flights:
-            return f"Nothing is missing that all flights share{how}."
+            return f"No missing effect is common to all flights{how}."
         if d.possible and d.nothing < 0.5:
             name, part = next(iter(d.possible.items()))
             moved = centimetres(d.displacements.get(name, 0.0))
             return (
-                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but it moves "
-                f"the vehicle by {moved} within a second."
+                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but it "
+                f"displaces the vehicle by only {moved} within a second."
             )
         well = "the model explains these flights as well as noise and disturbances allow"
         return f"Nothing is missing{how}: {well}."
@@ -165,26 +165,28 @@ def how_much(d: Diagnosis) -> str:
         g = next(iter(d.gap.values()))
         before, after = centimetres(g.before), centimetres(g.after)
         error = f"position error {'one second' if f'{g.horizon:g}' == '1' else f'{g.horizon:g} s'} ahead"
-        beside = f"noise alone {centimetres(g.floor)}"
+        beside = f"noise alone: {centimetres(g.floor)}"
         if d.reference and "analytic" in d.gap:
-            beside = f"reference flights {centimetres(d.reference.error)}, {beside}"
+            beside = f"reference flights: {centimetres(d.reference.error)}, {beside}"
         if before == after:
             lines.append(f"The {error} is {after} ({beside}).")
         elif g.after < g.before:
             share = f"{100.0 * (1.0 - g.after / g.before):.0f} %"
-            lines.append(f"Explained: {share} of the {error}, {before} to {after} ({beside}).")
+            lines.append(
+                f"Explained: {share} of the {error}, which falls from {before} to {after} ({beside})."
+            )
         else:
-            lines.append(f"As corrected, the {error} grows from {before} to {after} ({beside}).")
+            lines.append(f"With the correction, the {error} grows from {before} to {after} ({beside}).")
     material = [one for one in d.residual.depends_on if d.residual.material(one)]
     if material:
         most = max(material, key=lambda one: one.displacement)
-        repeats = f"Of what is left, {centimetres(most.displacement)} repeats from flight to flight"
+        repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
         lines.append(f"{repeats}: {axis(most)}, {_dependence(most)}.")
     if d.disturbed:
-        times = listed([f"{channel} {ratio:.1f}" for channel, ratio in d.disturbed.items()])
-        lines.append(f"The disturbance is larger than in the reference flights: {times} times.")
+        times = listed([f"{ratio:.1f} in {channel}" for channel, ratio in d.disturbed.items()])
+        lines.append(f"Disturbances are larger than in the reference flights, by a factor of {times}.")
     if d.verdict == "undecided":
-        lines.append("landing-eval identify with these flights fits all constants again, without a name.")
+        lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")
     return " ".join(lines)
 
 
@@ -241,7 +243,7 @@ def product_sentence(e: NamedEffect) -> str:
     if e.product is None:
         return ""
     number, ends = quantity(e.product[0], "m/s2"), interval(e.product[1], "m/s2")
-    return f"What the flights see is {LIBRARY[e.name].product}: {number} ({ends}) in hover."
+    return f"The flights determine only {LIBRARY[e.name].product}: {number} ({ends}) in hover."
 
 
 def _undecided(d: Diagnosis, name: str) -> Answer:
@@ -257,7 +259,7 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
             rows.append((label(p.name), sizes[p.name], ends))
     how, says = f"undecided, {probability(d.probability(name))}", effect.says.format(**sizes)
     rows = rows if len(rows) > 1 else [("", *rows[0][1:])]
-    return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Perhaps, {says}.")
+    return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Possibly, {says}.")
 
 
 def possible_sentence(d: Diagnosis) -> str:
@@ -270,17 +272,17 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
     """Return sentences on inconsistent flights: which, in which effects, and a remedy."""
     these, n = listed(c.flights), len(c.others)
     if len(c.flights) == n:
-        subject = f"Two groups of flights contradict each other: {these}; and {listed(c.others)}."
-        apart = "diagnose the two groups apart"
+        subject = f"Two groups of flights contradict each other: {these} against {listed(c.others)}."
+        apart = "diagnose the two groups separately"
     else:
-        verb, them = ("contradicts", "it") if len(c.flights) == 1 else ("contradict", "them")
+        verb = "contradicts" if len(c.flights) == 1 else "contradict"
         subject = f"{these} {verb} the other {n} flights."
-        apart = f"diagnose {these} apart, and the other {n} flights without {them}"
+        apart = f"diagnose {these} separately from the other {n} flights"
     return [
         subject,
         *(_difference_sentence(c, one) for one in c.differences),
-        f"Another vehicle, or another day's calibration? The result below mixes the two: {apart} "
-        f"(landing-eval gap with the logs of each). False-alarm rate: {100 * c.false_alarms:g} %.",
+        f"Was it another vehicle, or another day's calibration? The result below mixes the two; {apart} "
+        f"(run landing-eval gap on the logs of each). False-alarm rate: {100 * c.false_alarms:g} %.",
     ]
 
 
@@ -306,7 +308,7 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
     lines = f"Compared with {model}, in {there} {effect.says.format(**values)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
     others = [label(name) for name in one.confounded_with]
-    return f"{lines} What differs may as well be {listed(others, 'or')}." if others else lines
+    return f"{lines} The difference could equally be {listed(others, 'or')}." if others else lines
 
 
 def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
@@ -347,12 +349,12 @@ def axis(d: Dependence) -> str:
 
 def dependence_sentence(d: Dependence) -> str:
     """Return a sentence on a function of the residual."""
-    cost = f"it displaces the vehicle by {centimetres(d.displacement)} within a second"
+    cost = f"on held-out flights it displaces the vehicle by {centimetres(d.displacement)} within a second"
     most = max(d.regimes, key=d.regimes.__getitem__, default="")
     where = ""
     if most:
-        where = f", most in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
-    return f"{quantity(d.size, d.unit)} {axis(d)} depends on {d.on}{where}; {cost}, on held-out flights."
+        where = f", mostly in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
+    return f"A residual of {quantity(d.size, d.unit)} {axis(d)} depends on {d.on}{where}; {cost}."
 
 
 def centimetres(metres: float) -> str:
@@ -381,7 +383,7 @@ def residual_sentences(d: Diagnosis) -> list[str]:
         moved = f", {centimetres(most.displacement)} within a second" if most.displacement > 0.0 else ""
         lines.append(f"{more}{moved}).")
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append("What remains is unrelated to any logged signal, as noise and air disturbances are.")
+        lines.append("The remaining error depends on no logged signal, like noise and air disturbances.")
     return lines
 
 

@@ -34,7 +34,7 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
         return
     name, *files = public
     if name not in sets:
-        raise UserError(f"unknown set {shown(name)!r}; known are {', '.join(sets)}")
+        raise UserError(f"unknown set {shown(name)!r}; choose from {', '.join(sets)}")
     if not files:
         print(_where(name, sets[name]))
         return

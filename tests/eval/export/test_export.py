@@ -617,7 +617,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     ("words", "sentence"),
     [
         (["none.zip", "--format", "c", "--out", "{here}/out"], "does not exist"),
-        (["landing", "--format", "tflite", "--out", "{here}/out"], "known are onnx, c, numpy"),
+        (["landing", "--format", "tflite", "--out", "{here}/out"], "choose from onnx, c, numpy"),
         (["landing", "--format", "c", "--out", "{here}"], "exists and is not empty"),
         (["landing", "--format", "c", "--task", "setpoint", "--out", "{here}/out"], "was trained for"),
     ],

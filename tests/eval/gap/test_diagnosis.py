@@ -277,7 +277,7 @@ def test_what_is_known_beforehand_holds_a_fit():
 def test_constant_voltage_tells_nothing(weak):
     logs = [dataclasses.replace(log, voltage=np.full(len(log), 3.9)) for log in weak]
     d = quick(logs)
-    assert any("voltage logged is constant: battery_voltage" in note for note in d.notes)
+    assert any("logged battery voltage is constant: battery_voltage" in note for note in d.notes)
     assert not any("battery_voltage" in e.members for e in d.effects)
 
 
@@ -485,11 +485,11 @@ def test_flights_that_crash_are_set_aside_by_name(matched):
     use = usable_flights([*crashed, *untouched], crashed[:1] + untouched, VEHICLE, True)
     assert [one.flight for one in use.set_aside] == ["over", "falls", "beside", "over"]
     over, falls, beside, _ = (one.reason for one in use.set_aside)
-    assert re.match(r"it turns over after 7\.\d s\.", over)
-    assert re.match(r"it hits something at [34]\.\d m/s after 7\.\d s\.", falls)
-    assert re.match(r"it touches something [01]\.\d m from slab and floor after 7\.\d s\.", beside)
+    assert re.match(r"the vehicle turns over 7\.\d s into the log\.", over)
+    assert re.match(r"the vehicle hits something at [34]\.\d m/s, 7\.\d s into", falls)
+    assert re.match(r"the vehicle touches something [01]\.\d m from slab and floor, 7", beside)
     assert [f.name for f in use.fitted] == [f.name for f in use.judged] == [log.name for log in untouched]
-    with pytest.raises(UserError, match="over: it turns over"):
+    with pytest.raises(UserError, match="over: the vehicle turns over"):
         usable_flights(crashed, [], VEHICLE, True)
 
 

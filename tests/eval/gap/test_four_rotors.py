@@ -153,7 +153,7 @@ def test_measured_rotor_speeds_lag_behind_nothing():
     assert not any(effect.of_the_drive for effect in library.values()) and "thrust_scale" in library
     slow = V.changed(thrust_lag_rate=0.5 * V.thrust_lag_rate, thrust_state_gain=0.5 * V.thrust_state_gain)
     np.testing.assert_allclose(predict(flight, slow)[:, 2], predict(flight, V)[:, 2], atol=1e-9)
-    with pytest.raises(UserError, match="thrust by measured rotor speeds, others by command"):
+    with pytest.raises(UserError, match="thrust from measured rotor speeds, others from commands"):
         prepare_all([log, flown(V, 8)], V, False)[0]
 
 

@@ -202,7 +202,7 @@ def test_a_flight_goes_near_the_floor_only_where_it_must_and_says_why(plan):
     assert near and max(piece.height for piece in near) > 0.1
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
     (said,) = words.why_near(low)
-    assert "since ground effect cannot be identified higher up" in said
+    assert "because ground effect cannot be identified higher up" in said
 
 
 def test_what_is_promised_is_that_of_the_closed_loop(plan):
@@ -302,7 +302,7 @@ def test_bad_reports_are_refused_in_one_sentence(tmp_path, capsys, change, sente
 
 def test_no_report_and_no_room_are_refused(tmp_path, capsys):
     assert main(["plan", str(tmp_path / "no"), "--out", str(tmp_path / "flight")]) == 2
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
     narrow = dataclasses.replace(VEHICLE, arena_y=(-0.5, 0.5))
     with pytest.raises(ValueError, match=r"6\.2 x 0\.4 x 1\.8 m to fly in"):
         design([DRAG, BODY], narrow)
@@ -320,7 +320,7 @@ def test_an_unknown_remainder_is_excited_broadly():
         for k in ("climb", "hover", "low_pass")
     }
     assert told["climb"] > told["hover"] < told["low_pass"]
-    with pytest.raises(ValueError, match="no quantity is called 'colour'"):
+    with pytest.raises(ValueError, match="unknown quantity 'colour'"):
         design([DRAG], VEHICLE, vary=["colour"])
 
 
@@ -329,8 +329,8 @@ def test_the_short_text_names_a_piece_the_scale_or_nothing():
         return words.most_informative_flight(plan_input(*hypotheses))
 
     text, worth = said(DRAG, BODY)
-    assert worth and "A flight helps to show whether the model lacks rotor drag or body drag:" in text
+    assert worth and "A flight would help to show whether the model lacks rotor drag or body drag:" in text
     text, worth = said(MASS, THRUST)
-    assert not worth and "No flight tells mass and thrust scale apart. Weigh the vehicle" in text
+    assert not worth and "No flight can distinguish mass and thrust scale. Weigh the vehicle" in text
     decided = dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)
     assert said(*decided) == ("", False)

@@ -152,8 +152,8 @@ def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
     ):
         assert _verdict(case) == verdict
     said = words.how_much(dataclasses.replace(d, disturbance=rough))
-    assert "(reference flights 35 cm, noise alone 1.0 cm). The disturbance is larger" in said
-    assert said.endswith("than in the reference flights: z 2.0 times.")
+    assert "(reference flights: 35 cm, noise alone: 1.0 cm). Disturbances are larger" in said
+    assert said.endswith("than in the reference flights, by a factor of 2.0 in z.")
 
 
 def test_unknown_stands_beside_names_only_where_more_repeats_than_they_explain():
@@ -227,17 +227,19 @@ def test_every_effect_is_said_in_words_with_its_numbers():
 def test_headlines_say_what_is_known_and_what_is_not():
     ratio = "Thrust over mass is 12 % lower than modelled."
     assert words.headline(example()) == f"{ratio} Also wrong or missing: attitude trim."
-    assert words.headline(example("unknown")).endswith("something is wrong that no effect explains.")
+    assert words.headline(example("unknown")).endswith(
+        "the flights show an error that no effect of the library explains."
+    )
     assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
     certain = (ScoredSet(("wind",), 0.98, {}, {}), ScoredSet((), 0.02, {}, {}))
     useless = words.headline(dataclasses.replace(example("nothing"), sets=certain))
     assert useless.startswith(
-        "Nothing to correct: wind (98 %) fits these flights, but it moves the vehicle by 0.0"
+        "Nothing to correct: wind (98 %) fits these flights, but it displaces the vehicle by only 0.0"
     )
     likely = dataclasses.replace(example("nothing"), verdict="undecided", displacements={"wind": 0.1})
-    assert words.headline(likely) == "Undecided: wind (10 %)."
+    assert words.headline(likely) == "Undecided: the model may lack wind (10 %)."
     (said,) = words.answers(likely)
-    assert said.says == "Perhaps, the air moves with 0.100 m/s along x and 0.00 m/s along y."
+    assert said.says == "Possibly, the air moves with 0.100 m/s along x and 0.00 m/s along y."
     assert said.how == "undecided, 10 %"
     wind = dataclasses.replace(named("wind", {"x": 0.3, "y": 0.0}), probability=0.6)
     unsure = dataclasses.replace(example(), effects=(wind, example().effects[1]))
@@ -246,16 +248,17 @@ def test_headlines_say_what_is_known_and_what_is_not():
     assert words.headline(alone).startswith("Possibly, the air moves with 0.300 m/s")
     assert words.answers(alone)[0].how == "possible, 60 %"
     nameless = dataclasses.replace(example("nothing"), verdict="unknown")
-    assert words.headline(nameless) == "Something is wrong that no effect explains."
+    assert words.headline(nameless) == "The flights show an error that no effect of the library explains."
 
 
 def test_the_first_sentences_hold_gain_class_and_flight():
     text = " ".join(words.sentences(example(), "Weigh it."))
     assert (
-        "Explained: 92 % of the position error one second ahead, 49 cm to 4.0 cm (noise alone 1.0 cm)" in text
+        "Explained: 92 % of the position error one second ahead, which falls from 49 cm to 4.0 cm "
+        "(noise alone: 1.0 cm)" in text
     )
     assert "Weigh it." in text
-    assert "It is thrust scale (82 %) or mass (17 %): free flight shows only the ratio" in text
+    assert "This could be thrust scale (82 %) or mass (17 %): free flight shows only the ratio" in text
     answer = words.answers(example())[1]
     assert (answer.remedy, answer.how) == (LIBRARY["attitude_trim"].remedy, "sure, 97 %")
 
@@ -269,7 +272,7 @@ def test_the_page_stands_alone(verdict, track):
     assert text.count("data:image/svg+xml") == {"effects": 6, "unknown": 7, "nothing": 3}[verdict]
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
-    assert ("0.300 m/s² in z depends on place, most in hover" in text) == (verdict == "unknown")
+    assert ("0.300 m/s² in z depends on place, mostly in hover" in text) == (verdict == "unknown")
 
 
 def test_the_page_escapes_names_of_flights_and_notes(track):
@@ -289,7 +292,7 @@ def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
         heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
-    assert "in turn" in page(d, None, versions={})
+    assert "the fit to all others" in page(d, None, versions={})
     figures.overview(example("nothing"), None)
 
 
@@ -350,7 +353,7 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
     who = "b contradicts the other 2 flights. Compared with the others, in b the rotors give"
     assert out.index(who) < out.rindex("Thrust over mass is 12 % lower")
     assert "0.860 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
-    assert "What differs may as well be mass." in out
+    assert "The difference could equally be mass." in out
     assert "Compared with b, in the others thrust commands act 10.0 ms after" in out
     text = page(d, None, versions={}).replace("\u00a0", " ")
     assert text.index("b contradicts the other 2 flights.") < text.index(

@@ -117,7 +117,7 @@ def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
 
 
 BAD = [
-    ("mass = {", "speed = {", "unknown parameter 'speed'; known are inclination, friction"),
+    ("mass = {", "speed = {", "unknown parameter 'speed'; choose from inclination, friction"),
     ("from = 10, to = 50", "from = 50, to = 50", "parameter inclination: the range is empty"),
     ("from = 0.2, to = 1.4", "from = -0.2, to = 1.4", "friction must be from 0 to 5, not -0.2"),
     ("from = 10, to = 50", "from = 10, to = 60", "inclination must be from 0 to 50 deg, not 60"),

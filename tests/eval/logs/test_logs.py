@@ -507,7 +507,7 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
         ("[columns]\nx = { column = 'x', full = 2.0 }", "full is for a thrust command or a request"),
         ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
-        ("inherit = 'mine'", "inherit mine: known are"),
+        ("inherit = 'mine'", "inherit mine: choose from"),
     ],
 )
 def test_bad_mappings_are_refused_in_words(tmp_path, text, words):

@@ -123,7 +123,7 @@ def test_command_writes_flights_that_can_be_read_once_each(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["nobody", "f.csv", "--out", "{0}/o"], "known are"),
+        (["nobody", "f.csv", "--out", "{0}/o"], "choose from"),
         (["nanobench", "{0}/f.csv"], "--out DIR"),
         (["nanobench", "{0}/f.csv", "--out", "{0}/o"], "lacks the column"),
         (["nanobench", "{0}/none.csv", "--out", "{0}/o"], "no such flight log"),

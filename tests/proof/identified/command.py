@@ -45,7 +45,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     """
     chosen = {name: entry for name, entry in vehicles().items() if not only or name in only}
     if unknown := set(only) - set(chosen):
-        raise UserError(f"unknown vehicle {min(unknown)!r}; known are {', '.join(vehicles())}")
+        raise UserError(f"unknown vehicle {min(unknown)!r}; choose from {', '.join(vehicles())}")
     if not data.is_dir():
         raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
     storage.check_folder(out)
