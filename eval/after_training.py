@@ -36,10 +36,10 @@ _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
-    vehicle: the run's vehicle file, if it has one. stages: of its curriculum.
+    vehicle: the run's vehicle file, if it has one. stages: those of its curriculum.
 
     The table is flown in the plain MuJoCo plant, for landings from the frozen grid, which training never
-    saw; its one number of each condition is added to metrics.json. Everything flies the run's vehicle.
+    saw; one number for each condition is added to metrics.json. All flights use the run's vehicle.
     """
 
     def load(policy: str | Path) -> Policy:
@@ -54,7 +54,7 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
             print(path)
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
     show()
-    say(f"Everything about this run is in {folder}.")
+    say(f"The report of this run is in {folder}.")
 
 
 def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:

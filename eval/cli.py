@@ -1,6 +1,6 @@
 """`landing-eval`: the commands of the packages, in groups.
 
-A command and its module are called alike: `figure` of the package `pictures` is the function `command` in
+A command and its module have the same name: `figure` of the package `pictures` is the function `command` in
 `pictures/figure`, a module or a package with a module `command`. Its signature and docstring are the options
 and the help. Only the package of the command that is run gets imported, so that `--help` is instant.
 Wrong input ends with one sentence on stderr and exit code 2.
@@ -21,46 +21,58 @@ from inclined_landing.models.errors import UserError
 COMMANDS = {
     "demo": (
         "",
-        "The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).",
+        "Fly the shipped landing policy: success table, video, picture and 3D page (half a minute).",
     ),
     "success": (
         "policies",
-        "Success table of policies, side by side: how often, how fast, how hard they reach their goals.",
+        "Compare policies: how often, how fast and how hard they reach their goals.",
     ),
-    "touchdown": ("policies", "Touchdown policy beside a landing policy whose motors are cut (minutes)."),
+    "touchdown": (
+        "policies",
+        "Compare a touchdown policy with a landing policy whose motors are cut (minutes).",
+    ),
     "robustness": (
         "policies",
-        "Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.",
+        "Test policies under other thrusts, effects, slopes, vehicles or on moving platforms.",
     ),
     "mission": (
         "policies",
-        "Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.",
+        "Fly whole missions, from anywhere in the room to rest on the slope; count and film them.",
     ),
     "export": (
         "",
-        "A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.",
+        "Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.",
     ),
-    "figure": ("pictures", "Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
-    "picture": ("pictures", "One picture of a whole flight, with copies of the vehicle along its way."),
-    "video": ("pictures", "Video of flights, one after the other."),
-    "replay": ("", "Flights of policies and logs in 3D, as one page for the browser."),
-    "view": ("replay", "Flights of a policy in MuJoCo's viewer, in real time; needs a display."),
-    "curves": ("pictures", "Learning curves of training runs of one task; seeds with median and range."),
+    "figure": ("pictures", "Draw a stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
+    "picture": (
+        "pictures",
+        "Render one picture of a whole flight, with copies of the vehicle along its path.",
+    ),
+    "video": ("pictures", "Render a video of flights, one after the other."),
+    "replay": ("", "Show flights of policies and logs in 3D, on one page for the browser."),
+    "view": ("replay", "Show flights of a policy in MuJoCo's viewer in real time; needs a display."),
+    "curves": (
+        "pictures",
+        "Plot the learning curves of training runs of one task; seeds as median and range.",
+    ),
     "equivalence": (
         "truth",
-        "Is the vehicle the paper's model? MuJoCo against the paper's equations: a page of claims.",
+        "Check the vehicle in MuJoCo against the paper's equations; writes a page of claims.",
     ),
     "contact": (
         "truth",
-        "Can contact be believed? Rest, slip, drops, energy and more against mechanics: a page of claims.",
+        "Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.",
     ),
-    "landings": ("", "Landing study: thousands of touchdowns over friction, speeds ..., each classified."),
-    "logs": ("", "What flight logs hold and whether they can be believed, in words."),
+    "landings": (
+        "",
+        "Run a landing study: thousands of touchdowns over friction, speeds ..., each classified.",
+    ),
+    "logs": ("", "Report what flight logs contain and whether they are plausible."),
     "flights": (
         "logs",
-        "Measured flights of others: where each set is, its licence, and its files as documented CSV.",
+        "List public sets of measured flights with their licences, or convert one to documented CSV.",
     ),
-    "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag: a vehicle file."),
+    "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file."),
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
     "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
@@ -70,11 +82,11 @@ COMMANDS = {
     ),
     "fly": (
         "flying",
-        "Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.",
+        "Fly a real or simulated Crazyflie onto the slope, or along a plan; logs as CSV.",
     ),
-    "crazyflie": ("flying", "A simulated Crazyflie in real time, for cflib over UDP."),
-    "benchmark": ("machine", "What a step, an action and a training cost here (about a minute)."),
-    "doctor": ("machine", "What is installed, what is missing, and what to do about it."),
+    "crazyflie": ("flying", "Run a simulated Crazyflie in real time, for cflib over UDP."),
+    "benchmark": ("machine", "Measure what a step, an action and a training run cost here (about a minute)."),
+    "doctor": ("machine", "Check what is installed and what is missing, and name remedies."),
 }
 GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),
@@ -116,14 +128,15 @@ def _run(words: list[str]) -> int | None:
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         wrong = f"unknown command {name!r}" if name else "no command"
-        raise UserError(f"{wrong}{', perhaps ' + near[0] if near else ''}; landing-eval --help lists them")
+        meant = f"; did you mean {near[0]}? See" if near else "; see"
+        raise UserError(f"{wrong}{meant} landing-eval --help")
     return parse(bound(find(name)), f"landing-eval {name}", words[1:])()
 
 
 def _help() -> str:
     width = max(map(len, COMMANDS))
     lines = ["usage: landing-eval COMMAND [OPTIONS]", ""]
-    lines.append("Evaluate policies and models: success, pictures, contact, measured flights.")
+    lines.append("Evaluate policies and models.")
     for title, names in GROUPS.items():
         lines += ["", f"{title}:", *(f"  {name:{width}}  {COMMANDS[name][1]}" for name in names)]
     return "\n".join(

@@ -41,14 +41,14 @@ def command(
     starts: Annotated[int, Meta(ge=1, le=1000)] = 50,
     seed: Seed = 0,
 ) -> None:
-    """The first thing to try: a landing policy flown, counted, filmed and pictured (half a minute).
+    """Fly the shipped landing policy: success table, video, picture and 3D page (half a minute).
 
     The shipped policy flies in MuJoCo from the paper's three starts and from random ones.
 
     Args:
         out: new folder for landing.mp4, landing.gif, landing.png, and landing.html to fly around in.
         starts: random starts to fly from.
-        seed: of the random starts.
+        seed: seed for the random starts.
     """
     runs.check_new_run(out)
     began = time.monotonic()

@@ -1,4 +1,4 @@
-"""What `landing-eval` and `landing-train` share: words become arguments, whatever is wrong one sentence.
+"""The command lines of `landing-eval` and `landing-train`: words become arguments, errors one sentence.
 
 Imports nothing heavy: the packages and tyro are imported when a command is run.
 """
@@ -50,12 +50,14 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
 
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if arguments and arguments[0].replace("_", "-").startswith("--tyro-"):  # would write a file
-        raise UserError(f"{shown(arguments[0])} is no option; {prog} --help says what is right")
+        raise UserError(f"unknown option {shown(arguments[0])}; see {prog} --help")
     for k, word in enumerate(arguments):
         option, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
         if not value and (sign or not option):
-            option = option or (arguments[k - 1] if k and arguments[k - 1].startswith("--") else "a word")
-            raise UserError(f"{shown(option)} is empty; was a variable of the shell not set?")
+            option = option or (
+                arguments[k - 1] if k and arguments[k - 1].startswith("--") else "an argument"
+            )
+            raise UserError(f"{shown(option)} is empty; is a shell variable unset?")
         if value.isdigit() and not value.isascii():
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     message, page = io.StringIO(), io.StringIO()
@@ -70,7 +72,7 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
 
 
 def _config() -> tuple:
-    """Return how options look: those of a group without its name, no word None for what is not given."""
+    """Return the look of options: no prefix for groups, no literal None for omitted values."""
     import tyro
 
     return tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone
@@ -87,7 +89,7 @@ def help_page(target: Callable, prog: str) -> str:
 
 
 def _tidy(page: str) -> str:
-    """Return a page of tyro's with its paragraphs wrapped, and without defaults that say nothing."""
+    """Return a page of tyro with its paragraphs wrapped, and without uninformative defaults."""
     page = re.sub(r"\s*(\(default:\s*(None|False|)\)|\(repeatable\))", "", page)
     width = shutil.get_terminal_size().columns
     lines = [line.rstrip() for line in page.splitlines()]
@@ -180,11 +182,11 @@ def exit_code(
     extra: str = "eval",
     interrupted: Callable[[], str] = lambda: "interrupted",
 ) -> int:
-    """Do the work of a command line and return its exit code, or say in one sentence why it cannot go on:
-    2 for wrong input, for what `extra` would install, and where the engine or the memory gives out.
+    """Do the work of a command line and return its exit code; print one sentence if it fails.
 
-    After a signal that ends it, as Ctrl-C does, the sentence is that of `interrupted` and the code is 128 and
-    the signal's number. Words on stderr that cannot be written there are lost, and change no code.
+    The code is 2 for wrong input, for a missing package that `extra` would install, for a diverged simulation
+    and for lack of memory. After a signal that ends it, such as Ctrl-C, the sentence is that of `interrupted`
+    and the code is 128 plus the signal's number. Failing to write to stderr does not change the code.
     """
     gc.set_threshold(_YOUNG)
     imports.around_import("matplotlib", _own_figures)
@@ -204,9 +206,9 @@ def exit_code(
         except (UserError, ImportError) as error:
             sentence = str(error)
         except FloatingPointError as error:
-            sentence = f"{error}; no simulation can go on from there"
+            sentence = f"{error}; the simulation cannot continue"
         except MemoryError:
-            sentence = "there is not enough memory for this"
+            sentence = "not enough memory"
         except BrokenPipeError:  # whoever read the output has seen enough
             _drop_output()
             return 128 + signal.SIGPIPE
@@ -234,12 +236,14 @@ def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
     try:
         execute(matplotlib)
     except UnicodeDecodeError as error:  # of a matplotlibrc in the current folder, which comes first
-        raise UserError("matplotlibrc, here, is not UTF-8 text: mend it, or go to another folder") from error
+        raise UserError(
+            "matplotlibrc in this folder is not UTF-8 text; correct it, or change folder"
+        ) from error
 
 
 @contextlib.contextmanager
 def _signals(caught: list[int]) -> Iterator[None]:
-    """Let other signals end the work as Ctrl-C does, by KeyboardInterrupt; they are noted in `caught`."""
+    """Let other signals raise KeyboardInterrupt, as Ctrl-C does; they are recorded in `caught`."""
     undisturbed = -math.inf  # until this time [s]
 
     def stop(number, frame):
@@ -266,7 +270,7 @@ def _signals(caught: list[int]) -> Iterator[None]:
 
 
 class _Lossy(io.FileIO):
-    """A stream whose words may get lost: a full disk or a terminal that is gone does not end the work."""
+    """A stream that drops what it cannot write, so that a full disk or a closed terminal ends nothing."""
 
     def write(self, data) -> int:
         """Write what can be written, and return the length of all."""
@@ -277,7 +281,7 @@ class _Lossy(io.FileIO):
 
 @contextlib.contextmanager
 def _streams() -> Iterator[None]:
-    """Make the standard streams of this process bear what may happen to them."""
+    """Make the standard streams of this process robust against closed files and odd names."""
     handle = os.open(os.devnull, os.O_RDONLY)
     while handle <= 2:  # closed by the shell; no file may get its number
         handle = os.open(os.devnull, os.O_RDONLY)
@@ -311,10 +315,10 @@ def _sentence(box: str, prog: str) -> str:
         indents = [len(row) - len(row.lstrip()) for row in listed]
         needed = [row.strip() for row, indent in zip(listed, indents) if indent == min(indents)]
         are = "is" if len(needed) == 1 else "are"
-        return f"{' and '.join(needed)} {are} missing; {prog} --help says what is right"
+        return f"{' and '.join(needed)} {are} missing; see {prog} --help"
     rows = [row.strip() for row in lines]
     ruled = itertools.groupby(rows, lambda row: not row.strip("─-+╰╯"))
     parts = [" ".join(" ".join(part).split()).rstrip(".") for is_rule, part in ruled if not is_rule]
     ends = ("Got errors", "Argument helptext", "For full helptext")
     wrong = itertools.takewhile(lambda part: not part.startswith(ends), parts)
-    return f"{shown('; '.join(wrong), 200)}; {prog} --help says what is right"
+    return f"{shown('; '.join(wrong), 200)}; see {prog} --help"

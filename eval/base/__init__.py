@@ -1,1 +1,1 @@
-"""What every room uses: run folders, statistics, tables, pages, claims, style. Knows of no room."""
+"""What all commands share: options, progress, pages, claims, style. Imports no other subpackage."""

@@ -51,7 +51,7 @@ class Claim:
 
 @dataclasses.dataclass
 class Table:
-    """Rows of text or numbers under a heading each; numbers are rounded for reading."""
+    """A table: one heading for each column, rows of text or numbers; numbers are rounded for display."""
 
     caption: str
     heads: tuple[str, ...]

@@ -1,7 +1,7 @@
 """Options that commands share: the types of single ones, and the groups that go together.
 
 A group is a dataclass that a command takes as one argument, `flown: Flat[Flown] = Flown()`; on the command
-line its fields are options like any other. Those that training has too are of `envs.shared.options`.
+line its fields are options like any other. Options shared with training are in `envs.shared.options`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
 Drawn = Annotated[int, Meta(ge=0, le=100), tyro.conf.arg(metavar="N")]
-MOST_COMPARED = 10  # more side by side no table and no figure tells apart
+MOST_COMPARED = 10  # more cannot be distinguished in a table or figure
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 
 
@@ -43,12 +43,13 @@ class Flown:
     """The conditions of the flights.
 
     Args:
-        task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
-            your own, written module:Class or file.py:Class, which is then imported.
-        plant: the physics to fly in.
-        inclination: of the platform in degrees, where it differs from the training's.
-        azimuth: the direction that the platform faces, in degrees from +x, for policies that fly in space.
-        vehicle: vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1.
+        task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
+            is written module:Class or file.py:Class and imported.
+        plant: simulated physics.
+        inclination: platform inclination in degrees (default: that of the training); negative rises towards
+            +x.
+        azimuth: direction that the platform faces, in degrees from +x, for policies that fly in 3D.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
 
     task: TaskName = None
@@ -79,13 +80,13 @@ class Flown:
 
 @dataclasses.dataclass(frozen=True)
 class Look:
-    """The picture: from where, how large.
+    """Camera, size and renderer of a picture.
 
     Args:
-        camera: where to look from; of videos and whole flights also flight, as near as all of it is seen.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        backend: OpenGL, ray casting, or OpenGL only where it runs on hardware.
+        camera: viewpoint. For videos and --whole, flight frames the entire flight.
+        width: width of the picture in pixels.
+        height: height of the picture in pixels.
+        backend: gl is OpenGL, ray is ray casting, auto is OpenGL if it runs on hardware.
     """
 
     camera: Annotated[str, tyro.conf.arg(metavar="{arena,side,hero,pad,track,chase,closeup,onboard}")] = (
@@ -98,12 +99,12 @@ class Look:
 
 @dataclasses.dataclass(frozen=True)
 class LogSource:
-    """Which logs, and what their column names do not tell.
+    """Logs, and what their column names do not say.
 
     Args:
         files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
-        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
-        unit: of a column that states none, roll=deg for example; repeat the option for more.
+        mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
+        unit: unit of a column that states none, for example roll=deg; repeatable.
     """
 
     files: LogFiles
@@ -122,11 +123,12 @@ class FlightSource(LogSource):
     Args:
         files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
             one flight as A+B.
-        mapping: shipped mapping or mapping file (TOML), where the column names do not tell.
-        unit: of a column that states none, roll=deg for example; repeat the option for more.
-        heldout: flights for evaluation alone; without them each flight is evaluated on a fit of the others.
-        vehicle: vehicle file (TOML), where the model differs from the shipped one.
-        platform: the slab of the vehicle file stood in the arena (known from logs with contacts).
+        mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
+        unit: unit of a column that states none, for example roll=deg; repeatable.
+        heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
+            others).
+        vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).
+        platform: the platform of the vehicle file stood in the arena (detected in logs with contacts).
     """
 
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()

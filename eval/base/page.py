@@ -36,12 +36,12 @@ def render(package: str, template: str, **content) -> str:
 
 
 def embedded(image: bytes) -> str:
-    """A PNG file as the address of a picture."""
+    """Return a PNG file as a data URL."""
     return "data:image/png;base64," + base64.b64encode(image).decode("ascii")
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
+    """Return the figure as the bytes of a PNG file."""
     file = io.BytesIO()
     with styled():
         figure.savefig(file, format="png", dpi=PNG_DPI)

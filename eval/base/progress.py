@@ -17,7 +17,7 @@ EVERY = 10.0  # s between two lines, at least
 def stages(total: int | None = None) -> Iterator[Callable[[str], None]]:
     """Yield a function that is called with the name of each stage as it begins; total: how many there are.
 
-    Written to stderr. Without a terminal a stage has a line where EVERY seconds have passed since the last.
+    Written to stderr. Without a terminal, at most one line every EVERY seconds.
     """
     console, began = Console(stderr=True), time.monotonic()
     last = began

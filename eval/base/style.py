@@ -66,7 +66,7 @@ def colour(k: int) -> str:
 
 
 def marker(k: int) -> str:
-    """Return the marker of the k-th policy, another where a colour comes again."""
+    """Return the marker of the k-th policy; it differs where a colour repeats."""
     return _MARKERS[(k + k // len(_COLOURS)) % len(_MARKERS)]
 
 
@@ -120,7 +120,7 @@ def legend_below(axes: Axes, **options) -> Legend:
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write the figure as .png or .pdf, whole or not at all; returns the path.
+    """Write the figure as .png or .pdf, atomically; returns the path.
 
     Raises UserError for another suffix and when the file cannot be written.
     """

@@ -1,7 +1,7 @@
 """A reference trajectory with its commands as a file, and the position controller that tracks it.
 
 `landing-eval plan` simulates the controller under every candidate, and `landing-eval fly --plan` flies it:
-what a plan promises holds for a flight in this closed loop.
+the promises of a plan hold for flights in this closed loop.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Trajectory:
 def read_trajectory(path: Path) -> Trajectory:
     """Return the trajectory of a file as `landing-eval plan` writes it.
 
-    Raises UserError for a file that is none, and for numbers that cannot be flown.
+    Raises UserError for a file of another kind, and for numbers that cannot be flown.
     """
     rows = list(csv.reader(io.StringIO(storage.read_text(path, "planned flight"))))
     header = [name.strip() for name in rows[0]] if rows else []

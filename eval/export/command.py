@@ -31,7 +31,7 @@ FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 def command(
     policy: PolicyFile, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
 ) -> None:
-    """A policy as ONNX, as C for a microcontroller or for NumPy, with contract and test vectors.
+    """Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.
 
     Args:
         format: onnx for its runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy

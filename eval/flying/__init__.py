@@ -1,1 +1,1 @@
-"""Crazyflies flown: the pilot, and the simulated vehicle that answers the same calls."""
+"""Flights of Crazyflies: the pilot, and the simulated vehicle with the same interface."""

@@ -1,4 +1,4 @@
-"""How the flights of one command connect to their vehicle: a simulated one, or one that is there."""
+"""How the flights of one command connect to their vehicle, simulated or real."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class RealConnection:
         if k > 0:
             print("Put the vehicle back, switch it off and on, press Enter: ", end="", flush=True)
             if not sys.stdin.readline():
-                raise UserError("nobody is there to put the vehicle back")
+                raise UserError("standard input is closed, so that the vehicle cannot be put back")
         radio = Radio(Crazyflie(), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
         return radio, self._clock, _positions(radio, self._capture)
@@ -100,7 +100,7 @@ def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
 
 @contextlib.contextmanager
 def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -> Iterator[Pilot]:
-    """Yield the pilot of flight k once its preflight checks have passed, and somebody has armed it.
+    """Yield the pilot of flight k once its preflight checks have passed and the user has armed it.
 
     Raises UserError where a check fails.
     """
@@ -119,7 +119,7 @@ def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -
             raise UserError(f"not ready to fly: {reasons}")
         with contextlib.nullcontext() if dry else connection.dead_man_switch():
             if connection.confirms and not dry:
-                question = "The motors will start. Goggles on, nobody inside the nets? Type {} to fly: "
+                question = "The motors will start. Goggles on, nets clear? Type {} to fly: "
                 print(question.format(ARM_WORD), end="", flush=True)
                 if sys.stdin.readline().strip() != ARM_WORD:
                     raise UserError(f"not armed: {ARM_WORD} was not typed")

@@ -30,22 +30,22 @@ def command(
     seed: Seed = 0,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """A simulated Crazyflie in real time, for cflib over UDP.
+    """Run a simulated Crazyflie in real time, for cflib over UDP.
 
-    It stands beside the platform, at udp://127.0.0.1:PORT, until Ctrl-C, and says what happens to it. Faults
-    (eval/flying/README.md) come at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
+    It stands next to the platform, at udp://127.0.0.1:PORT, until Ctrl-C, and prints what happens. Faults
+    (eval/flying/README.md) occur at a time, `link-lost@12`, or after an event, `mocap-frozen@air+2`.
 
     Args:
-        port: UDP port that it answers on; 0 takes a free one. cflib's scan looks at 19850 to 19859.
-        poses: address that the poses of its motion capture are sent to.
-        vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
-        start: where it stands on the floor, m.
-        inclination: of the platform in degrees, where it differs from the vehicle file's.
-        lighthouse: the vehicle has a Lighthouse deck, and positions itself by it.
-        fault: what goes wrong, and when; repeat the option for more.
-        seconds: end after this time.
-        seed: of noise, delays and dropouts.
-        out: file for the ground truth, as the documented CSV (.csv, .csv.gz).
+        port: UDP port to listen on; 0 picks a free one. cflib scans 19850 to 19859.
+        poses: address to send the poses of its motion capture to.
+        vehicle: nominal, hidden (with effects unknown to every policy), or a vehicle file.
+        start: position on the floor in metres.
+        inclination: inclination of the platform in degrees (default: that of the vehicle file).
+        lighthouse: give the vehicle a Lighthouse deck that measures its position.
+        fault: a fault and its time; repeatable.
+        seconds: end after this time in seconds.
+        seed: seed for noise, delays and dropouts.
+        out: file for the ground truth, as documented CSV (.csv, .csv.gz).
     """
     from inclined_landing.eval.flying.positions import resolved
     from inclined_landing.eval.flying.simulated.body import named_vehicle

@@ -1,4 +1,4 @@
-"""What the pilot believes: position and velocity from motion capture, attitude from the vehicle's own log.
+"""State estimation of the pilot: position and velocity from motion capture, attitude from the vehicle's log.
 
 `KalmanFilter` has three states of each axis: position, velocity, acceleration. The acceleration is a
 first-order Gauss-Markov process (R. A. Singer, "Estimating Optimal Tracking Filter Performance for Manned
@@ -37,7 +37,7 @@ TIME_CONSTANT = 2.5  # s: an acceleration of 0.8 m/s2 that leads nowhere, a lean
 class FilterNoise:
     """Measurement noise of the motion capture and process noise of the vehicle's acceleration.
 
-    Motion capture of this kind is good to a millimetre or better once calibrated; 1 mm is on the safe side.
+    Calibrated motion capture is accurate to a millimetre or better; 1 mm is conservative.
     """
 
     position: float = 1e-3  # standard deviation of a measured position, per axis, m
@@ -69,8 +69,8 @@ class KalmanFilter:
 
         impact: something to touch is near, and the velocity may have changed at once.
 
-        Not believed are positions that are not finite, not newer than the last one, or farther off than
-        `FilterNoise.gate` allows.
+        Rejected are positions that are not finite, not newer than the last one, or outside
+        `FilterNoise.gate`.
         """
         position = np.asarray(position, float)
         if not (math.isfinite(time) and np.isfinite(position).all()):
@@ -158,9 +158,8 @@ class Attitude:
 class ClockOffset:
     """Offset between the clocks of vehicle and pilot, from the fastest packet so far.
 
-    A packet arrives late, never early: the least difference between arrival and the vehicle's own time stamp
-    is the offset of its clock, but for the shortest way that a packet took, and the jitter of the radio is
-    gone.
+    A packet arrives late, never early: the smallest difference between arrival and the vehicle's own time
+    stamp is the offset of its clock plus the shortest delay of a packet, free of the radio's jitter.
     """
 
     def __init__(self):
@@ -217,7 +216,7 @@ class Estimator:
     def add_pose(self, pose: MeasuredPose, impact: bool = False) -> bool:
         """Fuse a pose; return whether its position is new and accepted. impact: contact is possible.
 
-        A position that equals the one before to the last bit is no measurement: cameras are never that still.
+        A position identical to the previous one is not a measurement: camera noise never repeats exactly.
         """
         before, self.last_pose = self.last_pose, pose
         if before is not None and (

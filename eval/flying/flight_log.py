@@ -1,9 +1,9 @@
 """The log of a flight: the documented CSV of eval/logs, written as it goes and named when it is finished.
 
 A row is a position of motion capture; the vehicle's attitude is interpolated to its time between neighbours
-of its own, commands and voltage are what was last sent and told. Through holes of the motion capture commands
-have rows without a position. Until it is finished the file is called NAME.unfinished.csv: what a killed
-process leaves is a log too.
+of its own, commands and voltage are the last ones sent and received. Through holes of the motion capture
+commands have rows without a position. Until it is finished the file is called NAME.unfinished.csv: what a
+killed process leaves is a log too.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class FlightLogWriter:
         self._newest = self._written = self._posed = -math.inf
         for file in (self.path, self.unfinished):
             if os.path.lexists(file):
-                raise UserError(f"the log {file} is there already; choose another folder")
+                raise UserError(f"the log {file} already exists; choose another folder")
         storage.check_file(self.path)
         try:
             self._file = self.unfinished.open("x", newline="", encoding="utf-8", buffering=1)

@@ -35,7 +35,7 @@ from inclined_landing.eval.flying.connection import (
 )
 from inclined_landing.eval.flying.crazyflie import FaultNames
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
-from inclined_landing.eval.flying.report import describe, summary
+from inclined_landing.eval.flying.report import FlightReport, describe, describe_all, summary
 from inclined_landing.eval.flying.simulated.body import named_vehicle
 from inclined_landing.eval.flying.simulated.faults import Fault
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -54,17 +54,17 @@ def _reject(why: str, **options: object) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class FlightOptions:
-    """What is flown, and where.
+    """Policy or plan, and the arena.
 
     Args:
-        policy: for the task landing (motors are cut in the goal box) or touchdown (comes to rest by itself);
-            the shipped landing policy by default.
+        policy: policy for landing (motors are cut in the goal box) or touchdown (the policy itself comes to
+            rest); default: the shipped landing policy.
         setpoint: policy that takes off and flies to the start.
-        start: where the landing begins, in metres; repeat it for more, flown in turn. Default: the paper's.
-        inclination: of the platform in the arena, in degrees, where it differs from the vehicle file's.
-        arena: vehicle file (TOML) with arena and platform, where they are not the shipped ones.
-        plan: flight.csv of landing-eval plan, flown in the place of a landing.
-        no_platform: no platform stands in the arena; for planned flights alone.
+        start: start of the landing in metres; repeatable, flown in turn (default: the paper's starts).
+        inclination: inclination of the platform in degrees (default: that of the vehicle file).
+        arena: vehicle file (TOML) with arena and platform (default: the shipped ones).
+        plan: flight.csv of landing-eval plan, flown instead of a landing.
+        no_platform: there is no platform in the arena; only with --plan.
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
@@ -89,11 +89,13 @@ class FlightOptions:
             task = trained_task(name)
             if task not in tasks:
                 raise UserError(
-                    f"policy {shown(name)} is for the task {shown(task, 40)}; wanted is {' or '.join(tasks)}"
+                    f"policy {shown(name)} is for the task {shown(task, 40)}, not for {' or '.join(tasks)}"
                 )
             policy = load_policy(name, task, vehicle=room, **platform)
             if policy.task.platform_moves:
-                raise UserError(f"policy {shown(name)} is for moving platforms; the pilot's stands still")
+                raise UserError(
+                    f"policy {shown(name)} is for moving platforms; fly needs one for a platform at rest"
+                )
             return load_policy(name, policy.task)  # which refuses another slope than its own
 
         hover = loaded(self.setpoint, ("setpoint",))
@@ -109,17 +111,17 @@ class FlightOptions:
 
 @dataclasses.dataclass(frozen=True)
 class VehicleOptions:
-    """The vehicle, and where its positions come from.
+    """The vehicle, and the source of its positions.
 
     Args:
-        uri: URI of the vehicle in cflib's form, like radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
-        mocap: motion capture: type (vicon, optitrack, qualisys, nokov, vrpn ...), host, rigid body; or
-            poses:HOST:PORT, datagrams that are sent there.
-        mocap_latency: latency of that system from exposure to arrival, in seconds; 0 by default.
-        position: where positions come from: motion capture, or the vehicle's own Lighthouse deck.
-        stand: height of what the vehicle stands on, in metres; 0 by default.
-        heading: direction of its nose, in degrees from x, where motion capture shows no attitude.
-        yes: no confirmation; for simulated vehicles alone.
+        uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
+        mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body, or
+            poses:HOST:PORT for datagrams sent to that address.
+        mocap_latency: latency of that system from exposure to arrival, in seconds (default: 0).
+        position: source of positions, motion capture or the vehicle's own Lighthouse deck.
+        stand: height of the vehicle's stand in metres (default: 0).
+        heading: direction of the nose in degrees from x, if motion capture shows no attitude.
+        yes: skip the confirmation; only for simulated vehicles.
     """
 
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None
@@ -131,23 +133,25 @@ class VehicleOptions:
     yes: Flag = False
 
     def check(self) -> None:
-        """Raise UserError for options that do not go together."""
+        """Raise UserError for options that cannot be combined."""
         if self.position not in ("mocap", "onboard"):
             raise UserError(f"--position must be mocap or onboard, not {shown(repr(self.position), 40)}")
         if self.position == "onboard":
             options = {"mocap": self.mocap, "mocap_latency": self.mocap_latency, "heading": self.heading}
-            _reject("of motion capture and not of --position onboard", **options)
+            _reject("only for --position mocap", **options)
 
     def connection(self) -> Connection:
-        """Return the way to the vehicle. Raises UserError where there is none."""
+        """Return the connection to the vehicle. Raises UserError if none is stated."""
         if self.uri is None or (self.mocap is None and self.position == "mocap"):
             raise UserError(
-                "name the vehicle and its motion capture, --uri and --mocap (or --position onboard), or fly "
-                "--simulated"
+                "give --uri and --mocap (or --position onboard) for a real vehicle, or --simulated for a "
+                "simulated one"
             )
         check_uri(self.uri)
         if self.yes and not self.uri.startswith("udp://"):
-            raise UserError("--yes is for simulated vehicles alone; before a real one flies, a word is typed")
+            raise UserError(
+                "--yes is only for simulated vehicles; a real flight must be confirmed by typing a word"
+            )
         return RealConnection(self.uri, self.mocap, self.mocap_latency or 0.0, confirms=not self.yes)
 
 
@@ -157,7 +161,7 @@ class SimulationOptions:
 
     Args:
         simulated: fly a simulated Crazyflie, in virtual time.
-        vehicle: simulated vehicle: nominal, hidden (with gaps unknown to every policy), or a vehicle file.
+        vehicle: simulated vehicle: nominal, hidden (with effects unknown to every policy), or a vehicle file.
         fault: fault of the simulated vehicle, NAME@EVENT+SECONDS, as in eval/flying/README.md.
         seed: seed of the simulated vehicle.
     """
@@ -171,17 +175,20 @@ class SimulationOptions:
         """Raise UserError for options without --simulated."""
         if not self.simulated:
             options = {"vehicle": self.vehicle, "fault": self.fault or None, "seed": self.seed}
-            _reject("of the simulated Crazyflie and needs --simulated", **options)
+            _reject("only for simulated vehicles; add --simulated", **options)
 
     def connection(self, flight: FlightOptions, real: VehicleOptions) -> Connection:
-        """Return the way to simulated vehicles, each beside the platform of its flight."""
+        """Return the connection to simulated vehicles, each next to the platform of its flight."""
         stated = {"uri": real.uri, "mocap": real.mocap, "mocap_latency": real.mocap_latency}
-        _reject("of a real vehicle", **stated, stand=real.stand, heading=real.heading)
+        _reject(
+            "only for real vehicles, not for --simulated", **stated, stand=real.stand, heading=real.heading
+        )
         lighthouse = real.position == "onboard"
         for text in self.fault:
             if lighthouse and text.startswith(("mocap-", "marker-", "attitude-turned")):
                 raise UserError(
-                    f"the fault {shown(text, 40)} is of motion capture, which --position onboard has not"
+                    f"the fault {shown(text, 40)} concerns motion capture, which --position onboard does not "
+                    "use"
                 )
         angle = None if flight.inclination is None else math.radians(flight.inclination)
         setting = Setting(
@@ -203,21 +210,21 @@ def command(
     dry_run: Flag = False,
     out: NewFolder = None,
 ) -> int:
-    """Fly a Crazyflie, or a simulated one: to the start and onto the slope, or as planned; logged as CSV.
+    """Fly a real or simulated Crazyflie onto the slope, or along a plan; logs as CSV.
 
-    Ctrl-C switches the motors off. docs/flying.md says what is needed, and what ends a flight.
+    Ctrl-C switches the motors off. See docs/flying.md for preparation, and for what ends a flight.
 
     Args:
         flights: number of flights.
-        dry_run: everything but motors; carry the vehicle by hand and read what would be commanded.
-        out: new folder for the logs and fly.json; default runs/fly-DATE-TIME.
+        dry_run: leave the motors off; carry the vehicle by hand and read the commands that would be sent.
+        out: new folder for the logs and fly.json (default: runs/fly-DATE-TIME).
     """
     real.check()
     simulation.check()
     if flight.plan is not None:
-        _reject("of landings and not of --plan", policy=flight.policy, start=flight.start or None)
+        _reject("only for landings, not for --plan", policy=flight.policy, start=flight.start or None)
     elif flight.no_platform:
-        raise UserError("--no-platform is for planned flights alone; a landing needs the platform")
+        raise UserError("--no-platform is only for planned flights; a landing needs the platform")
     landing, setpoint, starts = flight.load()
     if out is not None:
         check_new_run(out)
@@ -233,16 +240,17 @@ def command(
     }
     folder: Path | None = None  # not before a vehicle is there, and ready
     results: list[dict[str, Any]] = []
-    succeeded = 0
+    reports: list[FlightReport] = []
     for k in range(flights):
         heading = math.radians(real.heading or 0.0)
         plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand or 0.0, heading)
-        what = "landing" if flight.plan is None else "as planned"
+        what = "landing" if flight.plan is None else "plan"
         print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:g}, z {plan.start[1]:g} m")
         with checked_pilot(connection, k, plan, dry_run) as pilot:
             folder = folder or new_run(out, "fly")
             log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
             report = pilot.fly(log)
+        reports.append(report)
         results.append(summary(report, plan, log))
         storage.write_json(folder / "fly.json", {**description, "flights": results})
         print(describe(report))
@@ -251,9 +259,8 @@ def command(
         if report.error:
             print(report.error, file=sys.stderr)
             return 1
-        succeeded += report.succeeded
     if dry_run:
         return 0
-    done = "landed" if flight.plan is None else "flown as planned"
-    say(f"{succeeded} of {flights} {done}; the logs are in {folder}.")
-    return 0 if succeeded == flights else 3
+    said = describe_all(reports, "plan" if isinstance(landing, PlannedFlight) else landing.task.name)
+    say(f"{said[0].upper()}{said[1:]}; the logs are in {folder}.")
+    return 0 if all(report.succeeded for report in reports) else 3

@@ -1,4 +1,4 @@
-"""What a pilot knows of the world besides cflib: a clock, and a motion capture.
+"""The interfaces of a pilot other than cflib: a clock and a motion capture.
 
 Each has two sides: the real clock sleeps and real cameras stream; the simulated clock advances the simulated
 vehicle, and its motion capture shows that one.
@@ -51,7 +51,7 @@ class MeasuredPose:
 
 
 class MotionCapture(Protocol):
-    """A source of poses; when it sees nothing, it goes on returning its last pose with its old time."""
+    """A source of poses; when it sees nothing, it keeps returning its last pose with its old time."""
 
     def latest(self) -> MeasuredPose | None:
         """Return the newest pose; None before the first one."""

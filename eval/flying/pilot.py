@@ -6,8 +6,8 @@ rests on the slope by its own command (touchdown). A planned flight is tracked i
 set-point policy then sets the vehicle down (retreat). Whatever `safety` names ends the flight by its
 reaction: motors off, or the set-point policy sets the vehicle down beside the platform (retreat).
 
-The pilot holds the heading at 0 but where a plan turns, and in the landing, which is planar, y at 0 by the
-set-point policy's roll.
+The pilot holds the heading at 0 unless a plan turns. In the landing, which is planar, it also holds y at 0 by
+the set-point policy's roll.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from inclined_landing.models.attitude import YAW_RATE_COMMAND as YAW_RATE
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
 LIFT_OFF = 0.05  # m above where it stood
+UPRIGHT = math.radians(20.0)  # between the tilt of a vehicle on its feet and the platform's inclination
 STUCK_TIME = 0.5  # s without sinking at the end of a retreat: it stands
 AFTER_FLIGHT_TIME = 2.5  # s of stop commands after the flight, until the supervisor calls the vehicle landed
 DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it prints
@@ -56,7 +57,7 @@ DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it print
 class Pilot:
     """The pilot of one connected vehicle; a new one for every flight.
 
-    say: told what happens, line by line. hang_limit [s]: see `Watchdog`.
+    say: called with every line of what happens. hang_limit [s]: see `Watchdog`.
     """
 
     def __init__(
@@ -387,7 +388,9 @@ class Pilot:
         if estimate.pose_age < safety.POSE_LIMIT:
             self.report.final = estimate.state[X : Z + 1].copy()
             platform = self.surroundings.distances(estimate.state[None])[0, 0]
-            self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF)
+            leaning = abs(estimate.tilt - abs(self.surroundings.inclination))
+            upright = not leaning > UPRIGHT  # NaN: no attitude
+            self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF and upright)
 
     # --- what is heard -----------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What one flight is for: a landing by its policy, or a planned flight and what stands where it leads."""
+"""The purpose of one flight: a landing by its policy, or a planned flight with its obstacles."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool
         raise UserError(f"{where} must begin and end at rest, and begin at heading 0")
     beyond = beyond_fence(r.position, r.velocity, vehicle)
     if beyond.any():
-        raise UserError(f"{where} passes the fence of the arena after {r.t[np.argmax(beyond)]:.1f} s")
+        raise UserError(f"{where} crosses the fence of the arena after {r.t[np.argmax(beyond)]:.1f} s")
     states = np.zeros((len(r.t), STATE_SIZE))
     states[:, X : Z + 1], states[:, ROLL : YAW + 1] = r.position, r.attitude
     states[:, VX : VZ + 1] = r.velocity
     distances = Surroundings(vehicle, inclination, present).distances(states[::_CHECKED]).min(axis=1)
     if distances.min() < LEAST_CLEARANCE:
         k = int(np.argmax(distances < LEAST_CLEARANCE))
-        hint = "; with no platform there, say --no-platform" if present else ""
+        hint = "; if there is no platform, add --no-platform" if present else ""
         raise UserError(
             f"{where} comes closer than {100 * LEAST_CLEARANCE:g} cm to platform or floor after "
             f"{r.t[_CHECKED * k]:.1f} s{hint}"
@@ -107,7 +107,7 @@ class PlanTracking:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Reset the tracker."""
         self._tracker, self._before = Tracker(self._flight.reference, self._flight.vehicle), 0.0
 
     def step(self, since: float, state: np.ndarray, resting: bool) -> np.ndarray | str:

@@ -18,7 +18,7 @@ class InvalidAction(Exception):
     """Raised for an action that is NaN or infinite."""
 
     def __init__(self, policy: Policy):
-        super().__init__(f"the policy {policy.name} gives NaN or infinity")
+        super().__init__(f"the policy {policy.name} returned NaN or infinity")
         self.policy = policy
 
 
@@ -88,7 +88,7 @@ class PolicyLanding:
         self.limit = self._task.max_steps * self._task.vehicle.command_control_period  # s that it may take
 
     def reset(self) -> None:
-        """Forget what was observed."""
+        """Clear the observation history."""
         self._runner.reset()
         self._idle_steps = 0
 

@@ -1,8 +1,8 @@
 """Where positions come from: motion capture systems, poses as UDP datagrams, a Lighthouse deck.
 
 Motion capture is reached by the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
-Every system needs its axes set up as the arena's: x along the slope's way, z up, metres, and the rigid body's
-origin in the vehicle's centre of mass, its axes along the vehicle's.
+Set up the axes of the system like the arena's: x along the slope's direction, z up, metres, and the rigid
+body's origin in the vehicle's centre of mass, its axes along the vehicle's.
 
 Datagrams are what the simulated Crazyflie's process sends, and what any other source may. One is one pose, a
 JSON object:
@@ -11,8 +11,8 @@ JSON object:
 
 Metres; a unit quaternion, or null where only a point is seen; how many seconds before sending it was taken.
 
-A vehicle with a Lighthouse deck says its own position: the firmware's Kalman filter runs on board, and its
-estimate comes by a log block. It is believed while the filter itself says that it knows the velocity.
+A vehicle with a Lighthouse deck measures its own position: the firmware's Kalman filter runs on board, and
+its estimate arrives in a log block. It is used while the filter reports a small variance of the velocity.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionC
         if isinstance(error, subprocess.TimeoutExpired):
             said = f"no answer in {CONNECTING:g} s"
         elif isinstance(error, subprocess.CalledProcessError):
-            said = (error.stderr.strip() or f"it ended with {error.returncode}").splitlines()[-1]
+            said = (error.stderr.strip() or f"it exited with code {error.returncode}").splitlines()[-1]
         raise UserError(f"no motion capture at {shown(name, 80)}: {shown(said, 200)}") from error
     tracked = TrackedBody(system, body, clock, latency)
     tracked.await_first()
@@ -169,7 +169,7 @@ def resolved(text: str) -> tuple[str, int]:
     try:
         return socket.gethostbyname(host or "127.0.0.1"), int(port)
     except (OSError, UnicodeError) as error:
-        raise UserError(f"{shown(host, 60)} is no host that is known here") from error
+        raise UserError(f"{shown(host, 60)} is an unknown host") from error
 
 
 class PoseStream:
@@ -219,7 +219,7 @@ class PoseStream:
 
 
 class OnboardPosition:
-    """A `MotionCapture` of what a vehicle with a Lighthouse deck says; its frame is the arena's."""
+    """A `MotionCapture` from the position that a Lighthouse deck measures, in the frame of the arena."""
 
     def __init__(self):
         self._pose: MeasuredPose | None = None

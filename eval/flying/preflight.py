@@ -1,4 +1,4 @@
-"""What must be true before the motors turn."""
+"""The checks that must pass before the motors turn."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def preflight_checks(
     # Only motion capture shows an attitude that the vehicle's own can be held against.
     seen = any(pose.attitude is not None for pose in poses)
     other = f", {mismatch:.1f} deg from what motion capture shows" if seen else ""
-    frozen = "" if moved or len(times) < 2 else ", all the same: frozen"
+    frozen = "" if moved or len(times) < 2 else ", all identical: frozen"
     checks = {
         "battery": (
             voltage >= LEAST_VOLTAGE,
@@ -78,7 +78,7 @@ def preflight_checks(
         ),
         "at rest": (
             spread <= LARGEST_SPREAD,
-            f"position spreads by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
+            f"position varies by {1e3 * spread:.1f} mm; at most {1e3 * LARGEST_SPREAD:g} mm",
         ),
         "attitude log": (
             attitudes >= ATTITUDE_RATE * RECORDING_TIME,
@@ -88,7 +88,7 @@ def preflight_checks(
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
             f"tilted by {degrees:.1f} deg{other}; at most {math.degrees(LEVEL):.0f} deg",
         ),
-        "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; {ROOM:g} m from the walls at least"),
+        "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; at least {ROOM:g} m from the walls"),
         "height": (
             abs(z - expected) <= HEIGHT,
             f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "
@@ -96,7 +96,7 @@ def preflight_checks(
         ),
         "clear of the platform": (
             clearance > CLEAR,
-            f"{clearance:.2f} m; more than {CLEAR:g} m" if surroundings.present else "there is none",
+            f"{clearance:.2f} m; more than {CLEAR:g} m" if surroundings.present else "no platform",
         ),
     }
     return [Check(name, bool(passed), found) for name, (passed, found) in checks.items()]

@@ -1,8 +1,9 @@
-"""What came of a flight: for the caller, for fly.json, and in one line."""
+"""The outcome of flights: for the caller, for fly.json, and in sentences."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ class FlightReport:
     landing_time: float | None = None  # s from hand-over to there
     touched: bool = False  # before that in the landing, hard enough to be seen in the positions
     final: np.ndarray | None = None  # (3,) last position, m
-    rests: bool | None = None  # does it lie still on the platform, as far as its position tells
+    rests: bool | None = None  # does it lie still and upright on the platform, by its last pose
     seconds: float = 0.0  # from the first command to motors off
     astray: float | None = None  # m, the farthest that it was off its plan
 
@@ -36,7 +37,7 @@ class FlightReport:
 
     @property
     def succeeded(self) -> bool:
-        """Whether the flight did what it was for."""
+        """Whether the flight reached its purpose."""
         return self.landed or self.outcome == "plan flown"
 
 
@@ -51,21 +52,37 @@ def summary(report: FlightReport, plan: FlightPlan, log: Path | None) -> dict[st
 def describe(report: FlightReport) -> str:
     """Return the outcome of a flight in one line."""
     if report.outcome == "plan flown":
-        return f"flown as planned, at most {100 * (report.astray or 0.0):.0f} cm off, and set down"
+        return f"flown as planned, at most {100 * (report.astray or 0.0):.0f} cm from the plan, and set down"
     if report.landed:
         assert report.goal is not None and report.landing_time is not None
         vx, vz = report.goal[3], report.goal[5]
         rest = {
-            True: "rests on the slope",
-            False: "does not rest on the slope",
-            None: "was not seen afterwards",
+            True: "at rest on the slope",
+            False: "not at rest on the slope",
+            None: "not seen afterwards",
         }
         touched = report.touched and report.outcome == "goal box"
         return (
-            f"{report.outcome}{' after a touch of the platform,' if touched else ''} "
+            f"{report.outcome}{' after touching the platform,' if touched else ''} "
             f"{report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
             f"{rest[report.rests]}"
         )
     if report.cause is None:
         return report.outcome
     return f"ended early: {report.cause.name} ({report.cause.when})"
+
+
+def describe_all(reports: Sequence[FlightReport], purpose: str) -> str:
+    """Return the outcome of all flights; purpose: "plan", or the name of the task that was flown."""
+    n = f"{len(reports)} flight{'s' * (len(reports) != 1)}"
+    rest = sum(bool(report.rests) for report in reports)
+    if purpose == "plan":
+        return f"{sum(report.succeeded for report in reports)} of {n} followed the plan"
+    if purpose == "touchdown":
+        return f"of {n}, {rest} came to rest on the slope"
+    landed = [report for report in reports if report.landed]
+    clean = sum(not report.touched for report in landed)
+    return (
+        f"of {n}, {len(landed)} reached the goal box ({clean} without touching the platform before) and "
+        f"{rest} came to rest on the slope"
+    )

@@ -1,4 +1,4 @@
-"""What ends a flight early, and how: every cause with its reaction and its limit, and where that comes from.
+"""Causes that end a flight early: each with its reaction, its limit, and the reason for the limit.
 
 docs/flying.md has the causes as a table, with the reason for each reaction.
 """

@@ -1,4 +1,4 @@
-"""What stands in the arena, and ways around it."""
+"""Obstacles in the arena, and paths around them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Surroundings:
             if self._clear([home, *points]):
                 return points
         a, b = (", ".join(f"{value:.2f}" for value in point) for point in (home, start))
-        raise UserError(f"no path clear of the platform leads from {a} to {b} m")
+        raise UserError(f"no path from {a} to {b} m avoids the platform")
 
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
         """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""

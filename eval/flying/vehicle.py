@@ -29,10 +29,10 @@ _RADIO = re.compile(
     re.ASCII,
 )
 _REMEDIES = {  # by scheme, where a vehicle does not answer
-    "radio": "is the vehicle on, are channel, rate and address its own, is the Crazyradio plugged in and "
+    "radio": "is the vehicle on, do channel, rate and address match, is the Crazyradio plugged in and "
     f"free? On Linux udev rules give access to it: {UDEV}",
     "usb": "is the vehicle connected by its cable?",
-    "udp": "does anything answer there, as `landing-eval crazyflie` does?",
+    "udp": "is a server such as `landing-eval crazyflie` running there?",
 }
 
 
@@ -65,7 +65,8 @@ class Status:
 class Radio:
     """The radio link to one connected vehicle.
 
-    crazyflie: cflib's, or what answers like it. What arrives comes on cflib's thread and waits in `received`.
+    crazyflie: cflib's, or an object with the same interface. Incoming data arrives in cflib's thread and
+    waits in `received`.
     dry: nothing that moves a motor is sent.
     """
 
@@ -113,7 +114,7 @@ class Radio:
             found = 0
         if not found:
             raise UserError(
-                "the vehicle has no deck to know its position by: no Lighthouse deck is found "
+                "the vehicle has no deck that measures its position: no Lighthouse deck was found "
                 f"({positions.LIGHTHOUSE})"
             )
         to = positions.OnboardPosition()

@@ -1,9 +1,9 @@
-"""What stops the motors when the control loop hangs, its process dies, or somebody interrupts it.
+"""Stop the motors when the control loop hangs, its process dies, or a signal interrupts it.
 
-The loop is watched by a thread, the process by another process: after `kill -9`, a crash in somebody else's
-library, or when the kernel ends it for want of memory, nothing of the pilot runs any more, and the firmware
-holds the last thrust until its own watchdog ends it 1 s later. But the kernel closes the pipe to the other
-process at once. `python -m inclined_landing.eval.flying.watchdog URI` is that process.
+The loop is watched by a thread, the process by another process: after `kill -9`, a crash in a library, or
+when the kernel runs out of memory, nothing of the pilot runs any more, and the firmware holds the last thrust
+until its own watchdog ends it 1 s later. But the kernel closes the pipe to the other process at once. `python
+-m inclined_landing.eval.flying.watchdog URI` is that process.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class DeadManSwitch:
             self._process.kill()
             self._process.communicate()
             raise UserError(
-                "not ready to fly: the process that stops the motors should this one die has not started"
+                "not ready to fly: the watchdog process that would stop the motors has not started"
             )
         return self
 

@@ -43,7 +43,7 @@ def command(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     resume: Flag = False,
 ) -> None:
-    """Landing study: thousands of touchdowns over friction, speeds ..., each classified.
+    """Run a landing study: thousands of touchdowns over friction, speeds ..., each classified.
 
     Args:
         study: study file, or the name of a shipped study (paper_landing, steep_landing).

@@ -17,7 +17,7 @@ from inclined_landing.models.errors import UserError, first_of, shown
 
 
 def command(source: Flat[LogSource], *, json: Flag = False) -> None:
-    """What flight logs hold and whether they can be believed, in words.
+    """Report what flight logs contain and whether they are plausible.
 
     The exit code is 2 where a log is refused.
 

@@ -40,7 +40,7 @@ _TRAINING_STEPS = 100_000
 def command(
     *, policy: PolicyName = "landing", seed: Seed = 0, json: Flag = False, out: NewFolder = None
 ) -> None:
-    """What a step, an action and a training cost here (about a minute).
+    """Measure what a step, an action and a training run cost here (about a minute).
 
     Args:
         policy: whose actions are timed.

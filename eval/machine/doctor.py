@@ -54,7 +54,7 @@ def examine() -> list[CheckResult]:
 
 
 def command(*, json: Flag = False) -> int:
-    """What is installed, what is missing, and what to do about it.
+    """Check what is installed and what is missing, and name remedies.
 
     The exit code is 2 when something that is needed is missing.
 

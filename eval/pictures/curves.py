@@ -55,7 +55,7 @@ def command(
     /,
     out: File,
 ) -> None:
-    """Learning curves of training runs of one task; seeds with median and range.
+    """Plot the learning curves of training runs of one task; seeds as median and range.
 
     Args:
         runs: run folders of landing-train.

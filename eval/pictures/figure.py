@@ -13,7 +13,7 @@ from inclined_landing.models import storage
 
 
 def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
-    """Stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
+    """Draw a stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:
         policy: file, or the name of a shipped one.

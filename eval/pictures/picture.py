@@ -30,7 +30,7 @@ def command(
     until: Until = "rest",
     flown: Flat[Flown] = Flown(),
 ) -> None:
-    """One picture of a whole flight, with copies of the vehicle along its way.
+    """Render one picture of a whole flight, with copies of the vehicle along its path.
 
     Args:
         policy: file, or the name of a shipped one.

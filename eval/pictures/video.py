@@ -61,7 +61,7 @@ def command(
     beside: Beside = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
-    """Video of flights, one after the other.
+    """Render a video of flights, one after the other.
 
     Args:
         policy: file, or the name of a shipped one.
@@ -122,7 +122,7 @@ def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) ->
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
-        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+        raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     if forces and flown.plant == "analytic":
         raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
     if forces and until == "goal":

@@ -1,8 +1,8 @@
-"""Landing policies on a vehicle that differs from the known one: another thrust, every effect.
+"""Landing policies on a vehicle that differs from their model: another thrust, every effect.
 
-Each policy flies from the frozen grid under each condition. Only the vehicle in the plant differs; where it
-reaches the goal box its motors are cut. Of an effect, medium is its plausible size, weak half as far from
-neutral, strong twice.
+Each policy flies from the frozen grid under each condition. Only the vehicle in the plant differs; when it
+reaches the goal box, its motors are cut. The medium size of an effect is its plausible one; weak is half as
+far from neutral, strong twice.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from inclined_landing.envs.shared.statistics import mean
 from inclined_landing.envs.shared.tables import count_words
 from inclined_landing.eval.policies.flying import effect_outcome, fly, frozen_starts
 from inclined_landing.eval.policies.study import Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel
+from inclined_landing.eval.policies.tables import STRICT, Panel
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.vehicle import Vehicle
@@ -34,18 +34,18 @@ ThrustScale = Annotated[float, Meta(gt=0, le=3)]
 THRUSTS = tuple(round(0.70 + 0.05 * k, 2) for k in range(10))
 ENOUGH, ENOUGH_MEDIUM = 0.97, 0.95  # shares from which a thrust, and a medium effect, count as survived
 REMARK = (
-    "strict: the goal box within 300 steps and no touch before; at rest on feet: 2 s after a motor cut "
-    "there; into it: median speed at the touchdown. Of an effect, medium is the size that a real vehicle may "
-    "well have; weak is half as much, strong twice as much, within physical limits. 95 % Wilson intervals."
+    f"{STRICT} At rest on feet: 2 s after the motors are cut in the goal box. Normal speed: median at "
+    "touchdown. The medium size of an effect is plausible for a real vehicle; weak is half of it, strong "
+    "twice, within physical limits."
 )
 _THRUST = "thrust_scale"  # the effect that the curve goes along
 
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """What the plant's vehicle is, beside what the policies know."""
+    """How the vehicle in the plant differs from the one that the policies know."""
 
-    effect: Effect | None  # of the library; None: the vehicle as it is
+    effect: Effect | None  # of the library; None: the unchanged vehicle
     size: str  # one of SIZES; "" on the curve over thrust
     values: dict[str, float]
 
@@ -66,7 +66,7 @@ class Change:
 
 
 def check_effects(names: Sequence[str]) -> None:
-    """Raise UserError for a name that is of no effect of the library."""
+    """Raise UserError for a name that is not an effect of the library."""
     for name in names:
         if name not in LIBRARY:
             raise UserError(f"unknown effect {shown(name, 40)}; {choices(LIBRARY, name)}")
@@ -92,7 +92,7 @@ def changes(
     effects: Sequence[str] = tuple(LIBRARY),
     of_sizes: Sequence[str] = tuple(SIZES),
 ) -> list[Change]:
-    """Return the vehicle as it is, the curve over thrust, then every effect in every size."""
+    """Return the unchanged vehicle, the curve over thrust, then every effect in every size."""
     curve = [Change(LIBRARY[_THRUST], "", {"scale": x}) for x in sorted(set(thrusts) - {1.0})]
     of_effects = [
         Change(LIBRARY[name], size, sized(LIBRARY[name], SIZES[size]))
@@ -114,10 +114,11 @@ def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, 
         if policy.task.table != "goal_box":
             what = "observes the slope" if policy.task.table == "slopes" else f"is for {policy.task.name}"
             raise UserError(
-                f"policy {policy.path} {what}; thrust and effects are for landing on one slope, from its grid"
+                f"policy {policy.path} {what}; --over thrust and effects needs policies that land on one "
+                "slope"
             )
         if not math.isclose(policy.task.inclination, first.inclination):
-            raise UserError(f"policies {names[0]} and {name} are for platforms of different inclination")
+            raise UserError(f"policies {names[0]} and {name} were trained for different inclinations")
     starts = frozen_starts(first)[::every]
     vehicles = {case.name: case.vehicle(first.vehicle) for case in cases}
     flown = fly_all(
@@ -188,7 +189,7 @@ def _differences(
 
 
 def survived(report: dict, k: int) -> tuple[float, float] | None:
-    """Return the range of thrusts around 1 at which a policy lands nearly always; None where it does not."""
+    """Return the range of thrusts around 1 at which a policy nearly always lands; None if it never does."""
     scales = [_scale(row) for row in report["thrust"]]
     good = [row["outcomes"][k]["strict"]["share"] >= ENOUGH for row in report["thrust"]]
     low = high = scales.index(1.0)
@@ -206,7 +207,7 @@ def _panels(report: dict, names: Sequence[str]) -> list[Panel]:
     panels = []
     if len(curve := report["thrust"]) > 1:
         lines = {n: {_scale(r): r["outcomes"][k]["strict"] for r in curve} for k, n in enumerate(names)}
-        panels = [Panel("Other thrusts", lines, "thrust of the vehicle over the known one [1]")]
+        panels = [Panel("Other thrusts", lines, "actual thrust / model thrust")]
     cost: dict[str, float] = {}
     for row in report["effects"]:
         landed = sum(one["strict"]["share"] for one in row["outcomes"])
@@ -235,7 +236,7 @@ def _comparisons(report: dict) -> list[str]:
             low, high = value["interval"] or (value["mean"],) * 2
             where = "without an effect" if size == "none" else f"under {size} effects"
             parts.append(f"{100 * value['mean']:+.1f} ({100 * low:+.1f} to {100 * high:+.1f}) {where}")
-        said.append(f"{name} minus {first}, points of strict success: {', '.join(parts)}.")
+        said.append(f"Strict success of {name} minus {first} in percentage points: {', '.join(parts)}.")
     return said
 
 
@@ -253,8 +254,8 @@ def _answers(report: dict) -> list[str]:
             good = sum(share["share"] >= ENOUGH_MEDIUM for share in shares.values())
             worst = min(shares, key=lambda name: shares[name]["share"])
             parts.append(
-                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(shares)} medium effects, least "
-                f"under {worst}: {count_words(shares[worst])}"
+                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(shares)} medium effects; worst is "
+                f"{worst} with {count_words(shares[worst])}"
             )
         said.append("; ".join(parts) + ".")
     return said

@@ -1,4 +1,4 @@
-"""Flights of policies as tables, one row a flight, and what is counted of them.
+"""Flights of policies as tables, one row per flight, and their statistics.
 
 Every table has `x y z` of the start and `end_x end_y end_z` [m], `success`, `touched` (did a part meet the
 platform), `strict` (the first without the second), `time` [s], `time_to_goal` [s] and `reward`. Of landings
@@ -49,7 +49,7 @@ def groups_of(task: Task, seed: int) -> dict[str, Start]:
         return {"slopes": landing_starts.over_slopes(task).start}
     if task.table != "goal_box":
         other = {"moving": "robustness --over moving"}.get(task.table, task.table)
-        raise UserError(f"the task {task.name} has a table of its own: landing-eval {other} evaluates it")
+        raise UserError(f"the task {task.name} is evaluated by landing-eval {other}")
     starts = {
         "paper_starts": landing_starts.paper(),
         "scattered_starts": landing_starts.scattered(seed),

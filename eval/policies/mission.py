@@ -53,14 +53,14 @@ Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(met
 
 @dataclasses.dataclass(frozen=True)
 class HandOver:
-    """When the landing policy takes over.
+    """Condition for handing over to the landing policy.
 
     Args:
-        hand_over: the point that the set-point policy flies to, in metres; y is 0.
+        hand_over: point that the set-point policy flies to, in metres; y is 0.
         near: distance to that point below which the landing policy may take over, in metres.
         slow: speed below which it may take over, in m/s.
-        dwell: time for which both must hold, in seconds.
-        drift: let y drift where a policy commands no roll; otherwise the set-point policy's roll holds it.
+        dwell: time for which both conditions must hold, in seconds.
+        drift: let y drift under policies that command no roll; otherwise the set-point policy holds y.
     """
 
     hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = ",".join(f"{value:g}" for value in HAND_OVER)
@@ -86,32 +86,32 @@ def command(
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Whole missions: from anywhere in the room to the slope, onto it, and to rest, counted and filmed.
+    """Fly whole missions, from anywhere in the room to rest on the slope; count and film them.
 
     The set-point policy flies to a hand-over point over the platform, the landing policy from there into the
     goal box, the touchdown policy to rest on the feet with motors at idle: one flight in MuJoCo with real
     contact.
 
     Args:
-        setpoint: policy file, or the name of a shipped one, for the set-point task.
-        landing: the same, for the landing task.
-        touchdown: the same, for the touchdown task.
-        start: where a mission begins, in metres; repeat the option for more. Default: random starts.
-        missions: number of random starts, 100 by default.
-        seed: of the random starts.
-        inclination: of the platform in degrees, where it differs from the training's.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
-        no_film: leave the first mission's video and picture out.
-        json: print JSON, and nothing else, on standard output.
-        out: new folder for mission.json, the figure mission.png and .pdf, and of the first mission
-            flight.mp4, flight.gif and flight.png.
+        setpoint: policy file, or name of a shipped policy, for the set-point task.
+        landing: the same for the landing task.
+        touchdown: the same for the touchdown task.
+        start: start of a mission in metres; repeatable (default: random starts).
+        missions: number of random starts (default: 100).
+        seed: seed for the random starts.
+        inclination: platform inclination in degrees (default: that of the training).
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
+        no_film: omit the video and picture of the first mission.
+        json: print only JSON on standard output.
+        out: new folder for mission.json, the figure mission.png and .pdf, and flight.mp4, flight.gif and
+            flight.png of the first mission.
     """
     if out is not None:
         runs.check_new_run(out)
     if start and missions is not None:
-        raise UserError("--missions is how many random starts are drawn: leave it out with --start")
+        raise UserError("--missions sets the number of random starts and cannot be combined with --start")
     if look.width % 2 or look.height % 2:
-        raise UserError(f"a video has an even number of pixels a side, not {look.width} x {look.height}")
+        raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
     if start:
@@ -132,7 +132,7 @@ def command(
 
 
 def fly_with_progress(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
-    """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate where they take long.
+    """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate if they take long.
 
     The estimate is made after the first second of flight, for missions of `TYPICAL` length.
     """
@@ -178,7 +178,7 @@ def _point(text: str, option: str, form: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != form.count(",") + 1 or not all(map(math.isfinite, numbers)):
-        raise UserError(f"--{option} is {form} in metres, not {shown(text)!r}")
+        raise UserError(f"--{option} must be {form} in metres, not {shown(text)!r}")
     return numbers
 
 
@@ -271,8 +271,8 @@ def show(report: dict[str, Any]) -> None:
         spread_cell(found, 1, 100.0) for found in (over["position"], over["y"], report["rest"]["y"])
     )
     remarks = [
-        "Share with its 95 % Wilson interval; times of what went well: medians (5 to 95 %).",
-        f"Handed over {position} cm from the point, |y| {aside} cm; at rest |y| {at_rest} cm.",
+        "Shares have 95 % Wilson intervals; times are medians (5 % to 95 %) over successful legs.",
+        f"Distance at hand-over: {position} cm, |y| {aside} cm; |y| at rest: {at_rest} cm.",
         f"At rest on the feet after {count_words(rest, 'missions')}.",
     ]
     title = f"{count} mission{'s' * (count != 1)}"

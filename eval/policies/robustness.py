@@ -1,4 +1,4 @@
-"""`landing-eval robustness`: policies side by side under conditions that differ from what they know."""
+"""`landing-eval robustness`: policies compared under conditions that differ from their training."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Policies = Annotated[
     tyro.conf.Positional,
     tyro.conf.arg(
         metavar="[POLICY ...]",
-        help=f"landing policies: files, run folders or shipped ones ({', '.join(SHIPPED)}); the others are "
-        "compared with the first; LABEL=POLICY gives a name. With --over moving policies in space, planner, "
-        "or a controller of your own, module:NAME or file.py:NAME.",
-        help_behavior_hint=f"(default, of moving alone: {' '.join(BASELINES)})",
+        help=f"landing policies: files, run folders or shipped ones ({', '.join(SHIPPED)}). All are compared "
+        "with the first. LABEL=POLICY gives a name. --over moving takes 3D policies, planner, and custom "
+        "controllers as module:NAME or file.py:NAME.",
+        help_behavior_hint=f"(default with --over moving: {' '.join(BASELINES)})",
     ),
     Meta(max_length=100),
 ]
@@ -42,17 +42,17 @@ Over = Literal["thrust", "effects", "slopes", "vehicles", "moving"]
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
 _VEHICLE = tyro.conf.arg(
     metavar="VEHICLE [...]",
-    help_behavior_hint=f"(default: the Crazyflie 2.1; for --over vehicles {' '.join(vehicles.NAMED)})",
+    help_behavior_hint=f"(default: Crazyflie 2.1; with --over vehicles: {' '.join(vehicles.NAMED)})",
 )
 
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOptions:
-    """For --over thrust and effects, on the frozen grid of starts.
+    """Options of --over thrust and effects, flown from the frozen grid of starts.
 
     Args:
-        thrust: of the vehicle, times what the policies know.
-        effect: of the library; with --full each in three sizes, otherwise at a plausible one.
+        thrust: actual thrust divided by the thrust that the policies were trained with.
+        effect: effects of the library, at a plausible size; with --full in three sizes.
     """
 
     thrust: Annotated[tuple[changes.ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]")] = changes.THRUSTS
@@ -61,13 +61,13 @@ class ChangeOptions:
 
 @dataclasses.dataclass(frozen=True)
 class DrawOptions:
-    """For --over vehicles.
+    """Options of --over vehicles.
 
     Args:
-        ranges: file of ranges that vehicles are drawn from, or a shipped one.
-        draws: vehicles drawn from it, 0: none (default: 32; with --full 256).
-        starts: how many of the frozen grid each drawn vehicle flies from.
-        seed: of the drawn vehicles and their starts; choose one that no policy was trained with.
+        ranges: file of ranges to draw vehicles from, or the name of a shipped one.
+        draws: number of vehicles to draw, 0 for none (default: 32; with --full 256).
+        starts: number of starts of the frozen grid for each drawn vehicle.
+        seed: seed for the drawn vehicles and their starts; choose one that no policy was trained with.
     """
 
     ranges: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = Path("vehicles")
@@ -78,11 +78,11 @@ class DrawOptions:
 
 @dataclasses.dataclass(frozen=True)
 class MovingOptions:
-    """For --over moving, the frozen benchmark of moving platforms.
+    """Options of --over moving, the frozen benchmark of moving platforms.
 
     Args:
-        scenario: of the benchmark, or scenario files (default: all of the benchmark).
-        flights: only the first ones of each scenario (default: 4; with --full all).
+        scenario: scenarios of the benchmark, or scenario files (default: the whole benchmark).
+        flights: number of flights in each scenario (default: 4; with --full all).
     """
 
     scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [...]")] = ()
@@ -104,23 +104,22 @@ def command(
     moving_platforms: Flat[MovingOptions] = MovingOptions(),
     json: Flag = False,
 ) -> None:
-    """Policies under other thrusts, effects, slopes, vehicles or moving platforms: tables, figures, page.
+    """Test policies under other thrusts, effects, slopes, vehicles or on moving platforms.
 
-    Quick by default; --full takes minutes and is what results are made with. Shares have 95 % Wilson
-    intervals.
+    Writes tables, and with --out figures and a page. Quick by default; --full takes minutes and gives the
+    published results. Shares have 95 % Wilson intervals.
 
     Args:
         policies: landing policies.
-        over: the conditions: thrust of the vehicle; effects of the library; all slopes that a policy knows;
-            named and drawn vehicles; the frozen benchmark of moving platforms.
-        full: all starts, sizes of effects, drawn vehicles and flights.
+        over: conditions to test: thrust of the vehicle, effects of the library, all slopes of a policy's
+            training, named and drawn vehicles, the frozen benchmark of moving platforms.
+        full: use all starts, sizes of effects, drawn vehicles and flights.
         out: new folder for index.html, the numbers as JSON, flights.csv, and the figures.
-        plant: the physics to fly in; hybrid is MuJoCo near surfaces and the equations elsewhere. moving is
-            always flown in mujoco.
+        plant: simulated physics; hybrid is MuJoCo near surfaces and the equations elsewhere. --over moving
+            always uses mujoco.
         every: fly from every n-th start of the frozen sets (default: 12; with --full 1).
-        vehicle: vehicle files, or shipped vehicles by name: the one that is flown, or those of --over
-            vehicles.
-        json: print JSON, and nothing else, on standard output; of several condition sets by their names.
+        vehicle: vehicle files or names of shipped vehicles; more than one only with --over vehicles.
+        json: print only JSON on standard output; several condition sets are entries by name.
     """
     over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
     _check(policies, over, vehicle)
@@ -166,10 +165,12 @@ def command(
 
 
 def _check(policies: tuple[str, ...], over: tuple[str, ...], vehicle: tuple[str, ...]) -> None:
-    """Raise UserError for policies, conditions and vehicles that do not go together, before any work."""
+    """Raise UserError for incompatible policies, conditions and vehicles, before any work."""
     if not (over and (policies or over == ("moving",))):
         raise UserError("name at least one policy, and with --over at least one set of conditions")
     if len(labels := {policy.partition("=")[0] for policy in policies}) > MOST_COMPARED:
-        raise UserError(f"policies: at most {MOST_COMPARED} stand side by side, not {len(labels)}")
+        raise UserError(f"policies: at most {MOST_COMPARED} can be compared, not {len(labels)}")
     if vehicle and (over == ("moving",) or (len(vehicle) > 1 and over != ("vehicles",))):
-        raise UserError("--vehicle is one vehicle, of --over vehicles several; moving platforms have theirs")
+        raise UserError(
+            "--vehicle takes one vehicle, or several with --over vehicles; --over moving takes none"
+        )

@@ -24,7 +24,7 @@ from inclined_landing.envs.shared.tables import count_words
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.eval.policies.flying import fly, outcome
 from inclined_landing.eval.policies.study import Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, Row, slope_words
+from inclined_landing.eval.policies.tables import STRICT, Panel, Row, slope_words
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.errors import UserError
 
@@ -135,16 +135,16 @@ def _curve(edges: np.ndarray, part: np.ndarray, strict: np.ndarray) -> list[dict
 def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
     """Return a row for each policy and kind of slopes, and a sentence of each policy."""
     rows: list[Row] = []
-    remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
+    remarks = [STRICT]
     for entry in report["policies"]:
         name, slopes = entry["name"], slope_words(entry["task_options"])
         if "all" in entry:
             rows.append(((name, slopes), entry["all"]))
         rows += [((name, _alone(row["inclination"])), row) for row in entry["single"]]
         if "any_heading" in entry:
-            rows.append(((name, "the same, any heading"), entry["any_heading"]))
+            rows.append(((name, "the same slopes, any heading"), entry["any_heading"]))
         landed = entry.get("all", entry["single"][0])["strict"]
-        where = f"on slopes {slopes}" if "all" in entry else f"on the slope of {slopes}"
+        where = f"on slopes {slopes}" if "all" in entry else f"on a slope of {slopes}"
         remarks.append(f"{name} landed in {count_words(landed)} {where}.")
     return rows, remarks
 
@@ -164,12 +164,12 @@ def _panels(report: dict[str, Any]) -> list[Panel]:
         for key in ("curve", "azimuth_curve")
     }
     panels = [
-        Panel("All slopes of a policy", over["curve"], "inclination [deg]"),
-        Panel("All directions of its slopes", over["azimuth_curve"], "azimuth [deg]"),
-        Panel("One slope alone, frozen grid", single),
+        Panel("All slopes of the training", over["curve"], "inclination [deg]"),
+        Panel("All directions of these slopes", over["azimuth_curve"], "azimuth [deg]"),
+        Panel("Single slopes, frozen grid", single),
     ]
     return [panel for panel in panels if any(panel.shares.values())]
 
 
 def _alone(inclination: float) -> str:
-    return f"{math.degrees(inclination):.1f} deg alone"
+    return f"{math.degrees(inclination):.1f} deg only"

@@ -1,4 +1,4 @@
-"""The one loop that flies policies under conditions, and what becomes of a study: tables, figures, page.
+"""The loop that flies policies under conditions, and the output of a study: tables, figures, page.
 
 A study is a set of conditions. Its module flies every policy under each (`fly_all`), counts, and returns a
 `Study`: numbers, a row for each flight, sections with tables, and figures.
@@ -36,10 +36,10 @@ Work = Mapping[Key, Callable[[], pd.DataFrame]]
 
 
 def named_policies(texts: Sequence[str]) -> dict[str, str]:
-    """Return policies by what they are called, from words of the command line: POLICY or LABEL=POLICY.
+    """Return policies by name, from arguments of the command line: POLICY or LABEL=POLICY.
 
-    A POLICY is a file, a shipped policy or a run folder; files of the same name are told apart by their
-    folders. Raises UserError where two could not be told apart.
+    A POLICY is a file, a shipped policy or a run folder; files of the same name are distinguished by their
+    folders. Raises UserError if two have the same name.
     """
     labelled = ["=" in text and not os.path.exists(text) for text in texts]
     words = [text.partition("=")[::2] if split else ("", text) for text, split in zip(texts, labelled)]
@@ -50,7 +50,7 @@ def named_policies(texts: Sequence[str]) -> dict[str, str]:
         name = label or (f"{folder}/{file}" if files.count(file) > 1 and folder else file)
         if not (policy and name.isprintable()):
             raise UserError(
-                f"policies are written POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
+                f"a policy is written POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
             )
         if name in found:
             raise UserError(f"policy {shown(name, 100)} is named twice")
@@ -90,7 +90,7 @@ def fly_all(work: Work) -> dict[Key, pd.DataFrame]:
 
 
 def _short(flights: pd.DataFrame) -> str:
-    """Return in words how many flights met what is counted of them."""
+    """Return in words how many flights met the criterion that is counted."""
     counted = next(name for name in ("at_rest", "within", "strict") if name in flights)
     names = {"at_rest": "at rest", "within": "within 5 cm"}
     what = f"flights {names[counted]}" if counted in names else "flights"
@@ -110,7 +110,7 @@ def joined(flown: Mapping[Key, pd.DataFrame]) -> pd.DataFrame:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Study:
-    """What policies did under the conditions of a study."""
+    """The results of policies under the conditions of a study."""
 
     name: str  # of its JSON file and its figure
     title: str
@@ -126,11 +126,11 @@ class Study:
     def section(self) -> Section:
         """Return the section of the page."""
         table = outcomes_table(self.heads, self.rows)
-        figure = {self.name: f"Share of the flights, with 95 % intervals: {self.share}."}
+        figure = {self.name: f"Share of flights counted as {self.share}, with 95 % intervals."}
         return Section(self.name, self.title, [], [], [table], figure, list(self.remarks))
 
     def show(self) -> None:
-        """Print the table, and what came out."""
+        """Print the table and the results."""
         show_sections([self.section])
 
 
@@ -148,7 +148,7 @@ def write_studies(folder: Path, studies: Sequence[Study]) -> None:
     page = render(
         __package__,
         "studies.html.j2",
-        title="What policies do under other conditions",
+        title="Policies under changed conditions",
         sections=[study.section for study in studies],
         images=images,
         run=shlex.join(["landing-eval", *sys.argv[1:]]),

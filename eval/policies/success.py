@@ -1,4 +1,4 @@
-"""`landing-eval success`: how often, how fast and how hard policies reach their goals, side by side.
+"""`landing-eval success`: how often, how fast and how hard policies reach their goals.
 
 Landing: the deterministic policy flies from the paper's three starts, from ten scattered starts
 around each, and from the frozen grid (`envs/starts.py`); one that observes the slope from the frozen set over
@@ -7,7 +7,7 @@ its slopes. *Success* is reaching the goal box
 touched the platform before. The goal box is not yet a landing, so the velocity at its entry is
 reported too, and what happens when the motors are cut there (`rest.py`).
 
-Set-point: the position error after 3 s from 200 random starts. Other tasks: success as they judge it,
+Set-point: the position error after 3 s from 200 random starts. Other tasks: success by their own rule,
 reward and duration, from as many.
 
 With ``--effects`` the frozen grid (or the random starts) alone, once for every effect of the library.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -52,8 +53,8 @@ Policies = Annotated[
     tyro.conf.Positional,
     tyro.conf.arg(
         metavar="POLICY [...]",
-        help=f"policy files, run folders or shipped policies ({', '.join(SHIPPED)}), each on its task; "
-        "LABEL=POLICY gives a name, LABEL@VEHICLE=POLICY a vehicle too.",
+        help=f"policy files, run folders or shipped policies ({', '.join(SHIPPED)}), each flown on its task. "
+        "LABEL=POLICY gives a name, LABEL@VEHICLE=POLICY a name and a vehicle.",
     ),
     Meta(max_length=MOST_COMPARED),
 ]
@@ -67,9 +68,9 @@ _GROUPS = {
     "frozen set": "slopes",
 }
 _CAPTIONS = {
-    "strict": "success: the goal box within 300 steps; strict: and no touch before; time to the goal: median "
-    "(5 % to 95 %)",
-    "at_rest_on_feet": "at rest on feet: 2 s after the motors were cut in the goal box",
+    "strict": "success: the vehicle reaches the goal box within 300 steps; strict: without touching anything "
+    "first; time to the goal: median (5 % to 95 %)",
+    "at_rest_on_feet": "at rest on feet: 2 s after the motors are cut in the goal box",
     "reward": "reward and duration: median (5 % to 95 %)",
 }
 _ENTRY: dict[str, tuple[str, str, Callable[[dict], str]]] = {
@@ -78,10 +79,10 @@ _ENTRY: dict[str, tuple[str, str, Callable[[dict], str]]] = {
     "along the slope [m/s]": ("entry", "tangential_speed", spread_cell),
     "pitch error [rad]": ("entry", "pitch_error", partial(spread_cell, digits=3)),
     "moving away [%]": ("entry", "moving_away", share_cell),
-    "cut: touches the slope [%]": ("motors_cut", "touchdown", share_cell),
-    "cut: touchdown, into it [m/s]": ("motors_cut", "normal_speed", spread_cell),
-    "cut: touchdown, along it [m/s]": ("motors_cut", "tangential_speed", spread_cell),
-    "cut: 2 s later at rest on feet [%]": ("motors_cut", "at_rest_on_feet", share_cell),
+    "after the cut: touches the slope [%]": ("motors_cut", "touchdown", share_cell),
+    "after the cut: normal touchdown speed [m/s]": ("motors_cut", "normal_speed", spread_cell),
+    "after the cut: tangential touchdown speed [m/s]": ("motors_cut", "tangential_speed", spread_cell),
+    "after the cut: at rest on feet after 2 s [%]": ("motors_cut", "at_rest_on_feet", share_cell),
 }
 
 
@@ -97,23 +98,23 @@ def command(
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Success table of policies, side by side: how often, how fast, how hard they reach their goals.
+    """Compare policies: how often, how fast and how hard they reach their goals.
 
     Args:
         policies: policy files.
-        thrust_scale: total thrust times this, one row for each value (default: 1).
-        effects: one row for every physical effect of the library at a plausible size, which the policies
-            know nothing of; from the frozen grid only (four minutes).
+        thrust_scale: factors on the total thrust, one row for each (default: 1).
+        effects: one row for each physical effect of the library at a plausible size, which the policies were
+            not trained with; flown from the frozen grid only (four minutes).
         disturbance: fly in the air disturbance of the vehicle file, as landing-eval gap writes it.
-        seed: of the random starts.
-        json: print JSON, and nothing else, on standard output; of several policies by their names.
+        seed: seed for the random starts.
+        json: print only JSON on standard output; several policies are entries by name.
         out: new folder for success.json and flights.csv.
     """
     if not policies:
         raise UserError("name at least one policy")
     scales = tuple(dict.fromkeys(itertools.chain(*thrust_scale))) or (1.0,)
     if effects and (scales != (1.0,) or disturbance):
-        raise UserError("--effects are flown in still air with the thrust as it is: give them alone")
+        raise UserError("--effects cannot be combined with --thrust-scale or --disturbance")
     if out is not None:
         runs.check_new_run(out)
     loaded, vehicles = {}, {}
@@ -124,9 +125,7 @@ def command(
     for policy in loaded.values():
         air = policy.task.vehicle
         if disturbance and not any((*air.disturbance_acceleration, *air.disturbance_angular)):
-            raise UserError(
-                "--disturbance needs a --vehicle whose table [disturbance] is not all 0: this air is still"
-            )
+            raise UserError("--disturbance needs a --vehicle whose table [disturbance] is not all zero")
     options: dict[str, Any] = {"thrust_scales": scales, "effects": effects, "disturbance": disturbance}
     reports, flights = evaluate_all(loaded, plant=flown.plant, seed=seed, **options)
     for name, report in reports.items():
@@ -157,10 +156,10 @@ def evaluate_all(
 
     A report has an entry of `conditions` per thrust scale. Or, with `effects`, one of `effects` per effect,
     the first without any: only the vehicle in the plant has it, at its plausible size; policy, task and goal
-    know nothing of it. Then landing policies fly from the frozen grid, others from random starts.
+    do not depend on it. Then landing policies fly from the frozen grid, others from random starts.
 
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    disturbance: fly in that of the task's vehicle, always the same. seed: of the random starts.
+    disturbance: fly in that of the task's vehicle, the same in every call. seed: for the random starts.
     """
     work: dict[Key, Callable[[], pd.DataFrame]] = {}
     for name, policy in policies.items():
@@ -220,13 +219,15 @@ def show(reports: Mapping[str, dict[str, Any]]) -> None:
         remarks = ["; ".join([*captions, "95 % Wilson intervals"]) + "."]
         if paper := first.get("paper"):
             shares = " and ".join(f"{100 * result['share']:.1f} %" for result in paper)
-            remarks.append(f"In the paper: {shares} from its three starts and within 0.1 m around them.")
-        title = f"{first['task']}, {first['plant']} plant, seed {first['seed']}"
+            remarks.append(f"The paper reports {shares} from its three starts and within 0.1 m around them.")
+        title = f"{first['task']}, {first['plant']} plant, starts drawn with seed {first['seed']}"
         sections.append(Section(kind, title, [], [], [outcomes_table(heads, rows)], remarks=remarks))
         if kind == "landing" and "conditions" in first:
-            title = "At goal-box entry, and after cutting the motors there (frozen starts)"
+            title = "At entry into the goal box, and after cutting the motors there (frozen starts)"
             sections.append(Section("entry", title, [], [], [_entry(of_kind)]))
-    sections[-1].remarks.extend(answer(name, report) for name, report in reports.items())
+    sections[-1].remarks.extend(
+        " ".join(filter(None, (answer(name, report), sign_hint(report)))) for name, report in reports.items()
+    )
     show_sections(sections)
 
 
@@ -260,7 +261,7 @@ def _entry(reports: Mapping[str, dict[str, Any]]) -> Table:
 
 
 def answer(name: str, report: dict[str, Any]) -> str:
-    """Return in one sentence what came out for the policy of this name."""
+    """Return the result of the policy of this name in one sentence."""
     key, what = {"error": ("within", "was within 5 cm"), "flights": ("success", "succeeded")}.get(
         report["table"], ("strict", "landed")
     )
@@ -269,8 +270,8 @@ def answer(name: str, report: dict[str, Any]) -> str:
         good = sum(row[key]["share"] >= ENOUGH for row in rows)
         worst = min(rows, key=lambda row: row[key]["share"])
         return (
-            f"{name} {what} in {100 * ENOUGH:.0f} % or more under {good} of {len(rows)} effects; least under "
-            f"{worst['effect']}: {count_words(worst[key])}."
+            f"{name} {what} in {100 * ENOUGH:.0f} % or more under {good} of {len(rows)} effects; worst is "
+            f"{worst['effect']} with {count_words(worst[key])}."
         )
     parts = []
     for condition in report["conditions"]:
@@ -282,3 +283,19 @@ def answer(name: str, report: dict[str, Any]) -> str:
         scale = condition["thrust_scale"]
         parts.append(part if scale == 1.0 else f"at thrust x {scale:g} it {part}")
     return f"{name} {'; '.join(parts)}."
+
+
+def sign_hint(report: dict[str, Any]) -> str:
+    """Return a sentence if nothing succeeded on a slope whose sign is not that of the training, else ""."""
+    trained = report["trained"].get("task_options", {}).get("inclination")
+    flown = report["task_options"].get("inclination")
+    rows = [condition.get("grid", {}) for condition in report.get("conditions", ())]
+    if not (trained and flown and trained * flown < 0 and rows) or any(
+        row.get("strict", {"count": 1})["count"] for row in rows
+    ):
+        return ""
+    trained, flown = math.degrees(trained), math.degrees(flown)
+    return (
+        f"It was trained at {trained:.1f} deg, and {flown:g} deg slopes the other way: "
+        f"try --inclination {-flown:g}."
+    )

@@ -1,4 +1,4 @@
-"""Tables and figures of what policies do: outcomes by policy and condition, the same for every study.
+"""Tables and figures of outcomes by policy and condition, the same for every study.
 
 An outcome is what `flying.summary` counts: shares with their intervals, medians with their quantiles, by the
 names of `MEASURES`.
@@ -36,6 +36,10 @@ def _centimetres(key: str) -> Callable[[dict], str]:
     return lambda error: f"{100 * error[key]:.2f}"
 
 
+STRICT = (
+    "Strict success: the vehicle reaches the goal box within 300 steps without touching anything first. "
+    "Shares have 95 % Wilson intervals."
+)
 # What may be counted: heading, and the text of a cell.
 MEASURES: dict[str, tuple[str, Callable[[dict], str]]] = {
     "strict": ("strict [%]", share_cell),
@@ -47,19 +51,19 @@ MEASURES: dict[str, tuple[str, Callable[[dict], str]]] = {
     "error": ("error after 3 s [cm]", _centimetres("mean")),
     "time_to_goal": ("time [s]", spread_cell),
     "time": ("time [s]", _median),
-    "normal_speed": ("into it [m/s]", _median),
-    "tangential_speed": ("along it [m/s]", _median),
+    "normal_speed": ("normal speed [m/s]", _median),
+    "tangential_speed": ("tangential speed [m/s]", _median),
     "tilt": ("tilt [deg]", lambda found: _median(found, math.degrees(1.0))),
-    "peak_normal_force": ("peak [N]", _median),
+    "peak_normal_force": ("peak force [N]", _median),
     "reward": ("reward", spread_cell),
     "duration": ("duration [s]", spread_cell),
 }
 
 
 def outcomes_table(heads: Sequence[str], rows: Sequence[Row]) -> Table:
-    """Return a row of labels, under `heads`, and cells for each outcome; also how many flights it is of.
+    """Return a table with a row for each outcome: labels under `heads`, number of flights, measures.
 
-    A label that is the one above, in the first column, is left out.
+    In the first column, a label that repeats the one above is left out.
     """
     shown = [name for name in MEASURES if rows and name in rows[0][1]]
     counted = shown[0] if shown else ""
@@ -84,18 +88,18 @@ def size_words(parameters: dict) -> str:
 
 
 def slope_words(options: dict) -> str:
-    """Return the slopes of a task by its options: "-25.7 deg", "to +-25.7 deg" or "to 30 deg all around"."""
+    """Return the slopes of a task: "-25.7 deg", "up to +-25.7 deg" or "up to 30 deg, any heading"."""
     if options.get("steepest") is None:
         return f"{math.degrees(options['inclination']):.1f} deg"
     steepest = f"{math.degrees(options['steepest']):.3g} deg"
-    return f"to +-{steepest}" if options.get("dimensions", 2) == 2 else f"to {steepest} all around"
+    return f"up to +-{steepest}" if options.get("dimensions", 2) == 2 else f"up to {steepest}, any heading"
 
 
 @dataclasses.dataclass(frozen=True)
 class Panel:
     """Shares with their 95 % intervals, of every policy by its name.
 
-    At numbers, drawn as lines over a quantity, or under conditions with names, drawn as marks in rows.
+    Shares at numbers are drawn as lines over a quantity, shares under named conditions as marks in rows.
     """
 
     title: str
@@ -110,7 +114,7 @@ class Panel:
 
 
 def draw_panels(panels: Sequence[Panel], share: str) -> Figure:
-    """Return the figure of panels side by side; share: what it is the share of, in words."""
+    """Return the figure of panels side by side; share: what the shares count, in words."""
     names = list(panels[0].shares)
     rows = max([0, *(len(panel.conditions) for panel in panels if not panel.quantity)])
     label = f"{share} [%]"

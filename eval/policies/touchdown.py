@@ -1,4 +1,4 @@
-"""`landing-eval touchdown`: at rest on the slope by the policy's own command, against cutting the motors.
+"""`landing-eval touchdown`: rest on the slope by the policy's own command, compared with cutting the motors.
 
 From every start of the frozen grid, at each friction and restitution, two vehicles fly in the MuJoCo plant
 (RK4, 4 ms):
@@ -7,13 +7,13 @@ From every start of the frozen grid, at each friction and restitution, two vehic
   paper. It has 300 control steps to get there and 2 s more to come to rest;
 - `touchdown`: a touchdown policy, which idles the motors itself, within 300 control steps.
 
-Both are judged by the touchdown task: 0.3 s at rest on the feet; the floor ends a flight. A vehicle under
-PWM 0 has no attitude torque. Speeds are those of the centre of mass before any part first meets the slab;
-the peak normal force is that on the feet at any engine step. Where friction cannot hold the slope,
-mu <= tan(inclination), nobody can come to rest: such conditions are named, not counted.
+Both are evaluated by the rule of the touchdown task: 0.3 s at rest on the feet; the floor ends a flight. A
+vehicle under PWM 0 has no attitude torque. Speeds are those of the centre of mass before any part first meets
+the slab; the peak normal force is that on the feet at any engine step. Where friction cannot hold the slope,
+mu <= tan(inclination), no vehicle can come to rest; such conditions are listed but not counted.
 
-With ``--effect`` both also fly vehicles with one effect of the library at a plausible size, of which the
-policies know nothing, on the contact of the vehicle file.
+With ``--effect`` both also fly vehicles with one effect of the library at a plausible size, which the
+policies were not trained with, on the contact of the vehicle file.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from inclined_landing.models.vehicle import Vehicle
 FRICTIONS = (0.5, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)
 SETTLING = 100  # control steps that the motor cut has after the goal box
-MODES = {"motor_cut": "cut in the goal box", "touchdown": "touchdown policy"}
+MODES = {"motor_cut": "cut in goal box", "touchdown": "touchdown policy"}
 BASELINE = "landing-nominal"  # whose motors are cut
 _COUNTED = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
 
@@ -160,16 +160,17 @@ def command(
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Touchdown policy beside a landing policy whose motors are cut (minutes).
+    """Compare a touchdown policy with a landing policy whose motors are cut (minutes).
 
     Args:
-        policy: touchdown policy file, or the shipped one (touchdown).
-        baseline: landing policy file, or a shipped one; landing-nominal is the paper's.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
-        friction: between feet and slope.
-        restitution: of the feet on the slope, 0 to 0.6.
-        effect: of the library, at a plausible size, which the policies know nothing of (default: none).
-        json: print JSON, and nothing else, on standard output.
+        policy: touchdown policy file, or name of a shipped one (touchdown).
+        baseline: landing policy file, or name of a shipped one; landing-nominal is the paper's.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
+        friction: friction coefficients between feet and slope.
+        restitution: coefficients of restitution of the feet on the slope, 0 to 0.6.
+        effect: effects of the library, at a plausible size, that the policies were not trained with (default:
+            none).
+        json: print only JSON on standard output.
         out: new folder for touchdown.json and flights.csv.
     """
     if not (friction and restitution):
@@ -200,20 +201,23 @@ def show(report: Mapping[str, Any]) -> None:
     named += [(row["effect"], row) for row in report["effects"]]
     rows = [((label, motors), row[mode]) for label, row in named for mode, motors in MODES.items()]
     remarks = [
-        "95 % Wilson intervals; speeds at the first touch, peak normal force on the feet (the weight is "
-        f"{report['weight']:.2f} N) and time until rest: medians."
+        "Shares have 95 % Wilson intervals. Speeds at the first touch, peak normal force on the feet (the "
+        f"weight is {report['weight']:.2f} N) and time until rest are medians."
     ]
     for mu in report["cannot_hold"]:
-        remarks.append(f"mu {mu:g} cannot hold this slope (tan {abs(angle):.1f} deg is more): not counted.")
+        remarks.append(
+            f"Not counted: friction {mu:g}, which is below tan({abs(angle):.1f} deg) and cannot hold the "
+            "vehicle."
+        )
     counted = [report["all"]] if report["all"] else report["effects"]
     ends = {
         mode: proportion(*(sum(row[mode]["at_rest"][key] for row in counted) for key in ("count", "of")))
         for mode in MODES
     }
     remarks.append(
-        f"The touchdown policy came to rest on its feet in {count_words(ends['touchdown'])}; with motors cut "
-        f"in the goal box, in {count_words(ends['motor_cut'])}."
+        f"The touchdown policy came to rest on its feet in {count_words(ends['touchdown'])}; with the "
+        f"motors cut in the goal box, in {count_words(ends['motor_cut'])}."
     )
-    title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts each"
+    title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts per condition"
     table = outcomes_table(("", "motors"), rows)
     show_sections([Section("touchdown", title, [], [], [table], remarks=remarks)])

@@ -25,7 +25,7 @@ from inclined_landing.envs.tasks.landing import START_CLEARANCE
 from inclined_landing.envs.vehicle_parameters import NAMES, vehicle_parameters
 from inclined_landing.eval.policies.flying import fly, summary, table_of
 from inclined_landing.eval.policies.study import Key, Study, fly_all, joined
-from inclined_landing.eval.policies.tables import Panel, Row
+from inclined_landing.eval.policies.tables import STRICT, Panel, Row
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError
@@ -169,7 +169,7 @@ def _rows(report: dict[str, Any]) -> tuple[list[Row], list[str]]:
     rows: list[Row] = [
         ((name, label, *size), of[label]) for name, (*size, of) in flown.items() for label in of
     ]
-    remarks = ["strict: the goal box within 300 steps and no touch before; 95 % Wilson intervals"]
+    remarks = [STRICT]
     for label in report["labels"]:
         shares = {name: of[label]["strict"] for name, (_, _, of) in flown.items()}
         counts = [f"{share['count']} of {share['of']} flights with {name}" for name, share in shares.items()]
@@ -185,7 +185,7 @@ def _panels(report: dict[str, Any]) -> list[Panel]:
     if draws := report["draws"]:
         panels += [
             Panel("Drawn vehicles", _groups(draws, "mass", 1e3), "mass [g]", logarithmic=True),
-            Panel("", _groups(draws, "thrust_to_weight", 1.0), "thrust over weight [1]"),
+            Panel("", _groups(draws, "thrust_to_weight", 1.0), "thrust / weight"),
         ]
     return panels
 

@@ -51,7 +51,7 @@ def command(
     platform: Flag = False,
     flown: Flat[Flown] = Flown(),
 ) -> None:
-    """Flights of policies and logs in 3D, as one page for the browser.
+    """Show flights of policies and logs in 3D, on one page for the browser.
 
     The page holds everything it needs and opens from a file. A policy flies from --start, or from its task's
     usual starts, and is followed at the engine's steps with its contact forces until it is at rest. A log is

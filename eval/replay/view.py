@@ -26,7 +26,7 @@ def command(
     again: Flag = False,
     flown: Flat[Flown] = Flown(),
 ) -> None:
-    """Flights of a policy in MuJoCo's viewer, in real time; needs a display.
+    """Show flights of a policy in MuJoCo's viewer in real time; needs a display.
 
     Closing the window ends the command.
 

@@ -52,8 +52,8 @@ def test_a_command_and_its_module_are_called_alike(name):
 
 
 @pytest.mark.parametrize(("words", "sentence"), [
-    ([], "no command; landing-eval --help lists them"),
-    (["succes", "x"], "unknown command 'succes', perhaps success; landing-eval --help lists them"),
+    ([], "no command; see landing-eval --help"),
+    (["succes", "x"], "unknown command 'succes'; did you mean success? See landing-eval --help"),
     (["success"], "name at least one policy"),
     (["success", "x", "--seed", "one"], "Error parsing --seed: "),
     (["success", "x", "--inclination=steep"], "Error parsing --inclination: "),
@@ -62,15 +62,15 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success", "x", "--inclination", "nan"], "--inclination must be a number, not nan"),
     (["success", "x", "--thrust-scale", "1", "inf"], "--thrust-scale"),
     (["crazyflie", "--seconds", "0"], "--seconds must be a number above 0 and below 1e+06, not 0.0"),
-    (["success", "x", "--out", ""], "--out is empty; was a variable of the shell not set?"),
-    (["success", "x", "--out="], "--out is empty; was a variable of the shell not set?"),
-    (["success", ""], "a word is empty; was a variable of the shell not set?"),
+    (["success", "x", "--out", ""], "--out is empty; is a shell variable unset?"),
+    (["success", "x", "--out="], "--out is empty; is a shell variable unset?"),
+    (["success", ""], "an argument is empty; is a shell variable unset?"),
     (["success", "x", "--seed"], "Missing value for argument '--seed'"),
     (["success", "x", "--sed", "3"], "Unrecognized options: --sed, 3; Perhaps you meant: --seed INT"),
     (["doctor", "--\nsed", "\udcff" * 200], "Unrecognized options: --"),
     (["logs"], "Error parsing source: name at least one log"),
-    (["landings"], "STUDY.toml and --out DIR are missing; landing-eval landings --help"),
-    (["touchdown"], "POLICY is missing; landing-eval touchdown --help"),
+    (["landings"], "STUDY.toml and --out DIR are missing; see landing-eval landings --help"),
+    (["touchdown"], "POLICY is missing; see landing-eval touchdown --help"),
     (["success", "x", "--thrust-scale", "1", "4"], "--thrust-scale must be a number above 0 and of at"),
 ])  # fmt: skip
 def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
@@ -80,11 +80,10 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     assert printed.err.startswith(f"landing-eval: {sentence}")
     assert printed.err.endswith(
         (
-            "lists them\n",
-            "says what is right\n",
+            "--help\n",
             "one log\n",
             "one policy\n",
-            "not set?\n",
+            "unset?\n",
             "not nan\n",
             "not inf\n",
             "not 0.0\n",

@@ -46,7 +46,7 @@ def _run(words: list[str]) -> int | None:
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         wrong = f"unknown command {name!r}" if name else "no command"
-        raise UserError(f"{wrong}{', perhaps ' + near[0] if near else ''}; {PROGRAM} --help lists them")
+        raise UserError(f"{wrong}{', perhaps ' + near[0] if near else ''}; see {PROGRAM} --help")
     return parse(bound(find(name)), f"{PROGRAM} {name}", rest)()
 
 

@@ -29,7 +29,7 @@ def test_one_command_runs_them_from_the_root():
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; python -m tests.proof --help"),
+        ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; see python -m tests.proof --help"),
         ("gap-agreement --out {out} --family moon", "unknown family 'moon'; choose from dev, fresh"),
         ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
         ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),

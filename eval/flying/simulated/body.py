@@ -37,7 +37,7 @@ HIDDEN = {
 
 
 class Body:
-    """One simulated vehicle beside the platform, at first on the floor with its motors off.
+    """One simulated vehicle next to the platform, initially on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
     file's, and whether it stands there; seed of the disturbance of the air.

@@ -1,4 +1,4 @@
-"""What can go wrong in a flight, and when: `mocap-frozen@12.5` or, after an event, `mocap-frozen@air+2`."""
+"""Faults of a flight and their times: `mocap-frozen@12.5` or, after an event, `mocap-frozen@air+2`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ EVENTS = ("start", "air")
 
 FAULTS = {  # what goes wrong; `World.begin` lets it
     "link-lost": "no packet gets through, either way; cflib's driver gives up soon after",
-    "pilot-killed": f"the pilot's process is gone; what outlives it sends a stop {DEAD_MAN_DELAY:g} s later",
+    "pilot-killed": f"the pilot's process is gone; its watchdog sends a stop {DEAD_MAN_DELAY:g} s later",
     "uplink-lost": "set-points do not arrive; the log goes on",
     "downlink-lost": "the log stops; set-points arrive",
     "packet-storm": f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways",
     "mocap-lost": "the cameras see nothing any more",
-    "mocap-frozen": "the same pose again and again, with new times",
+    "mocap-frozen": "the same pose repeatedly, with new times",
     "mocap-stuck": "a marker left behind: the pose stays where it was",
     "marker-swap": f"the pose jumps by {SWAP:g} m in a random direction",
     "attitude-turned": "the pose shows the vehicle turned by half a turn",
-    "deck-blind": "the Lighthouse deck sees nothing any more: the onboard position is added up",
+    "deck-blind": "the Lighthouse deck sees nothing any more; the onboard position is dead reckoning",
     "attitude-wrong": "the onboard roll and pitch have the wrong sign",
     "low-battery": f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it",
     "reboot": "the vehicle restarts: motors off, link lost",

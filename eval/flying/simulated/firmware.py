@@ -2,7 +2,7 @@
 
 Behaviour, names and numbers follow bitcraze/crazyflie-firmware at 2a18fc2 (August 2026): `supervisor.c`,
 `supervisor_state_machine.c`, `platform_defaults.h`, `commander.c`, `crtp_commander_rpyt.c`,
-`crtp_commander_generic.c`. What matters to somebody who flies:
+`crtp_commander_generic.c`. For users, these rules matter:
 
 - thrust stays 0 until a set-point of thrust 0 was received (`thrustLocked`);
 - without a new set-point the vehicle levels out after 0.5 s and keeps its thrust, and stops its motors after

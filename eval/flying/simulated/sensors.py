@@ -1,4 +1,4 @@
-"""What a simulated vehicle measures of itself: attitude, rates, forces, voltage, position.
+"""The sensors of a simulated vehicle: attitude, rates, forces, voltage, position.
 
 The position is what `stateEstimate` shows, in the arena's frame. The sizes of the errors are estimates, see
 Taffanel et al., "Lighthouse Positioning System: Dataset, Accuracy, and Precision for UAV Research", 2021.
@@ -34,7 +34,7 @@ class DeckQuality:
 
 
 class Lighthouse:
-    """The deck's estimate of one flight. blind: from now on it sees nothing, and the filter adds up."""
+    """The deck's estimate of one flight. blind: it sees nothing any more, and the filter integrates."""
 
     def __init__(self, body: Body, random: np.random.Generator):
         self.blind = False

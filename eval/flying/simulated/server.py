@@ -1,7 +1,7 @@
 """A simulated Crazyflie as a process of its own: CRTP over UDP for cflib's `UdpDriver`, in real time.
 
 One datagram is one packet, its header and its data. A pilot connects to `udp://HOST:PORT`; poses go out as
-the datagrams of `positions.py`. Killing the pilot leaves a vehicle in the air that must look after itself.
+the datagrams of `positions.py`. If the pilot is killed, the vehicle goes on by the firmware's rules.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class SimulatorServer:
         end = time.monotonic() + seconds
         while (now := time.monotonic()) < end:
             if now - begin - world.time > _BEHIND:
-                self._tell(f"this machine is too slow: {now - begin - world.time:.2f} s let go")
+                self._tell(f"this machine is too slow; skipped {now - begin - world.time:.2f} s")
                 begin = now - world.time
             if select.select([self._radio], [], [], _TURN)[0]:
                 self._receive(time.monotonic() - begin)

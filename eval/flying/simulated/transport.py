@@ -1,4 +1,4 @@
-"""What comes between the vehicle and its pilot: a radio and cameras, late, noisy, and not always there."""
+"""The link between the vehicle and its pilot: radio and cameras with latency, noise and dropouts."""
 
 from __future__ import annotations
 

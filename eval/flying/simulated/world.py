@@ -1,7 +1,7 @@
-"""Everything there is but the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
+"""Everything except the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
 
-The time is whatever the caller advances it to: in one go for flights in virtual time, by the real clock in
-`server.py`. All that is drawn comes from one seed, so a flight repeats bit for bit when the pilot does.
+The caller advances the time: in one go for flights in virtual time, by the real clock in `server.py`. All
+random numbers come from one seed, so that a flight repeats bit for bit if the pilot does.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Trace:
     mode: np.ndarray  # (T,) firmware.State
 
     def write(self, path: Path) -> None:
-        """Write the documented CSV at 125 Hz, whole or not at all."""
+        """Write the documented CSV at 125 Hz, atomically."""
         some = slice(None, None, 2)
         write_log(
             path,
@@ -105,7 +105,7 @@ class World:
         generators = (np.random.default_rng(s) for s in seeds)
         up, down, seen, specific_force, self.random, start, positions = generators
         if not setting.lighthouse and any(fault.name == "deck-blind" for fault in faults):
-            raise UserError("the fault deck-blind needs a deck")
+            raise UserError("the fault deck-blind needs --lighthouse or --position onboard")
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
         self.body = Body(

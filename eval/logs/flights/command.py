@@ -21,7 +21,7 @@ SetAndFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(met
 
 
 def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
-    """Measured flights of others: where each set is, its licence, and its files as documented CSV.
+    """List public sets of measured flights with their licences, or convert one to documented CSV.
 
     Args:
         public: a set, and files of it as they are in its repository.

@@ -1,12 +1,12 @@
-"""What may be scored: policies, the planner, and controllers of others.
+"""Controllers that can be evaluated: policies, the planner, and custom controllers.
 
 A controller is called once per control period with t [s], the states of n vehicles (n, 12) and of their
 platforms (n, 12), both with the columns x y z, vx vy vz, roll pitch yaw, wx wy wz (m, m/s, rad, rad/s of the
 body; attitude Rz(yaw) Rx(roll) Ry(pitch)), as they are now. It answers with commands (n, 4): PWM, roll, pitch
 [rad], yaw rate [rad/s]. PWM 0 or less stops the motors, other commands are cut to what the vehicle takes.
 
-Others' are named `module:function`, `file.py:function`, or a class, which is called with the vehicle and
-must make such a function; one is made for every scenario, so that it may remember.
+Custom controllers are named `module:function`, `file.py:function`, or a class, which is called with the
+vehicle and must make such a function; one is made for every scenario, so that it may remember.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Controller:
 
 
 def find(name: str, vehicle: Vehicle, label: str | None = None) -> Controller:
-    """Return the controller that is called `name`: the planner, a policy, or `module:NAME` of others."""
+    """Return the controller `name`: the planner, a policy, or a custom one, `module:NAME`."""
     if name == PLANNER:
         return Controller(PLANNER, "planner", vehicle, lambda n: _Checked(Planner(vehicle), PLANNER, vehicle))
     if is_path(name):
@@ -62,15 +62,15 @@ def find(name: str, vehicle: Vehicle, label: str | None = None) -> Controller:
 
 
 def find_all(names: Sequence[str]) -> list[Controller]:
-    """Return the controllers by their names, the baselines where there are none.
+    """Return the controllers by their names, the baselines if none are given.
 
-    Raises UserError where two of them are called the same.
+    Raises UserError if two of them have the same name.
     """
     vehicle, named = vehicle_flown(), named_policies(tuple(dict.fromkeys(names)) or BASELINES)
     found = [find(policy, vehicle, label) for label, policy in named.items()]
     called = [controller.name for controller in found]
     if twice := [name for name in called if called.count(name) > 1]:
-        raise UserError(f"two controllers are called {twice[0]}; rename one")
+        raise UserError(f"two controllers have the name {twice[0]}; rename one")
     return found
 
 
@@ -78,7 +78,7 @@ def of_policy(policy: Policy, vehicle: Vehicle, label: str | None = None) -> Con
     """Return a policy as a controller; raises UserError for one that flies in a plane."""
     if "roll" not in policy.task.action_names:
         raise UserError(
-            f"policy {policy.path} flies in a plane; the scenarios need one of three dimensions, such as "
+            f"policy {policy.path} flies in a plane; the scenarios need one in three dimensions, such as "
             "those of landing-train touchdown --dimensions 3"
         )
     kind = "motor cut" if policy.task.cut_at_success else "policy"
@@ -109,7 +109,7 @@ class _Checked:
 
 @contextlib.contextmanager
 def _blamed(who: str) -> Iterator[None]:
-    """Turn whatever the code of others raises into a UserError that names it."""
+    """Turn any exception of a custom controller into a UserError that names it."""
     try:
         yield
     except UserError:

@@ -4,9 +4,10 @@ Everything is planned in the frame that moves along with the platform's centre. 
 place beside the platform's normal from which the last way is short. From there a polynomial of the fifth
 degree, the way of least squared jerk, leads to the platform: onto its centre, sinking by `SINK`, and with the
 acceleration that a vehicle has whose thrust is along the platform's normal, so that it arrives aligned with
-it. The way's end is planned anew in every control period, as a platform tilts. Commands follow the way by its
-acceleration, a proportional and a derivative term, and the platform's own acceleration, differenced;
-attitude commands lead by the loop's time constant. The motors stop at `CUT` over the height at rest.
+it. The end of the way is replanned in every control period, because a platform may tilt. Commands follow the
+way by its acceleration, a proportional and a derivative term, and the platform's own acceleration,
+differenced; attitude commands lead by the loop's time constant. The motors stop at `CUT` over the height at
+rest.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011, for flat
 outputs; Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015), for ways

@@ -1,6 +1,6 @@
-"""Scenario files (TOML): which deck, motion and starts, and what counts as landed; `File` is their form.
+"""Scenario files (TOML): platform, motion, starts, and what counts as landed; `File` is their schema.
 
-Whoever changes a scenario gives it another name. An axis of the deck moves by the sum over the components of
+A changed scenario gets another name. An axis of the deck moves by the sum over the components of
 amplitude cos(2 pi t / period + phase_deg + phase), the last drawn for each flight and common to all axes.
 """
 
@@ -231,7 +231,7 @@ def _parse(name: str, data: dict, fingerprint: str) -> Scenario:
         raise UserError(f"[success] hold is {hold:g} s, but must be shorter than within, {within:g} s")
     for axis, (low, high) in structs.asdict(file.start).items():
         if low > high:
-            raise UserError(f"[start] {axis} goes from {low:g} down to {high:g}")
+            raise UserError(f"[start] {axis}: the lower end {low:g} is above the upper end {high:g}")
     return scenario
 
 

@@ -27,11 +27,12 @@ from inclined_landing.models.plants.recorder import STEP
 
 COUNTED = ("at_rest", "time", "normal_speed", "tangential_speed", "tilt", "off_centre")
 RULE = (
-    "At rest: on the platform, on the feet alone, motors idle, as long as the scenario says; in the frozen "
-    "ones 0.3 s within 10 s, slower than 0.05 m/s relative to the platform. 95 % Wilson intervals. Speeds "
-    "and tilt at the first touch, relative to the platform, and the time until rest: medians."
+    "At rest means on the platform, on the feet alone, with motors at idle, for the time that the scenario "
+    "states; in the frozen scenarios 0.3 s within 10 s, slower than 0.05 m/s relative to the platform. "
+    "Shares have 95 % Wilson intervals. Speeds and tilt at the first touch, relative to the platform, and "
+    "the time until rest are medians."
 )
-PARTLY = "Fewer flights than the scenarios have were flown: this is not a result of the benchmark."
+PARTLY = "Not all flights of the scenarios were flown, so that this is not a result of the benchmark."
 
 
 def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:
@@ -121,5 +122,5 @@ def _panels(
     rest = {key: found["at_rest"] for key, found in counted.items()}
     speeds = {name: {s.motion.speed: rest[name, s.name] for s in level} for name in names}
     rows = {name: {s.name: rest[name, s.name] for s in others} for name in names}
-    panels = [Panel("Level platforms that travel steadily", speeds, "speed of the platform [m/s]")]
+    panels = [Panel("Level platforms at constant speed", speeds, "platform speed [m/s]")]
     return panels * bool(level) + [Panel("Slopes, waves, ships, cars", rows)] * bool(others)

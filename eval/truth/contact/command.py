@@ -12,7 +12,7 @@ from inclined_landing.models.parameters import load_vehicle
 
 
 def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
-    """Can contact be believed? Rest, slip, drops, energy and more against mechanics: a page of claims.
+    """Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.
 
     Args:
         out: new folder for contact.html, contact.json and the figures.

@@ -39,7 +39,7 @@ def command(
     seed: Seed = 0,
     quick: Flag = False,
 ) -> int:
-    """Is the vehicle the paper's model? MuJoCo against the paper's equations: a page of claims.
+    """Check the vehicle in MuJoCo against the paper's equations; writes a page of claims.
 
     The exit code is 1 when a claim fails.
 

@@ -79,7 +79,7 @@ def test_a_vehicle_without_the_deck_cannot_fly_by_it():
     flight = fly_simulated(seed=1)
     radio = Radio(flight.crazyflie, flight.clock, 0.5)
     radio.connect(flight.uri)
-    with pytest.raises(UserError, match="no deck to know its position by"):
+    with pytest.raises(UserError, match="no deck that measures its position"):
         radio.onboard_position()
 
 
@@ -88,7 +88,7 @@ def test_a_landing_by_lighthouse(tmp_path, capsys):
     words = ["fly", "--simulated", "--position", "onboard", "--start=1,1.5"]
     assert cli.main([*words, "--seed=2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "onboard position (Lighthouse deck)" in said and "1 of 1 landed" in said
+    assert "onboard position (Lighthouse deck)" in said and "Of 1 flight, 1 reached the goal box" in said
     assert json.loads((out / "fly.json").read_text("utf-8"))["position"] == "onboard"
     assert cli.main([*words, "--fault=deck-blind@air+2", "--out", str(tmp_path / "blind")]) == 3
     assert "no position" in capsys.readouterr().out
@@ -97,10 +97,10 @@ def test_a_landing_by_lighthouse(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--position=onboard", "--mocap=poses:1"], "--mocap is of"),
+        (["--position=onboard", "--mocap=poses:1"], "--mocap is only for --position mocap"),
         (["--position=gps"], "must be mocap or onboard"),
-        (["--position=onboard", "--heading=0"], "--heading is of motion capture"),
-        (["--fault=deck-blind"], "needs a deck"),
+        (["--position=onboard", "--heading=0"], "--heading is only for"),
+        (["--fault=deck-blind"], "deck-blind needs --lighthouse"),
     ],
 )
 def test_what_cannot_be_flown_by_it_is_one_sentence(words, said, tmp_path, capsys):

@@ -5,6 +5,7 @@ import itertools
 import json
 import sys
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +23,7 @@ from inclined_landing.eval.flying.interfaces import RealClock
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
 from inclined_landing.eval.flying.positions import TrackedBody, open_capture
+from inclined_landing.eval.flying.report import FlightReport, describe_all
 from inclined_landing.eval.flying.safety import Phase
 from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
@@ -200,7 +202,7 @@ def test_a_touchdown_comes_to_rest_by_its_own_command(name, policies):
 def test_policies_of_any_slope_fly_over_that_of_the_arena(name, slope, tmp_path, capsys):
     words = ["fly", name, "--simulated", "--start=1.5,1.8", "--inclination", str(slope), "--seed=3"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    assert "rests on the slope" in capsys.readouterr().out
+    assert "; at rest on the slope" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -337,7 +339,7 @@ def test_a_log_holds_what_it_is_told(tmp_path):
     np.testing.assert_allclose(found.position[:, 2], 1 + 0.1 * found.t, atol=2e-3)
     np.testing.assert_allclose(np.unwrap(found.attitude[:, 2]), 3.1 + 0.1 * (found.t + 0.002), atol=1e-3)
     assert found.command[-1, 0] == 30_398.0
-    with pytest.raises(UserError, match="there already"):
+    with pytest.raises(UserError, match="already exists"):
         FlightLogWriter(path, 0.0)
 
 
@@ -387,7 +389,7 @@ def test_motion_capture_that_is_silent_or_refuses_is_said(code, limit, said, tmp
 def test_the_command_writes_what_happened(tmp_path, capsys):
     words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "out"), "--seed=2"]
     assert cli.main(words) == 0
-    assert "1 of 1 landed" in capsys.readouterr().out
+    assert "Of 1 flight, 1 reached the goal box (1 without" in capsys.readouterr().out
     told = json.loads((tmp_path / "out" / "fly.json").read_text("utf-8"))
     assert told["flights"][0]["landed"] and told["flights"][0]["log"] == "flight_01.csv"
     for wrong in (
@@ -408,3 +410,13 @@ def until(true, seconds=60.0):
     while not true():
         assert time.monotonic() < end, "it did not come to that"
         time.sleep(0.05)
+
+
+def test_the_last_line_counts_touches_and_rest():
+    """A flight that reaches the goal box may still touch first, or not come to rest."""
+    box = partial(FlightReport, "goal box", goal=np.zeros(13), landing_time=2.0)
+    reports = [box(rests=True), box(rests=True, touched=True), box(rests=False), FlightReport("tilt")]
+    said = "of 4 flights, 3 reached the goal box (2 without touching the platform before) and 2 came to rest"
+    assert describe_all(reports, "landing").startswith(said)
+    assert describe_all(reports[:1], "touchdown") == "of 1 flight, 1 came to rest on the slope"
+    assert describe_all([FlightReport("plan flown")], "plan") == "1 of 1 flight followed the plan"

@@ -363,7 +363,7 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
         (["video", "--out", "a.mp4", "--start", "0,1"], "--start 0,1 lies in the platform"),
         (["video", "--out", "a.mp4", "--start", "0.3,1.28"], "lies in the platform"),
         (["video", "--out", "a.mp4", "--slow", "0"], "--slow must be a number from 0.1 to 20, not 0"),
-        (["video", "--out", "a.mp4", "--width", "641"], "an even number of pixels"),
+        (["video", "--out", "a.mp4", "--width", "641"], "width and height of a video must be even"),
         (["video", "--out", "a.mp4", "--camera", "top"], "unknown camera 'top'"),
         (["video", "--out", "new/a.mp4", "--backend", "pen"], "unknown rendering backend 'pen'"),
         (

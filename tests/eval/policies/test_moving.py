@@ -74,7 +74,7 @@ GOOD = (shipped()["ship_5_bow"]).read_text()
         ("friction = 0.8", "friction = 0.8\ncolour = 1", "unknown entry 'colour'"),
         ('azimuth_deg = "any"', 'azimuth_deg = "north"', "[deck] azimuth_deg must be a number"),
         ("roll = { amplitude = [0.085,", "roll = { amplitude = [70.0,", "together reach"),
-        ("x = [-2.5, 2.5]", "x = [2.5, -2.5]", "goes from"),
+        ("x = [-2.5, 2.5]", "x = [2.5, -2.5]", "is above the upper"),
         ("hold = 0.3", "hold = 12.0", "must be shorter than within"),
     ],
 )

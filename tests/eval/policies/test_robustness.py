@@ -105,7 +105,7 @@ def test_thrusts_survived_have_no_gap(good, ends):
 def test_a_table_has_a_row_for_each_outcome():
     found = {"strict": proportion(3, 4), "normal_speed": spread([1.0, 2.0, 4.0]), "of no measure": 7}
     table = tables.outcomes_table(("policy", "thrust"), [(("a", "x 1"), found), (("a", "x 2"), found)])
-    assert table.heads == ("policy", "thrust", "flights", "strict [%]", "into it [m/s]")
+    assert table.heads == ("policy", "thrust", "flights", "strict [%]", "normal speed [m/s]")
     assert table.rows[0] == ("a", "x 1", "4", "75.0 [30.1, 95.4]", "2.00")
     assert table.rows[1][:2] == ("", "x 2")
 
@@ -151,7 +151,7 @@ def test_long_work_says_how_long_it_takes_and_what_is_done(monkeypatch, capsys):
         (("landing", "--ranges", "sparrow", "--draws=0", *VEHICLES), "randomise file sparrow does not exist"),
         (("setpoint", *VEHICLES), "policy setpoint is for the task setpoint, not for landing"),
         (("setpoint", "--over=slopes"), "setpoint, not for landing"),
-        (("a=",), "policies are written POLICY or LABEL=POLICY"),
+        (("a=",), "a policy is written POLICY or LABEL=POLICY"),
         ((), "name at least one policy"),
     ],
 )
@@ -164,5 +164,5 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp
 
 def test_policies_for_other_slopes_are_not_compared():
     flat = load_policy("landing-nominal", inclination=-0.2)
-    with pytest.raises(UserError, match="platforms of different inclination"):
+    with pytest.raises(UserError, match="trained for different inclinations"):
         changes.run({"landing": load_policy("landing-nominal"), "flat": flat}, CASES[:1], plant="hybrid")

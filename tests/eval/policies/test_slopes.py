@@ -19,7 +19,7 @@ def test_curve_and_table_of_a_policy(tmp_path, capsys):
     options = ["--plant", "analytic", "--every", "25", "--out", str(out)]
     assert main(["robustness", "landing-slopes", "landing", *options, "--over", "slopes"]) == 0
     text = capsys.readouterr().out
-    assert "landing-slopes" in text and "alone" in text
+    assert "landing-slopes" in text and "deg only" in text
     report = json.loads((out / "slopes.json").read_text())
     sloped, plain = report["policies"]
     assert sum(p["strict"]["of"] for p in sloped["curve"]) == sloped["all"]["strict"]["of"] == 40

@@ -210,7 +210,9 @@ def test_the_disturbance_of_the_vehicle_is_flown_where_asked_for(capsys):
     assert touched[0] == 0 and touched[1] > 10
     assert restless["disturbance"] and "disturbance" not in still
     assert cli.main(["success", "landing", "--disturbance"]) == 2
-    assert "--disturbance needs a --vehicle whose table [disturbance] is not all 0" in capsys.readouterr().err
+    assert (
+        "--disturbance needs a --vehicle whose table [disturbance] is not all zero" in capsys.readouterr().err
+    )
 
 
 def test_entry_statistics(landing):
@@ -331,3 +333,16 @@ def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
     assert cli.main(["success", str(run), *arguments, "--json"]) == 0
     alone = json.loads(capsys.readouterr().out)
     assert alone["conditions"] == report["policies"]["my-run"]["conditions"]
+
+
+@pytest.mark.parametrize(
+    ("flown", "landed", "hinted"), [(20.0, 0, True), (20.0, 3, False), (-20.0, 0, False)]
+)
+def test_a_slope_of_the_other_sign_on_which_nothing_lands_gets_a_hint(flown, landed, hinted):
+    report = {
+        "trained": {"task_options": {"inclination": math.radians(-25.7)}},
+        "task_options": {"inclination": math.radians(flown)},
+        "conditions": [{"grid": {"strict": statistics.proportion(landed, 250)}}],
+    }
+    hint = success.sign_hint(report)
+    assert hint.endswith("try --inclination -20.") if hinted else hint == ""

@@ -85,4 +85,4 @@ def test_wrong_input(arguments, sentence, capsys, tmp_path):
 
 def test_success_sends_touchdown_policies_here(capsys):
     assert cli.main(["success", "touchdown"]) == 2
-    assert "landing-eval touchdown evaluates it" in capsys.readouterr().err
+    assert "is evaluated by landing-eval touchdown" in capsys.readouterr().err
