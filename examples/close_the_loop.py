@@ -4,7 +4,7 @@
 
 A simulated Crazyflie stands for the real one. Its gap is in DIR/hidden.toml, which `fly` alone reads:
 everything else is told by the flight logs. Every step is a command as a user types it; the table at the end,
-DIR/loop.json, and docs/loop.md have what came of it. Needs the extras train and fly.
+DIR/loop.json, and docs/evidence/teaching.md have what came of it. Needs the extras train and fly.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The cards of the shipped policies, `envs/shipped/README.md`: what each was trained on, and how it does.
+"""The shipped policies: a list, `envs/shipped/README.md`, and a card for each, `docs/evidence/policies.md`.
 
-    python docs/site/cards.py                # writes the page
+    python docs/site/cards.py                # writes both pages
     python docs/site/cards.py --fly [NAME]   # flies all policies, or the one named, before (ten minutes)
 
 Nothing is copied by hand. What a policy was trained on is in its file. What it reaches was flown with the
@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from beyond import recorded  # beside this file
-from generated import table
+from generated import table  # beside this file
+from recipes import recorded
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
@@ -34,7 +34,8 @@ from inclined_landing.train.sweep.recipe import filled, read_recipe, shipped
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-PAGE = ROOT / "envs" / "shipped" / "README.md"
+FOLDER = ROOT / "envs" / "shipped"
+LIST, PAGE = FOLDER / "README.md", ROOT / "docs" / "evidence" / "policies.md"
 DESCRIBED, FLOWN = HERE / "cards.toml", HERE / "cards.json"
 ENOUGH = 0.95  # share of flights below which a condition is listed as one that it fails in
 GONE = "--video-every"  # an option that `landing-train` had, in a recorded command
@@ -46,7 +47,7 @@ class Stale(Exception):
 
 
 def main() -> None:
-    """Write the page."""
+    """Write the pages."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--fly", nargs="*", metavar="NAME", help="policies to fly first (default: all)")
     names = parser.parse_args().fly
@@ -59,6 +60,7 @@ def main() -> None:
             }
             FLOWN.write_text(_recorded(flown), "utf-8")
     PAGE.write_text(page(), "utf-8")
+    LIST.write_text(overview(), "utf-8")
 
 
 # --- flights -------------------------------------------------------------------------------------
@@ -189,29 +191,46 @@ def _recorded(flown: dict) -> str:
 
 
 INTRODUCTION = """\
+# Evidence: shipped policies
+
+<!-- Made by `python docs/site/cards.py`. -->
+
+A card for each policy of [the list](../../envs/shipped/README.md): how it was trained, what it reaches, where it fails. Each is the
+*final* policy of its run. *Strict* is reaching the goal box within 300 steps without touching the platform before. Intervals are 95 %
+intervals, of shares Wilson's. A policy fails under a condition if it reaches less than {enough:.0f} %. *Plausible size* is the size
+that the library gives an effect.
+"""
+
+LISTED = """\
 # Shipped policies
 
-<!-- Made by `python docs/site/cards.py`; what is written here by hand is lost. -->
+<!-- Made by `python docs/site/cards.py`. -->
 
-Stable-Baselines3 files with metadata (`inclined_landing.json` in the zip: task, options, command, seed,
-steps, versions). `load_policy("landing")` and every `landing-eval` command take them by name.
-
-All are the *final* policies of their runs, each of the first seed of its series: 0 or 2, 10 for `touchdown`
-(its recipe was last changed with 0, 1 and 2), or that of its recipe. *Strict* is reaching the goal box within
-300 steps without touching the platform before. Intervals are 95 % intervals, of shares Wilson's. A policy is
-said to fail in conditions in which it reaches less than {enough:.0f} %.
+Every command that takes a policy takes these by name, and so does `load_policy("landing")` in Python. They are Stable-Baselines3 files with
+metadata (`inclined_landing.json` in the zip): task, options, training command, versions. The name links to the policy's card with all
+conditions, failures and the commands that measured them.
 """
 
 END = """\
-## A further policy
+*Strict*: the goal box is reached within 300 steps, and nothing is touched before. All figures are from simulation.
 
-It is found by the name of its file, `TASK-NAME.zip` in `envs/shipped`. What it is for and how it is judged is
-an entry of `docs/site/cards.toml`; `python docs/site/cards.py --fly TASK-NAME` flies it and makes this page
-anew.
+`robust.toml` and `vehicles.toml` are the ranges of `landing-train --randomise robust` and `--randomise vehicles`.
 
-`robust.toml` and `vehicles.toml` are ranges for `landing-train --randomise robust` and `--randomise
-vehicles`: see `envs/randomise.py`.
+To add a policy, put `TASK-NAME.zip` into `envs/shipped`, describe it in `docs/site/cards.toml`, and run
+`python docs/site/cards.py --fly TASK-NAME`, which flies it and writes these pages.
 """
+
+
+def overview() -> str:
+    """Markdown of the list of policies."""
+    described, flown = _described(), json.loads(FLOWN.read_text("utf-8"))
+    rows = []
+    for name in SHIPPED:
+        first = flown[name]["judged"][0]["rows"][0]
+        card = f"[`{name}`](../../docs/evidence/policies.md#{name})"
+        result = re.sub(r" \[.*?\]", "", _shown(first))  # the card has the interval
+        rows.append([card, described[name]["about"], f"{result} ({_what(first)})"])
+    return "\n".join([LISTED, table(["policy", "purpose", "result"], rows), END])
 
 
 def page() -> str:
@@ -227,13 +246,8 @@ def page() -> str:
             or [done["command"] for done in flown[name]["judged"]] != described[name]["judged"]
         ):
             raise Stale(f"{name} is not what was flown: run `python docs/site/cards.py --fly {name}`")
-    rows = []
-    for name in SHIPPED:
-        first = flown[name]["judged"][0]["rows"][0]
-        rows.append([f"[`{name}`](#{name})", described[name]["about"], f"{_shown(first)} ({_what(first)})"])
-    overview = table(["policy", "for", "reaches"], rows)
     cards = [card(name, described[name], flown[name]["judged"]) for name in SHIPPED]
-    return "\n".join([INTRODUCTION.format(enough=100 * ENOUGH), overview, *cards, END])
+    return "\n".join([INTRODUCTION.format(enough=100 * ENOUGH), *cards])
 
 
 def card(name: str, described: dict, judged: list[dict]) -> str:
@@ -246,7 +260,7 @@ def card(name: str, described: dict, judged: list[dict]) -> str:
         "Network": f"{'-'.join(str(n) for n in _layers(policy))}, {policy.activation}",
         "Trained by": f"`{made_by(policy.metadata)}`",
         "Training": _training(policy.metadata),
-        "Randomised": _randomised(policy.metadata),
+        "Varied vehicles": _randomised(policy.metadata),
         "With": ", ".join(f"{k} {v}" for k, v in policy.metadata["versions"].items() if k in _VERSIONS),
         "File": f"`{policy.path.name}`, {policy.path.stat().st_size // 1000} kB, SHA-256 `{digest(name)}`",
         "Licence": LICENCE,
@@ -258,11 +272,11 @@ def card(name: str, described: dict, judged: list[dict]) -> str:
     ]
     shown = [row for done in judged for row in done["rows"] if "group" not in row]
     rows = [[_what(row), _shown(row), str(row.get("of", ""))] for row in shown]
-    parts.append(table(["reaches", "", "flights"], rows))
+    parts.append(table(["condition", "result", "flights"], rows))
     failed = [line for done in judged for line in _fails(done["rows"])]
     parts.append("Where it fails:\n")
     parts += [f"- {line}" for line in (*failed, *described.get("notes", ()))] or [
-        "- nowhere in what was flown"
+        "- under none of the conditions flown"
     ]
     commands = "\n".join(_line(name, done["command"]) for done in judged)
     versions = {", ".join(f"{k} {v}" for k, v in done["versions"].items()) for done in judged}
@@ -277,7 +291,7 @@ LICENCE = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 def digest(name: str) -> str:
     """SHA-256 of a policy's file."""
-    return hashlib.sha256((PAGE.parent / f"{name}.zip").read_bytes()).hexdigest()
+    return hashlib.sha256((FOLDER / f"{name}.zip").read_bytes()).hexdigest()
 
 
 def _described() -> dict:
@@ -336,16 +350,16 @@ def _training(metadata: dict) -> str:
 def _randomised(metadata: dict) -> str:
     ranges = metadata.get("ranges")
     if not ranges:
-        return "nothing: every episode has the model's vehicle"
-    for file in sorted(PAGE.parent.glob("*.toml")):
+        return "no: every episode has the nominal vehicle"
+    for file in sorted(FOLDER.glob("*.toml")):
         if tomllib.loads(file.read_text("utf-8")) == ranges:
-            named = f"as [`{file.name}`]({file.name}) says, "
+            named = f"[`{file.name}`](../../envs/shipped/{file.name}), "
             break
     else:
         named = ""
     vehicles = ranges.get("vehicles", [])
     rows = f"; between {' and '.join((vehicles[0], vehicles[-1]))}" if vehicles else ""
-    return f"{named}{len(ranges['effects'])} effects of the library of {len(LIBRARY)}{rows}"
+    return f"{named}{len(ranges['effects'])} of the {len(LIBRARY)} effects of the library{rows}"
 
 
 # What it reaches.
@@ -429,8 +443,8 @@ def _recipe(name: str, variant: str) -> str:
             rows.append([number.title, f"{found.mean_words()}{unit}", each])
     seeds = ", ".join(map(str, recipe.seeds))
     return (
-        f"The same training with the seeds {seeds} (`{result.command}`), all together and by seed:\n\n"
-        + table(["", "all", "by seed"], rows)
+        f"The same training with the seeds {seeds} (`{result.command}`):\n\n"
+        + table(["number", "all seeds", "by seed"], rows)
     )
 
 

@@ -28,8 +28,8 @@ def pages() -> dict[str, str]:
     return {
         "reference/commands.md": commands(),
         "reference/tasks.md": tasks(),
-        "physics/constants.md": provenance(),
-        "physics/effects.md": effects(),
+        "reference/constants.md": provenance(),
+        "reference/effects.md": effects(),
     }
 
 
@@ -73,8 +73,8 @@ def tasks() -> str:
     """The tasks with their spaces."""
     parts = [
         "# Tasks\n",
-        "Observations and actions as the environments have them, made from the tasks' own spaces and action "
-        "maps for the shipped vehicle. `import inclined_landing` registers the Gymnasium ids.\n",
+        "Observations, actions and training defaults of every task for the shipped vehicle, generated from the "
+        "environments. `import inclined_landing` registers the Gymnasium ids.\n",
     ]
     for name, kind in TASKS.items():
         task = make_task(name)
@@ -85,7 +85,7 @@ def tasks() -> str:
             _actions(task),
             _training(task),
             f"Control period {task.vehicle.command_control_period:g} s, at most {task.max_steps} steps.\n",
-            '??? note "The manual of the task: goal, reward, end"\n',
+            '??? note "Manual of the task: goal, reward, end"\n',
             "\n".join(f"    {line}" if line else "" for line in task_manual(kind).splitlines()) + "\n",
         ]
     return "\n".join(parts)
@@ -97,7 +97,7 @@ def _training(task: Task) -> str:
     if task.training.success is None:  # then the steps are fixed beforehand
         del defaults["min_steps"], defaults["max_steps"]
     options = ", ".join(f"`{flag_of(name)} {value}`" for name, value in defaults.items())
-    return f"Trained, unless told otherwise, with {options}.\n"
+    return f"Training defaults: {options}.\n"
 
 
 def _observations(task: Task) -> str:
@@ -151,7 +151,7 @@ def provenance() -> str:
     parts = [
         "# Constants and where they come from\n",
         "Every entry of the shipped vehicle file, `models/crazyflie.toml`, which equations, scene, plugins "
-        "and tests read. A vehicle file is held to its units and ranges ([how](../howto/vehicle.md)). "
+        "and tests read. A vehicle file is checked against its units and ranges ([how](../guides/vehicle.md)). "
         "The uncertainty is the half-width of the 95 % interval where one is published or estimated.\n",
         table(["mark", "source"], sources()),
     ]

@@ -2,7 +2,8 @@
 
 A page may stand anywhere in the repository and links as on any Git host, relative to itself. Here a link to
 another page leads to that page of the site, a picture comes along, and a link to source code leads to a page
-that shows the file.
+that shows the file. Where the site has a generated page in place of a file, such as the commands in place of the
+module that lists them, `extra.instead` of mkdocs.yml names that page.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
-LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
+LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))|(?<=src=\")([^\"]+)(?=\")")
 _elsewhere: set[str] = set()  # addresses that pages link to
 PICTURES = {".gif", ".png", ".svg"}
 LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yml": "yaml"}
@@ -50,7 +51,8 @@ def on_files(files: Files, config) -> Files:
     for file in files.documentation_pages():
         for target in _targets(Path(file.abs_src_path).read_text("utf-8")):
             path, _ = _in_repository(file, target)
-            if path and path not in _uris(files) and (ROOT / path).is_file():
+            shown = _uris(files) | config.extra["instead"]
+            if path and path not in shown and (ROOT / path).is_file():
                 files.append(_shown(path, config))
     for uri, text in generated.pages().items():
         files.append(File.generated(config, uri, content=text))
@@ -61,7 +63,7 @@ def on_page_markdown(markdown: str, page, config, files: Files) -> str:
     """Links of the repository become links of the site; code blocks stay as they are."""
     if not page.file.abs_src_path:
         return markdown
-    uris = _uris(files)
+    uris = _uris(files) | config.extra["instead"]
 
     def in_site(match: re.Match) -> str:
         path, anchor = _in_repository(page.file, match[0])

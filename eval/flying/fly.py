@@ -212,7 +212,7 @@ def command(
 ) -> int:
     """Fly a real or simulated Crazyflie onto the slope, or along a plan; logs as CSV.
 
-    Ctrl-C switches the motors off. See docs/flying.md for preparation, and for what ends a flight.
+    Ctrl-C switches the motors off. See docs/guides/fly.md for preparation, and for what ends a flight.
 
     Args:
         flights: number of flights.

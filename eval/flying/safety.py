@@ -1,6 +1,6 @@
 """Causes that end a flight early: each with its reaction, its limit, and the reason for the limit.
 
-docs/flying.md has the causes as a table, with the reason for each reaction.
+docs/guides/fly.md has the causes as a table, with the reason for each reaction.
 """
 
 from __future__ import annotations

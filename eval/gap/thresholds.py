@@ -7,7 +7,7 @@ Of each: what it decides; what a larger value trades off; what error rate was me
     again      the same with --seed 7101 --cases 22, by the search and classes of today
     agreement  python -m tests.proof gap-agreement --family dev --cases 6 --seed 0 --out DIR
 
-All were chosen on the development families of `blind`. The rates are those of docs/gap_blind.md; `fresh` has
+All were chosen on the development families of `blind`. The rates are those of docs/evidence/hidden_effects.md; `fresh` has
 other families, on which nothing was chosen; the search was another when it was scored. A dash: not measured.
 """
 
@@ -32,7 +32,7 @@ LAG_RATE = 0.99 * LEAST_RATE  # rows per second (1 % for the rounding of the ste
 LEAST_LANDINGS = 6  # touchdowns from which effects of contact are named
 # larger: fewer flights tell of contact. measured: fresh, of sixteen landings: 2 of 3 sure names wrong
 STRONG_WIND = 0.05  # steady sideways force over the weight, above: the attitude loops are not judged
-# larger: loops named for moments of stronger winds. measured: -, docs/known_causes.md has flights in one
+# larger: loops named for moments of stronger winds. measured: -, docs/evidence/known_causes.md has flights in one
 
 # Inconsistent flights
 
@@ -72,7 +72,7 @@ RELEVANT = 0.03  # share of the squared error of a channel that an effect must e
 # larger: more weak effects missed. measured: fresh, weak effects: alone in 4 of 6
 USEFUL = 0.1  # growth of an error one second ahead, others fitted again, without which a name is dropped
 # larger: fewer names. measured: fresh, at most 2 of 45 causes lost by it; public flights, 6 of 32 sure names
-# wrong without it, 1 of 26 with it (docs/known_causes.md)
+# wrong without it, 1 of 26 with it (docs/evidence/known_causes.md)
 AT_BOUND = 1e-6  # share of a parameter's range, below: a fit is at its bound, its effect only possible
 # larger: more names only possible. measured: -
 
@@ -119,7 +119,7 @@ FLOWN = 0.03  # share of the windows in a regime, below: a flight in it is asked
 DECIDED = 0.95  # probability of a set from which no flight is needed
 # larger: more flights planned. measured: -
 LEAST_GAIN = 0.05  # nat, or probability of the right set, from which a flight is worth flying
-# larger: fewer flights, surer to decide. measured: -, docs/gap_plan.md has planned flights that were flown
+# larger: fewer flights, surer to decide. measured: -, docs/evidence/planned_flights.md has planned flights that were flown
 LEFT_IN_DOUBT = 0.5  # share of the doubt between two sets, above: a flight leaves them indistinguishable
 # larger: fewer pairs called so. measured: -
 

@@ -6,7 +6,7 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
 The terms are those of `forces.py`, `attitude_loops.py` and the plugins' attributes (`plugin/README.md`). All
-that the gap workflow knows of an effect is in its entry. docs/howto/effect.md says how one is added.
+that the gap workflow knows of an effect is in its entry. docs/guides/extend.md says how one is added.
 """
 
 from collections.abc import Mapping

@@ -9,14 +9,14 @@ import pytest
 from inclined_landing.envs.policy import SHIPPED, load_policy
 from tests import documents  # finds docs/site
 
-import beyond  # isort: skip
 import cards  # isort: skip
+import recipes  # isort: skip
 
 
 def test_the_page_is_what_the_generator_makes():
     assert cards.PAGE.read_text("utf-8") == cards.page(), "run `python docs/site/cards.py`"
-    assert cards.PAGE == documents.ROOT / "envs" / "shipped" / "README.md"
-    assert beyond.PAGE.read_text("utf-8") == beyond.page(), "run `python docs/site/beyond.py`"
+    assert cards.LIST.read_text("utf-8") == cards.overview(), "run `python docs/site/cards.py`"
+    assert recipes.PAGE.read_text("utf-8") == recipes.page(), "run `python docs/site/recipes.py`"
 
 
 def test_a_card_names_the_file_and_how_it_was_made():
@@ -31,9 +31,9 @@ def test_a_card_names_the_file_and_how_it_was_made():
 
 
 def test_a_policy_that_did_not_fly_is_refused(tmp_path, monkeypatch):
-    folder = shutil.copytree(cards.PAGE.parent, tmp_path / "shipped")
+    folder = shutil.copytree(cards.FOLDER, tmp_path / "shipped")
     (folder / "landing.zip").write_bytes(b"another")
-    monkeypatch.setattr(cards, "PAGE", folder / "README.md")
+    monkeypatch.setattr(cards, "FOLDER", folder)
     with pytest.raises(cards.Stale, match=r"landing is not what was flown: run .*--fly landing"):
         cards.page()
 

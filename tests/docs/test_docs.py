@@ -108,9 +108,9 @@ def test_cheap_commands_run(workplace, capsys):
 
 def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():
     pages = documents.generated.pages()
-    fields = re.findall(r"^\| `(\w+)` \|", pages["physics/constants.md"], re.MULTILINE)
+    fields = re.findall(r"^\| `(\w+)` \|", pages["reference/constants.md"], re.MULTILINE)
     assert len(fields) == len(documents.generated.constants())
-    assert all(f"\n## {name}\n" in pages["physics/effects.md"] for name in documents.generated.LIBRARY)
+    assert all(f"\n## {name}\n" in pages["reference/effects.md"] for name in documents.generated.LIBRARY)
     sections = dict(
         re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", pages["reference/commands.md"], re.DOTALL | re.MULTILINE)
     )

@@ -1,4 +1,4 @@
-"""A new effect by docs/howto/effect.md: an entry in the library, and new physics in seven files."""
+"""A new effect by docs/guides/extend.md: an entry in the library, and new physics in seven files."""
 
 import shutil
 import subprocess
@@ -125,7 +125,7 @@ def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_p
 
 @pytest.mark.slow
 def test_new_physics_takes_the_seven_files_of_the_how_to(tmp_path):
-    manual = (ROOT / "docs/howto/effect.md").read_text("utf-8")
+    manual = (ROOT / "docs/guides/extend.md").read_text("utf-8")
     assert all(f"`{file}`" in manual for file in WALK if file != "models/effects/air.py")
     package = tmp_path / "inclined_landing"
     for folder in ("models", "envs"):

@@ -1,4 +1,4 @@
-"""`from-logs`: the table of docs/from_logs_to_policy.md: logs, the two commands, what the policies are worth.
+"""`from-logs`: the table of docs/evidence/teaching.md: logs, the two commands, what the policies are worth.
 
 Every case is a cause hidden in an independent simulator, which shares no code with the models: ten flights of
 20 s, as CSV. The two commands of the page are run as a user runs them, and timed. Then the shipped policy and

@@ -1,4 +1,4 @@
-"""`gap-real`: what four public data sets show without the workflow, for docs/real_flights.md.
+"""`gap-real`: what four public data sets show without the workflow, for docs/evidence/public_flights.md.
 
 A tilted motion capture shows in flown accelerations and at rest on the floor; an onboard estimate that knows
 no drag, against the measured attitude; known hardware changes in what the motors are asked for in hover; the

@@ -88,4 +88,4 @@ def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
     hidden = from_logs.CASES[name]
     assert set(hidden.world) <= set(World._fields)
     assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
-    assert f"| {name.replace('_', ' ')} |" in (ROOT / "docs/from_logs_to_policy.md").read_text("utf-8")
+    assert f"| {name.replace('_', ' ')} |" in (ROOT / "docs/evidence/teaching.md").read_text("utf-8")

@@ -91,7 +91,7 @@ def test_a_retreat_ends_by_what_switches_off_alone(name):
 def test_every_cause_of_the_module_is_in_the_table_and_the_page():
     checked = [name for name, _ in SafetyMonitor(VEHICLE).conditions(now())]
     assert [cause.name for cause in safety.CAUSES][5:] == checked and sorted(checked) == sorted(CASES)
-    page = (ROOT / "docs" / "flying.md").read_text("utf-8")
+    page = (ROOT / "docs" / "guides" / "fly.md").read_text("utf-8")
     found = [f"| {cause.name} | {cause.when} | {cause.reaction.value} |" for cause in safety.CAUSES]
     rows = [
         line

@@ -175,7 +175,7 @@ def test_wrong_names_are_sentences(arguments, said, capsys):
 
 
 def test_the_example_lands_and_is_the_one_of_the_page():
-    example, page = ROOT / "examples/own_controller.py", (ROOT / "docs/moving.md").read_text()
+    example, page = ROOT / "examples/own_controller.py", (ROOT / "docs/guides/platforms.md").read_text()
     text = example.read_text()
     assert text[text.index("class Descend") :].strip() in page
     found = controllers.find(f"{example}:Descend", VEHICLE)
