@@ -29,6 +29,8 @@ PROGRAMS = ("landing-eval", "landing-train")
 PROOF = ["python", "-m", "tests.proof"]
 BLOCK = RawFencedCodeBlockLexer(re.compile(r'(?P<language>[a-z]+)(?: title="(?P<title>[^"]+)")?[ \t]*\n'))
 SPAN = re.compile(r"`((?:landing-eval|landing-train|python -m tests\.proof) [^`]+)`")
+LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
+FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
 _OPERATORS = ("&", "&&", "||", ";", "|")
 
 
@@ -37,6 +39,28 @@ def documents() -> list[str]:
     files = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
     files += [file for floor in ("models", "envs", "eval", "train") for file in ROOT.glob(f"{floor}/**/*.md")]
     return sorted(file.relative_to(ROOT).as_posix() for file in files)
+
+
+def prose(name: str) -> str:
+    """A document without its code blocks."""
+    return FENCE.sub("", (ROOT / name).read_text("utf-8"))
+
+
+def links(name: str) -> Iterator[tuple[Path, str]]:
+    """The links of a document into the repository: the file or folder, and the anchor in it."""
+    for found in LINK.finditer(re.sub(r"`[^`\n]*`", "", prose(name))):
+        path, _, anchor = (found[1] or found[2]).partition("#")
+        if not re.match(r"[a-z][a-z0-9+.-]*:", path):
+            yield ((ROOT / name).parent / path if path else ROOT / name), anchor
+
+
+def anchors(name: str) -> set[str]:
+    """The anchors that are the same on a code host and on the site: those of plain, unrepeated headings."""
+    titles = re.findall(r"^#+ (.*?) *$", prose(name).replace("`", ""), re.MULTILINE)
+    titles = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title) for title in titles]  # a link's text
+    plain = [re.sub(r"[^\w\s-]", "", title).lower() for title in titles]
+    host, site = [re.sub(r"\s", "-", title) for title in plain], [re.sub(r"[-\s]+", "-", t) for t in plain]
+    return {one for one, other in zip(host, site, strict=True) if one == other and host.count(one) == 1}
 
 
 def blocks(name: str, take: Callable) -> Document:

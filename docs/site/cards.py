@@ -195,10 +195,11 @@ INTRODUCTION = """\
 
 <!-- Made by `python docs/site/cards.py`. -->
 
-A card for each policy of [the list](../../envs/shipped/README.md): how it was trained, what it reaches, where it fails. Each is the
-*final* policy of its run. *Strict* is reaching the goal box within 300 steps without touching the platform before. Intervals are 95 %
-intervals, of shares Wilson's. A policy fails under a condition if it reaches less than {enough:.0f} %. *Plausible size* is the size
-that the library gives an effect.
+A card for each policy of [the list](../../envs/shipped/README.md): how it was trained, what it reaches,
+where it fails. Each is the *final* policy of its run. *Strict* is reaching the goal box within 300 steps
+without touching the platform before. Intervals are 95 % intervals, of shares Wilson's. A policy fails
+under a condition if it reaches less than {enough:.0f} %. *Plausible size* is the size that the library
+gives an effect.
 """
 
 LISTED = """\
@@ -206,15 +207,18 @@ LISTED = """\
 
 <!-- Made by `python docs/site/cards.py`. -->
 
-Every command that takes a policy takes these by name, and so does `load_policy("landing")` in Python. They are Stable-Baselines3 files with
-metadata (`inclined_landing.json` in the zip): task, options, training command, versions. The name links to the policy's card with all
-conditions, failures and the commands that measured them.
+Every command that takes a policy takes these by name, and so does `load_policy("landing")` in Python.
+They are Stable-Baselines3 files with metadata (`inclined_landing.json` in the zip): task, options,
+training command, versions. The name links to the policy's card with all conditions, failures and the
+commands that measured them.
 """
 
 END = """\
-*Strict*: the goal box is reached within 300 steps, and nothing is touched before. All figures are from simulation.
+*Strict*: the goal box is reached within 300 steps, and nothing is touched before. All figures are from
+simulation.
 
-`robust.toml` and `vehicles.toml` are the ranges of `landing-train --randomise robust` and `--randomise vehicles`.
+`robust.toml` and `vehicles.toml` are the ranges of `landing-train --randomise robust` and `--randomise
+vehicles`.
 
 To add a policy, put `TASK-NAME.zip` into `envs/shipped`, describe it in `docs/site/cards.toml`, and run
 `python docs/site/cards.py --fly TASK-NAME`, which flies it and writes these pages.
@@ -442,9 +446,8 @@ def _recipe(name: str, variant: str) -> str:
             each = ", ".join("never" if value is None else f"{value:.4g}" for value in found.values)
             rows.append([number.title, f"{found.mean_words()}{unit}", each])
     seeds = ", ".join(map(str, recipe.seeds))
-    return (
-        f"The same training with the seeds {seeds} (`{result.command}`):\n\n"
-        + table(["number", "all seeds", "by seed"], rows)
+    return f"The same training with the seeds {seeds} (`{result.command}`):\n\n" + table(
+        ["number", "all seeds", "by seed"], rows
     )
 
 

@@ -73,8 +73,8 @@ def tasks() -> str:
     """The tasks with their spaces."""
     parts = [
         "# Tasks\n",
-        "Observations, actions and training defaults of every task for the shipped vehicle, generated from the "
-        "environments. `import inclined_landing` registers the Gymnasium ids.\n",
+        "Observations, actions and training defaults of every task for the shipped vehicle, generated from "
+        "the environments. `import inclined_landing` registers the Gymnasium ids.\n",
     ]
     for name, kind in TASKS.items():
         task = make_task(name)
@@ -151,8 +151,9 @@ def provenance() -> str:
     parts = [
         "# Constants and where they come from\n",
         "Every entry of the shipped vehicle file, `models/crazyflie.toml`, which equations, scene, plugins "
-        "and tests read. A vehicle file is checked against its units and ranges ([how](../guides/vehicle.md)). "
-        "The uncertainty is the half-width of the 95 % interval where one is published or estimated.\n",
+        "and tests read. A vehicle file is checked against its units and ranges "
+        "([how](../guides/vehicle.md)). The uncertainty is the half-width of the 95 % interval where one is "
+        "published or estimated.\n",
         table(["mark", "source"], sources()),
     ]
     for section, entries in itertools.groupby(constants(), lambda constant: constant.section):

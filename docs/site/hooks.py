@@ -2,8 +2,8 @@
 
 A page may stand anywhere in the repository and links as on any Git host, relative to itself. Here a link to
 another page leads to that page of the site, a picture comes along, and a link to source code leads to a page
-that shows the file. Where the site has a generated page in place of a file, such as the commands in place of the
-module that lists them, `extra.instead` of mkdocs.yml names that page.
+that shows the file. Where the site has a generated page in place of a file, such as the commands in place of
+the module that lists them, `extra.instead` of mkdocs.yml names that page.
 """
 
 from __future__ import annotations

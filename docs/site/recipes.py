@@ -24,9 +24,9 @@ ORDER = (
     *("vehicles", "vehicles-blind", "vehicles-own", "identified", "ablations", "ablations-settings"),
 )
 INTRODUCTION = (
-    "Results of the shipped [recipes](../../train/recipes/README.md), over seeds that nothing was tuned on: median "
-    "and range over the seeds, mean with its 95 % interval, and the bar that every single seed has to reach. This "
-    "page is written by `python docs/site/recipes.py`."
+    "Results of the shipped [recipes](../../train/recipes/README.md), over seeds that nothing was tuned on: "
+    "median and range over the seeds, mean with its 95 % interval, and the bar that every single seed has to "
+    "reach. This page is written by `python docs/site/recipes.py`."
 )
 
 

@@ -7,8 +7,9 @@ Of each: what it decides; what a larger value trades off; what error rate was me
     again      the same with --seed 7101 --cases 22, by the search and classes of today
     agreement  python -m tests.proof gap-agreement --family dev --cases 6 --seed 0 --out DIR
 
-All were chosen on the development families of `blind`. The rates are those of docs/evidence/hidden_effects.md; `fresh` has
-other families, on which nothing was chosen; the search was another when it was scored. A dash: not measured.
+All were chosen on the development families of `blind`. The rates are in docs/evidence/hidden_effects.md. The
+families of `fresh` are others, on which nothing was chosen, scored with the preceding search. A dash: not
+measured.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ LAG_RATE = 0.99 * LEAST_RATE  # rows per second (1 % for the rounding of the ste
 LEAST_LANDINGS = 6  # touchdowns from which effects of contact are named
 # larger: fewer flights tell of contact. measured: fresh, of sixteen landings: 2 of 3 sure names wrong
 STRONG_WIND = 0.05  # steady sideways force over the weight, above: the attitude loops are not judged
-# larger: loops named for moments of stronger winds. measured: -, docs/evidence/known_causes.md has flights in one
+# larger: loops named for moments of stronger winds. measured: -, see docs/evidence/known_causes.md
 
 # Inconsistent flights
 
@@ -119,7 +120,7 @@ FLOWN = 0.03  # share of the windows in a regime, below: a flight in it is asked
 DECIDED = 0.95  # probability of a set from which no flight is needed
 # larger: more flights planned. measured: -
 LEAST_GAIN = 0.05  # nat, or probability of the right set, from which a flight is worth flying
-# larger: fewer flights, surer to decide. measured: -, docs/evidence/planned_flights.md has planned flights that were flown
+# larger: fewer flights, surer to decide. measured: -, see docs/evidence/planned_flights.md
 LEFT_IN_DOUBT = 0.5  # share of the doubt between two sets, above: a flight leaves them indistinguishable
 # larger: fewer pairs called so. measured: -
 

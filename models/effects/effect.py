@@ -245,7 +245,7 @@ class Effect:
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
     # Errors of its formula that are free while it is named (`eval/gap/model/columns.py`), and the standard
-    # deviation of their weights: from simulators of other forms (docs/evidence/hidden_effects.md, development families).
+    # deviation of their weights: from the development families of docs/evidence/hidden_effects.md.
     forms: tuple[str, ...] = ()
     form: float = 0.05
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room

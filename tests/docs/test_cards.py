@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
+import tests.documents  # noqa: F401  (finds docs/site)
 from inclined_landing.envs.policy import SHIPPED, load_policy
-from tests import documents  # finds docs/site
 
 import cards  # isort: skip
 import recipes  # isort: skip

@@ -69,6 +69,37 @@ def test_commands_exist_with_their_options(name):
         documents.check_span(span[1])
 
 
+@pytest.mark.parametrize("name", documents.documents())
+def test_links_lead_somewhere(name):
+    """On a code host, where they are relative paths; the site translates these (docs/site/hooks.py)."""
+    for target, anchor in documents.links(name):
+        assert target.exists(), f"{name}: {target}"
+        page = target / "README.md" if target.is_dir() else target
+        if anchor:
+            file = page.resolve().relative_to(ROOT).as_posix()
+            assert anchor in documents.anchors(file), f"{name}: {file}#{anchor}"
+
+
+def test_the_navigation_has_every_page_once():
+    text = (ROOT / "mkdocs.yml").read_text("utf-8")
+    included = dict(re.findall(r"^    (\S+\.md): (\S+)$", text, re.MULTILINE))
+    entries = re.findall(r": (\S+\.md)$", text.partition("\nnav:\n")[2], re.MULTILINE)
+    assert len(entries) == len(set(entries)) <= 25
+    pages = {page: ROOT / file for file, page in included.items()}
+    assert all((pages.get(entry) or ROOT / "docs" / entry).is_file() for entry in entries)
+
+
+def test_pages_for_users_are_short_and_plain():
+    """Evidence has the numbers. Some words read as history, or as translated."""
+    names = set(documents.documents()) - {"CONTRIBUTING.md", "CHANGELOG.md", "THIRD_PARTY_NOTICES.md"}
+    text = {name: (ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name}
+    words = " ".join(text.values()).split()
+    assert len(words) < 30_000
+    assert sum(any(letter.isdigit() for letter in word) for word in words) < 0.05 * len(words)
+    unwanted = re.compile(r"\b(?<!--)(anew|alike|nobody|of yours|by itself|today's|nowadays|untold)\b")
+    assert not {name: found[0] for name in text if (found := unwanted.search(documents.prose(name)))}
+
+
 @pytest.mark.parametrize(
     "line",
     [
