@@ -131,7 +131,7 @@ class BatchEnv:
     def draw_each_from(self, rngs: dict[int, np.random.Generator]) -> None:
         """Use a generator of its own for the random starts of each of these vehicles, until `draw_from`.
 
-        The disturbance, of which all draw from one stream, begins anew from the first generator. One vehicle
+        The disturbance, for which all draw from one stream, restarts from the first generator. One vehicle
         is drawn as by `draw_from`.
         """
         self._own |= rngs

@@ -23,7 +23,7 @@ _APP_STACK = 350  # words that the firmware's own examples give an app, beside t
 
 
 def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
-    """Write the C source into `folder`, and the app where the firmware can observe what the policy does.
+    """Write the C source into `folder`, and the app if the firmware can observe what the policy observes.
 
     Raises UserError when the constants would not fit beside the firmware.
     """
@@ -52,7 +52,7 @@ def reason_without_app(contract: dict) -> str | None:
     """Return why the firmware cannot fly the policy as an app, in a few words; None where it can."""
     unknown = [entry["name"] for entry in contract["observation"] if entry["name"] not in _ESTIMATED]
     if unknown:
-        return f"the firmware's estimator does not know {', '.join(unknown)}"
+        return f"the firmware's estimator does not provide {', '.join(unknown)}"
     period = 1e3 * contract["control_period"]
     if abs(period - round(period)) > 1e-9:
         return f"its period of {period:g} ms is not a whole number of milliseconds"

@@ -34,13 +34,12 @@ def command(
     """Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.
 
     Args:
-        format: onnx for its runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy
-            alone.
+        format: onnx for ONNX runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy.
         out: new folder for the export.
-        task: the task the policy must be for; needed for a plain Stable-Baselines3 file, and for a task of
-            your own, written module:Class or file.py:Class, which is then imported.
-        vehicle: vehicle to be flown, where it is not that of the training: a vehicle file (TOML), or the name
-            of a shipped one; vehicle parameters that a policy observes become constants of the network.
+        task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
+            is written module:Class or file.py:Class and imported.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: that of the training). Vehicle
+            parameters that a policy observes become constants of the network.
     """
     check_format(format)
     check_new_run(out)
@@ -50,15 +49,18 @@ def command(
     )
     terms = write(loaded, format, out)
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
-        say(f"its constants take {4 * terms['cost']['constants']} bytes of flash, beside the firmware")
+        say(f"its constants take {4 * terms['cost']['constants']} bytes of flash in addition to the firmware")
     reason = c_source.reason_without_app(terms) if format == "c" else None
     if reason is not None:
         say(f"without an app for the Crazyflie: {reason}")
-    say(f"The policy {loaded.name} is exported as {format}; {out / 'contract.md'} says what goes in and out.")
+    say(
+        f"The policy {loaded.name} is exported as {format}; {out / 'contract.md'} describes its inputs and "
+        "outputs."
+    )
 
 
 def write(policy: Policy, format: str, out: str | Path) -> dict:
-    """Write the export of a policy into the new folder `out`, whole or not at all; return its contract.
+    """Write the export of a policy into the new folder `out`, atomically; return its contract.
 
     format: one of FORMATS. Raises UserError for another one, for what the format does not hold, and when the
     folder exists and is not empty or cannot be written.

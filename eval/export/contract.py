@@ -1,4 +1,4 @@
-"""The contract of an export: what each number that goes in or out is, and where the policy comes from.
+"""The contract of an export: the meaning of each input and output, and the origin of the policy.
 
 `contract.json` is made from the task, the policy and its metadata; `contract.schema.json` says its form, and
 `to_markdown` writes the same for people.
@@ -51,7 +51,7 @@ _QUANTITIES = {
     **{f"v{axis}": (f"velocity {axis}", "arena") for axis in "xyz"},
     **{angle: (f"{angle} angle", "attitude") for angle in ("roll", "pitch", "yaw")},
     **{f"w{axis}": (f"angular velocity {axis}", "body") for axis in "xyz"},
-    "lag": ("state of the thrust's lag", None),
+    "lag": ("state of the thrust lag", None),
     "feet": ("do the feet touch the slab, 0 or 1", None),
 }
 _TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the metadata

@@ -7,7 +7,7 @@
     action = policy.act(observation)  # every control period
     pwm, roll, pitch, yaw_rate = policy.commands(action)  # PWM, rad, rad, rad/s
 
-contract.json beside it says what the numbers of an observation are.
+contract.json, next to it, describes the entries of an observation.
 """
 
 import numpy as np
@@ -74,7 +74,7 @@ class LandingPolicy:
         if n["squashed"]:
             x = np.tanh(np.clip(x, -n["bound"], n["bound"]))
         if not np.isfinite(x).all():
-            raise ValueError("an observation is beyond what float32 can take")
+            raise ValueError("an observation exceeds the range of float32")
         return np.clip(x, np.float32(-1), np.float32(1))
 
     def commands(self, action):

@@ -1,4 +1,4 @@
-"""The texts that exports are written from, and names of others in them."""
+"""The templates of exports, and escaping for them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test vectors: what an export must answer, computed by the policy itself.
+"""Test vectors: the expected outputs of an export, computed by the policy itself.
 
 They are one sequence: each observation is given to the policy after the ones before it, so that a history
 is tested too. Most states come from flights of the policy; the others are drawn wide of them, where inputs

@@ -48,10 +48,10 @@ def command(
     Args:
         study: study file, or the name of a shipped study (paper_landing, steep_landing).
         out: new folder for results (Parquet), summary (JSON), figures (PNG) and page (HTML).
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         engine: run in this process, or on a Ray cluster.
-        address: of a running Ray cluster; without it, Ray is started on this machine.
-        resume: go on with the study that was interrupted in this folder.
+        address: address of a running Ray cluster (default: start Ray on this machine).
+        resume: continue the study that was interrupted in this folder.
     """
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
@@ -146,7 +146,7 @@ def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.
             try:
                 write(table, parts[rows])
             except UserError as error:
-                raise UserError(f"{error}; what is finished is kept, go on with --resume") from error
+                raise UserError(f"{error}; finished chunks are kept, continue with --resume") from error
             bar.advance(task, table.num_rows)
     table = pa.concat_tables([_read(part, rows) for rows, part in parts.items()]).combine_chunks()
     write(table, out / RESULTS)

@@ -6,7 +6,7 @@ torque alike (the torques come from the motors too); the thrust decays with its 
 
 Outcomes, in the order of the tests:
 
-- *misses*: the slab is never touched, or something else before it, or it is hit from beside;
+- *misses*: the slab is never touched, or another surface is touched first, or the slab is hit from the side;
 - *rests*: at the end still, on the feet and nothing else, on the slab;
 - *tips over*: tilted by more than 60 deg from the slope's normal while over the slab, or in the end on
   the slab on something else than its feet;
@@ -14,7 +14,7 @@ Outcomes, in the order of the tests:
 - *bounces off*: over the edge through the air, or in the air at the end.
 
 The feet are down when the lowest is less than 2 mm over the surface. Contact itself is no criterion: a
-sliding vehicle chatters, and leaves the surface by a tenth of a millimetre over and over.
+sliding vehicle chatters, and repeatedly leaves the surface by a tenth of a millimetre.
 """
 
 from __future__ import annotations

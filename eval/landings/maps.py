@@ -130,11 +130,11 @@ def boundary(one: Map, along: str) -> list[dict]:
 def map_words(one: Map, fixed: dict[str, float]) -> str:
     """Return the caption of `map_figure`."""
     smooth = "" if one.levels else ", cells averaged with their neighbours"
-    text = f"On the thick line half of the landings rest{smooth}. "
+    text = f"On the thick line half of the landings come to rest{smooth}. "
     if quasi_static(one, fixed):
-        text += "On the dashed one the friction just holds a vehicle that stands still. "
+        text += "On the dashed line friction just holds a vehicle at rest. "
     share = 100 * one.counts[:, :, RESTS].sum() / one.counts.sum()
-    return f"{text}Hatched: no landing there. Of all landings in this map {share:.1f} % rest."
+    return f"{text}Hatched cells contain no landings. Of all landings in this map {share:.1f} % come to rest."
 
 
 def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
@@ -165,17 +165,17 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
             )
             for axes in (left, right):
                 axes.add_patch(Rectangle(corner, *size, gid="empty", **empty))
-        handles += [Patch(**empty, label="no landing there")] * (not total.all())
+        handles += [Patch(**empty, label="no landings")] * (not total.all())
         handles += _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
         left.set_ylabel(one.y.title())
-        left.set_title("Most frequent outcome in each cell", loc="left")
+        left.set_title("Most frequent outcome", loc="left")
         lines = " (lines: 10, 50, 90 %)" if one.levels else ""
-        right.set_title(f"Share that rests on its feet{lines}", loc="left")
+        right.set_title(f"Share at rest on the feet{lines}", loc="left")
         for axes in (left, right):
             axes.set(xlabel=one.x.title(), xlim=one.x_edges[[0, -1]], ylim=one.y_edges[[0, -1]])
         figure.legend(handles=handles, loc="outside lower center", ncols=4, columnspacing=1.6)
-        text = f"{total.sum()} landings; what is not on the axes varies as the study says"
+        text = f"{total.sum()} landings; all other parameters vary as stated in the study file"
         figure.suptitle(text, x=0.01, ha="left", size=8.5, color=MUTED)
     return figure
 
@@ -189,7 +189,7 @@ def _lines(axes: Axes, one: Map, fixed: dict[str, float], shares: tuple[float, .
         widths = [1.0 if s != 0.5 else 2.0 for s in shares]
         lines = axes.contour(x, y, share, levels=shares, colors=INK, linewidths=widths)
         lines.set_path_effects(halo(3.0))
-        handles += axes.plot([], [], color=INK, lw=2.0, label="half of the landings rest")
+        handles += axes.plot([], [], color=INK, lw=2.0, label="half of the landings at rest")
     predicted = quasi_static(one, fixed)
     if predicted:
         look: dict[str, Any] = {"color": "black", "lw": 1.8, "ls": (0, (4, 2)), "path_effects": halo(3.4)}

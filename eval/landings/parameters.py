@@ -1,4 +1,4 @@
-"""What a landing study may vary, and how a landing begins under it. SI inside, the file's units outside.
+"""Parameters of landing studies, and the start of a landing under them; SI inside, file units outside.
 
 A new parameter is its entry in `known_parameters` and what it does in `touchdown_states` or `configure`.
 """

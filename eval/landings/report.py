@@ -1,4 +1,4 @@
-"""What a study says: summary.json, figures, one self-contained HTML page, a table for the terminal."""
+"""The report of a study: summary.json, figures, one self-contained HTML page, a terminal table."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ def discussion(summary: dict) -> list[str]:
         for row in summary["sensitivities"]
     ]
     names = [
-        f"{label} ({100 * index:.0f} %, {'helps' if (odds or 0) > 0 else 'harms'})"
+        f"{label} {100 * index:.0f} % ({'more' if (odds or 0) > 0 else 'less'} of it helps)"
         for index, label, odds in sorted(rows, key=lambda row: -row[0])
         if index >= _MATTERS
     ]
     if names:
-        said.append(f"Whether it rests varies alone with {', '.join(names)} of the variance.")
+        said.append(f"Share of the outcome's variance explained by each parameter alone: {', '.join(names)}.")
     return said
 
 
@@ -113,7 +113,7 @@ def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str,
         colours=maps.COLOURS,
         known=known_parameters(study.vehicle),
         defaults={name: x for name, x in fixed.items() if name not in given and not math.isnan(x)},
-        start_height=f"{1e3 * fixed['start_height']:g}" if "start_height" in fixed else "some",
+        start_height=f"{1e3 * fixed['start_height']:g}" if "start_height" in fixed else "a few",
         sensitive=("rests", *_SENSITIVE),
         figures=pictures,
     )

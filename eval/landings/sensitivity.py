@@ -1,4 +1,4 @@
-"""How much each varied parameter matters: from the landings of a study alone, no further runs."""
+"""Sensitivity to each varied parameter, computed from the landings of a study without further runs."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ class Study:
 
 
 def shipped() -> dict[str, Path]:
-    """Return the studies that come with the package, by name."""
+    """Return the shipped studies by name."""
     folder = Path(str(resources.files("inclined_landing.eval") / "landings"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
@@ -151,12 +151,12 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
     """Return the study of a file in SI units; raises UserError where its entries contradict each other."""
     hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
     if hypercube != (file.samples is not None):
-        raise UserError("samples belongs to a Latin hypercube, which needs it")
+        raise UserError("a Latin hypercube needs samples; a factorial must not have it")
     period = vehicle.command_control_period
     if timestep > period or abs(period / timestep - round(period / timestep)) > 1e-9:
         raise UserError(f"timestep must divide the control period of {period:g} s; {timestep:g} does not")
     if ("restitution" in file.parameters) != ("contact_time" in file.parameters):
-        raise UserError("restitution and contact_time belong together; give both or none")
+        raise UserError("give both restitution and contact_time, or neither")
     known = known_parameters(vehicle)
     parameters = []
     for name, entry in file.parameters.items():
@@ -179,7 +179,7 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
         vehicle=vehicle,
     )
     if not study.varied and not study.policy:
-        raise UserError("no parameter varies: give at least one a list or a range")
+        raise UserError("no parameter varies; give at least one parameter a list or a range")
     if study.total > MOST_LANDINGS:
         raise UserError(f"the factorial has {study.total} landings, more than {MOST_LANDINGS}")
     for x, y in study.maps:

@@ -49,9 +49,9 @@ def assemble(
 
     Rows are those of x. Other measurements are interpolated between neighbours at most GAP_SECONDS
     (or GAP_STEPS of their own steps) apart; rows without such neighbours are dropped. Commands and
-    contact are held. Whatever is done is noted. euler: convention of the angles, "ZXY" or "ZYX".
+    contact are held. All changes are noted. euler: convention of the angles, "ZXY" or "ZYX".
 
-    Raises UserError when position, attitude or thrust command are not there at all.
+    Raises UserError when position, attitude or thrust command are missing.
     """
     notes = list(notes)
     channels = {key: _clean(key, channel, notes) for key, channel in channels.items()}
@@ -74,7 +74,7 @@ def assemble(
     notes += _describe_rows(channels, t, complete)
     optional = _optional(t[complete], channels, notes)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
-        notes.append("yaw is commanded as an angle; no yaw rate command was logged and none is made up")
+        notes.append("yaw is commanded as an angle; there is no yaw rate command, and none is derived")
 
     nothing = np.full(len(t), np.nan)
     command = np.stack([commands.get(key, nothing)[complete] for key in COMMANDS], axis=1)
@@ -195,7 +195,7 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
         yield f"{len(t) - span} rows at the ends lack pose or commands"
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
-        yield "channels have clocks of their own: measurements interpolated, commands held, onto that of x"
+        yield "channels have different clocks: measurements interpolated, commands held, on the clock of x"
 
 
 def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
@@ -203,7 +203,7 @@ def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: boo
     missing = [key for key in _POSITION if key not in channels]
     if missing:
         raise UserError(
-            f"{path}: no position column {', '.join(missing)}; a flight cannot be compared without"
+            f"{path}: no position column {', '.join(missing)}; a flight cannot be used without it"
         )
     attitude = QUATERNION if any(key in channels for key in QUATERNION) else _EULER
     if not quaternion and not any(key in channels for key in ("roll", "pitch")):
@@ -213,7 +213,9 @@ def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: boo
             'they have other names, a mapping file says which is which, as qw = "q.3"'
         )
     if "cmd_thrust_pwm" not in channels:
-        raise UserError(f"{path}: no thrust command column cmd_thrust_pwm; the model cannot be flown without")
+        raise UserError(
+            f"{path}: no thrust command column cmd_thrust_pwm; the model cannot be simulated without it"
+        )
 
 
 def _check_angle(path: str, key: str, channel: Channel) -> None:

@@ -28,8 +28,8 @@ def read(path: Path, patterns: Sequence[str]) -> Record:
     """Return the columns of a bag that match `patterns` (`topic:field.path`, `*` in the topic).
 
     A message is dated by the stamp in its header; without one, by when the bag received it, which is
-    noted. An element that an array lacks in some messages is NaN there. What cannot be read is `unreadable`,
-    each with its reason. Raises UserError when the bag cannot be opened.
+    noted. An element that an array lacks in some messages is NaN there. Unreadable columns are in
+    `unreadable`, each with its reason. Raises UserError when the bag cannot be opened.
     """
     columns: dict[str, np.ndarray] = {}
     unreadable: dict[str, str] = {}
@@ -84,7 +84,7 @@ def _read_topic(
             except IndexError:  # fewer elements than in other messages: tracking was lost
                 values[field].append(np.nan)
             except (AttributeError, TypeError, ValueError) as error:
-                kind = str(getattr(message, "__msgtype__", "a type of its own"))
+                kind = str(getattr(message, "__msgtype__", "a nested type"))
                 wrong[field] = f"topic {topic} has no number {field} (of {shown(kind)}: {_reason(error)})"
     for field, column in values.items():
         if field not in wrong and received and "[" in field and np.isnan(column).all():
@@ -100,7 +100,7 @@ def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str])
         for topic, (stamps, _) in clocks.items()
     }
     notes += [
-        f"messages of {topic} have no stamp: dated by when they were recorded"
+        f"messages of {topic} have no stamp: their time of recording is used"
         for topic in clocks
         if not stamped[topic]
     ]
@@ -158,7 +158,7 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     except Exception as error:
-        tools = "`rosbag reindex` or `mcap recover` saves what is whole of one that was cut short"
+        tools = "`rosbag reindex` or `mcap recover` recovers the intact part of one that was cut short"
         raise UserError(f"{path}: not a readable bag ({_reason(error)}); {tools}") from error
     try:
         yield reader

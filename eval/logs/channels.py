@@ -44,7 +44,7 @@ def channels_of(
 ) -> tuple[dict[str, Channel], list[str]]:
     """Return the channels of one record in canonical names and units, and notes in words.
 
-    stated: unit per canonical column, as the user says; it goes before the file's units row and the
+    stated: unit per canonical column, as given by the user; it overrides the file's units row and the
         mapping's unit.
     Raises UserError when the record cannot be used, or a unit is wrong.
     """
@@ -78,13 +78,13 @@ def _on_its_clock(
     time = _channel("t", column_map, record, stated, notes)
     if time is None:
         called = ", ".join(wanted) or "t"
-        raise UserError(f'{where}: no time column ({called}); in a mapping file, t = "NAME" says which it is')
+        raise UserError(f'{where}: no time column ({called}); a mapping file can name it with t = "NAME"')
     names = list(record.columns)
     asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
     t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])
     if rows is not None:
         late = int((t < np.maximum.accumulate(t)).sum())
-        note = f"{late} rows came later than rows of a later time: sorted by it"
+        note = f"{late} rows are out of order; sorted by time"
         columns = {name: values[rows] for name, values in record.columns.items()}
         record, t = dataclasses.replace(record, columns=columns, notes=(*record.notes, note)), t[rows]
     clock.check(where, t, f"column {time.column}")
@@ -114,7 +114,7 @@ def _as_named(column_map: ColumnMap, record: Record) -> Record:
                     stated[column] = unit
                 notes.append(f"{column} = {shown(like[0])}")
     if notes:
-        notes = [f"columns taken by names that differ by case or a unit: {', '.join(notes)}"]
+        notes = [f"columns matched despite different case or unit in the name: {', '.join(notes)}"]
     return dataclasses.replace(record, columns=columns, units=stated, notes=(*record.notes, *notes))
 
 
@@ -138,7 +138,7 @@ def _channel(
         if record.times and not record.is_table:
             if (rows := clock.order(time, [value])) is not None:
                 time, value = time[rows], value[rows]
-                notes.append(f"values of {found[0]} came out of order: sorted by their time")
+                notes.append(f"values of {found[0]} are out of order; sorted by time")
             clock.check(record.path, time, f"the time of {found[0]}")
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
@@ -153,9 +153,11 @@ def _channel(
             over = value > FULL_COMMAND
             if 0.0 < over.mean() <= MOST_OVER and value[over].max() <= MOST_COMMAND * FULL_COMMAND:
                 value = np.where(over, FULL_COMMAND, value)
-                notes.append(f"{canonical} is beyond the full command in {over.sum()} rows: taken as full")
+                notes.append(
+                    f"{canonical} is beyond the full command in {over.sum()} rows, which counts as full"
+                )
         if canonical != "t" and not (np.abs(value) < limits.LARGEST_VALUE).any():
-            problems.append((f"column {'+'.join(found)} ({canonical}) holds no number of a flight", False))
+            problems.append((f"column {'+'.join(found)} ({canonical}) holds no usable number", False))
             continue
         measured = source.measured or source.mean_square is not None
         return Channel(time - source.late, value, "+".join(found), measured)
@@ -201,7 +203,7 @@ def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, C
             rate = _values(record, pid.gyro[k], "cmd_yaw_rate")[1]
             correlation, off = _gyro_agreement(time, derived, rate)
             notes[-1] += (
-                f"; its turning within {GYRO_SPAN:g} s agrees with the gyro to {np.degrees(off):.2f} deg "
+                f"; its change within {GYRO_SPAN:g} s agrees with the gyro to {np.degrees(off):.2f} deg "
                 f"(correlation {correlation:.2f})"
             )
             if correlation < LEAST_AGREEMENT:

@@ -1,4 +1,4 @@
-"""Can these flights be believed? Findings in words, each with a decision."""
+"""Plausibility checks of flights: findings in words, each with a decision."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ LEAST_HOVER = 0.4  # of the full command: the Crazyflies of public flights hover
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
     """Return all findings about one flight, the worst first.
 
-    Columns are checked each for itself; only a flight that is not refused for that is checked for
-    signs, axes, units and clocks, from how it moved.
+    Single columns are checked first; a flight that passes is checked for signs, axes, units and clocks, by
+    its motion.
     """
     (log,) = as_logs([log])
     findings = list(values.check(log))
@@ -35,7 +35,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
         share = hover_command(good) / FULL_COMMAND
         if share < LEAST_HOVER:
             text = f"hovers at {100 * share:.0f} % of the full command, where Crazyflies need 50 to 90 %"
-            why = "is the unit right (newton taken for a fraction, say)?"
+            why = "is the unit right (for example newton instead of a fraction)?"
             findings.append(limit("cmd_thrust_pwm", f"{text}: {why}"))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
 
@@ -76,7 +76,10 @@ def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
         return (refuse("cmd_thrust_pwm", f"flights of different vehicles are mixed: {groups}"),)
     if level[-1] / level[0] - 1 > HOVER_SPREAD:
         spread = 100 * (level[-1] / level[0] - 1)
-        text = f"hover thrust differs by {spread:.0f} % between flights ({groups}): one vehicle, one load?"
+        text = (
+            f"hover thrust differs by {spread:.0f} % between flights ({groups}): are they of one vehicle "
+            "with one load?"
+        )
         return (limit("cmd_thrust_pwm", text),)
     return ()
 

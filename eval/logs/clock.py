@@ -25,7 +25,7 @@ LATEST_ROW = 1.0  # s that rows may come late and are still sorted
 
 
 def named(names: Iterable[str]) -> str | None:
-    """Return the column that is called as time is, the likeliest of several; None without.
+    """Return the column whose name means time, the most likely of several; None without.
 
     Seconds and nanoseconds of a stamp are `secs + nsecs`.
     """
@@ -69,7 +69,7 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | N
         notes.append(f"time is the column {shown(name)}, in {unit}{inferred}")
     values, wraps = _unwrapped(values, units.factor("t", unit, record.path))
     if wraps:
-        notes.append(f"the clock {shown(name)} starts again where it is full ({wraps}): continued")
+        notes.append(f"the clock {shown(name)} wraps around ({wraps}); it was unwrapped")
     key = here or next(iter(wanted), "t")
     return dataclasses.replace(
         record, columns={**record.columns, key: values}, units={**record.units, key: unit}, notes=tuple(notes)
@@ -111,7 +111,7 @@ def order(t: np.ndarray, columns: Iterable[np.ndarray]) -> np.ndarray | None:
 
 
 def _in_order(t: np.ndarray) -> bool:
-    """Return whether times increase but for rows that came late."""
+    """Return whether times increase, except for late rows."""
     latest = np.maximum.accumulate(t)
     late = np.flatnonzero(np.diff(t) < 0.0) + 1
     if not len(late):
@@ -126,7 +126,7 @@ def _in_order(t: np.ndarray) -> bool:
 
 
 def check(where: str, t: np.ndarray, column: str) -> None:
-    """Raise UserError, with what to do, for times that are no flight's."""
+    """Raise UserError, with a remedy, for times that cannot be those of a flight."""
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
         raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
@@ -136,7 +136,7 @@ def check(where: str, t: np.ndarray, column: str) -> None:
         more = f", and in {back.size - 1} more" if back.size > 1 else ""
         raise UserError(
             f"{where}: {column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data{more}: "
-            "correct that row, sort the rows by it, or cut the file where another flight begins"
+            "correct that row, sort the rows by it, or cut the file where the next flight begins"
         )
     if t[-1] - t[0] > limits.LONGEST:
         row = int(np.argmax(np.diff(t)))

@@ -1,4 +1,4 @@
-"""`landing-eval logs`: what a log holds, and what the checks say about it."""
+"""`landing-eval logs`: the contents of a log, and the findings of the checks."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from inclined_landing.models.errors import UserError, first_of, shown
 def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     """Report what flight logs contain and whether they are plausible.
 
-    The exit code is 2 where a log is refused.
+    The exit code is 2 if a log is refused.
 
     Args:
-        json: print JSON, and nothing else, on standard output.
+        json: print only JSON on standard output.
     """
     units = parse_units(source.unit)
     reports = [_check_file(file, source.mapping, units) for file in source.files]

@@ -30,7 +30,7 @@ _TIME_OF_DAY = r"\d{1,2}:\d\d:\d\d(?:\.\d+)?"
 
 @dataclasses.dataclass(frozen=True)
 class _Layout:
-    """What stands above the rows of a table."""
+    """The lines above the rows of a table."""
 
     names: list[str]
     units: dict[str, str]
@@ -45,7 +45,7 @@ def read(path: Path) -> Record:
 
     Packed files are unpacked on the way; comma, semicolon, tab, bar or blanks separate. A column of lists
     becomes one for each of their numbers, dates and times of day become seconds. Columns of text are NaN.
-    Raises UserError for what is not such a table.
+    Raises UserError for anything else.
     """
     data, encoding, notes = read_table(path)
     layout = _layout(path, data, encoding)
@@ -81,7 +81,7 @@ def read(path: Path) -> Record:
 
 
 def _layout(path: Path, data: bytes, encoding: str) -> _Layout:
-    """Return what stands above the rows: `sep=`, comments and titles, the header, and a line of units."""
+    """Return the lines above the rows: `sep=`, comments and titles, the header, and a line of units."""
     separator, comment, header = "", None, None
     for count, (raw, end) in enumerate(_lines(data), 1):
         line = raw.decode(encoding, "replace")
@@ -180,7 +180,7 @@ def _without_comments(rows: bytes, layout: _Layout, notes: list[str]) -> bytes:
         return rows
     rows, count = re.subn(rb"(?m)^(?:%s)$" % found, b"", rows)
     if count:
-        notes.append(f"{count} lines among the rows are comments or the header once more: left out")
+        notes.append(f"{count} lines among the rows are comments or repeated headers and were left out")
     return rows
 
 
@@ -227,7 +227,7 @@ def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
     plain = column.astype("string").str.replace(r"[\[\]]", " ", regex=True).str.strip()
     parts = plain.str.replace(r"\s*,\s*|\s+", ",", regex=True).str.split(",", expand=True)
     if parts.shape[1] > MOST_COLUMNS or parts.isna().to_numpy().any():
-        raise UserError(f"{path}: the lists in column {shown(name)} are not all of one length")
+        raise UserError(f"{path}: the lists in column {shown(name)} differ in length")
     return {f"{name}.{k}": parts[k].rename(f"{name}.{k}") for k in parts}
 
 
@@ -253,7 +253,7 @@ def _numbers(
     marks = " '\u2019\u00a0\u202f" + ("," if decimal == "." else ".")
     grouped = _matches(text, _GROUPED.format(marks=marks, point=re.escape(decimal)))
     if grouped.any():
-        notes.append(f"column {shown(column.name)} has separators of thousands")
+        notes.append(f"column {shown(column.name)} has thousands separators")
         text = text.mask(grouped, text.str.replace(f"[{marks}]", "", regex=True))
     if decimal == ",":
         text = text.str.replace(",", ".")

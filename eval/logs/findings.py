@@ -1,4 +1,4 @@
-"""One sentence about a flight, and what follows from it."""
+"""A finding: one sentence about a flight, and its consequence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are no flight log that is read here, by how they are called or what they begin with."""
+"""Files of unsupported kinds, by their names or first bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KINDS = (
     (
         ".bin .tlog .px4log",
         rb"\xa3\x95|FMT, 128",
-        "a binary log, of ArduPilot perhaps: `mavlogdump.py --format csv --types TYPE {name}` "
+        "a binary log, possibly of ArduPilot: `mavlogdump.py --format csv --types TYPE {name}` "
         "(pip install pymavlink) writes the messages of a type as CSV",
     ),
     (
@@ -22,21 +22,21 @@ _KINDS = (
         rb"H Product:Blackbox",
         "a blackbox log of Betaflight: `blackbox_decode {name}` (blackbox-tools) writes CSV",
     ),
-    (".xlsx .xlsm .xls .ods", rb"\xd0\xcf\x11\xe0", "a spreadsheet: save it as CSV there"),
+    (".xlsx .xlsm .xls .ods", rb"\xd0\xcf\x11\xe0", "a spreadsheet: save it as CSV"),
     (".parquet", rb"PAR1", "a Parquet table: pandas.read_parquet('{name}')" + _TO_CSV),
     (".feather .arrow", rb"ARROW1|FEA1", "a Feather table: pandas.read_feather('{name}')" + _TO_CSV),
-    (".jsonl .ndjson .json", rb"\{|\[[{[]", "JSON, no table: pandas.read_json('{name}')" + _TO_CSV),
+    (".jsonl .ndjson .json", rb"\{|\[[{[]", "JSON, not a table: pandas.read_json('{name}')" + _TO_CSV),
     (
         ".npy .npz",
         rb"\x93NUMPY",
         "arrays of numpy: pandas.DataFrame(numpy.load('{name}'), columns=['t', 'x', ...])" + _TO_CSV,
     ),
-    (".mat", rb"MATLAB", "a file of MATLAB: writetable there makes a CSV file of a table"),
+    (".mat", rb"MATLAB", "a MATLAB file: write the table as CSV with writetable"),
     (".h5 .hdf5 .hdf", rb"\x89HDF", "an HDF5 file: pandas.read_hdf('{name}')" + _TO_CSV),
     (
         ".pkl .pickle",
         rb"\x80[\x02-\x05][\x95c}\](]",
-        "a pickle, which could run anything and is not opened: write the table as CSV where you made it",
+        "a pickle, which is not opened because it can run any code: save the table as CSV instead",
     ),
     (
         ".zst .7z .rar .tar .tgz .tar.gz .tar.xz .tar.bz2",
@@ -55,7 +55,7 @@ _KINDS = (
 
 
 def check(path: Path) -> None:
-    """Raise UserError, with what to do, for a file of a kind that is known and not read."""
+    """Raise UserError, with a remedy, for a file of a known kind that is not supported."""
     with path.open("rb") as file:
         start = file.read(64).removeprefix(b"\xef\xbb\xbf")
     called = [remedy for ends, _, remedy in _KINDS if path.name.lower().endswith(tuple(ends.split()))]

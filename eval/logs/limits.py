@@ -1,4 +1,4 @@
-"""What a log may hold at most, far beyond real flights, and files read within that.
+"""Limits on the size of a log, far beyond real flights, and reading within them.
 
 An hour at 1 kHz with two dozen columns is 3.6 million rows and below 1 GB of text.
 """
@@ -58,7 +58,7 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
     Files that gzip, xz, bzip2 or zip packed are unpacked. Zero bytes at the end, of a file that was not
     closed, are left out. What is not UTF-8 is taken as Latin-1, which has every number and sign in its place.
 
-    Raises UserError for what is no text, for lines or files beyond the limits, and for damaged packed files.
+    Raises UserError for binary data, for lines or files beyond the limits, and for damaged packed files.
     """
     try:
         with _open_unpacked(path) as file:
@@ -67,7 +67,7 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
             data = data.decode("utf-16").encode()
         data, size = data.rstrip(b"\0"), len(data)
         if size and not data:
-            raise UserError(f"{path}: holds nothing but zero bytes: nothing was written to it")
+            raise UserError(f"{path}: holds only zero bytes: nothing was written to it")
         if size > LARGEST or data.count(b"\n") > MOST_ROWS:
             most = f"{LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows"
             raise UserError(f"{path}: more than {most}; cut the flight out")
@@ -93,7 +93,9 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     notes = (
-        [f"the file ends in {zeros} zero bytes: it was not closed, and is read up to there"] if zeros else []
+        [f"the file ends in {zeros} zero bytes; it was not closed properly and is read up to there"]
+        if zeros
+        else []
     )
     return data, encoding, notes
 

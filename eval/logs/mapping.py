@@ -87,7 +87,7 @@ class ColumnMap(Table, frozen=True):
 
 @cache
 def shipped() -> Mapping[str, ColumnMap]:
-    """Return the mappings that come with this package, by name."""
+    """Return the shipped mappings by name."""
     folder = resources.files("inclined_landing.eval.logs") / "mappings"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {f.name[:-5]: _parse(f.name, tomllib.loads(f.read_text("utf-8"))) for f in files}
@@ -96,7 +96,7 @@ def shipped() -> Mapping[str, ColumnMap]:
 def load(name: str | Path) -> ColumnMap:
     """Return a shipped mapping by its name, or a mapping file (TOML) by its path.
 
-    Raises UserError when there is no such mapping or it cannot be understood.
+    Raises UserError when there is no such mapping or it is malformed.
     """
     if str(name) in shipped():
         return shipped()[str(name)]
@@ -122,7 +122,7 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
             't = "NAME" says which it is'
         )
     raise UserError(
-        f"{found} are those of no known kind of log; expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, "
+        f"{found} belong to no known kind of log; expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, "
         "cmd_roll, cmd_pitch, or a mapping file"
     )
 
@@ -147,7 +147,7 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
     found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
     if len(found) > 1:
         fitting = shown(", ".join(found))
-        raise UserError(f"{where}: {shown(pattern)} fits {fitting}; a mapping file must say which is meant")
+        raise UserError(f"{where}: {shown(pattern)} fits {fitting}; a mapping file must name one")
     return found[0] if found else None
 
 
@@ -181,7 +181,7 @@ def _check_source(source: Source, canonical: str, where: str) -> None:
     if not all(source.columns):
         raise UserError(f"{where}: column, mean, sum and mean_square must name columns")
     if source.full is not None and (units.COLUMNS[canonical] != "pwm" or source.unit is not None):
-        raise UserError(f"{where}: full is for a thrust command or a request, in place of a unit")
+        raise UserError(f"{where}: full is only for a thrust command or a request, instead of a unit")
     if source.mean_square is not None and source.full is None:
         raise UserError(f"{where}: mean_square needs full, the rotor speed at the full command")
     if source.unit is not None:

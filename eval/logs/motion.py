@@ -1,4 +1,4 @@
-"""Checks of columns against each other: signs, axes, units and clocks, told from how the vehicle moved.
+"""Checks of columns against each other: signs, axes, units and clocks, from the motion of the vehicle.
 
 A tilt in the horizontal plane is a complex number, x + iy. Its thrust points along pitch - i roll (the
 vehicle's heading being the real axis), its acceleration says where the thrust pointed in fact. Between
@@ -191,7 +191,7 @@ def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
         values = [part(p.horizontal_acceleration) for p in parts]
         if np.concatenate(values).std() > 0.3 and _best_lag(pwm, values)[1] > 0.7:
             yield refuse(
-                "z", f"{axis} moves up and down with the thrust command, z does not: they are swapped"
+                "z", f"{axis} moves up and down with the thrust command and z does not: they are swapped"
             )
 
 
@@ -211,7 +211,7 @@ def _check_quaternion(parts: list[Motion]) -> Iterator[Finding]:
             text = (
                 f"{named} follow the horizontal acceleration only if their numbers lie in the order {order}"
             )
-            yield refuse("qw, qx, qy, qz", f"{text}: exchange the columns, or say so in a mapping file")
+            yield refuse("qw, qx, qy, qz", f"{text}: exchange the columns, or use a mapping file")
         elif order == "x, y, z, w" and np.median(np.abs(numbers[:, 0])) < LEAST_QW and missed > 0.5 * other:
             text = (
                 "qw stays near 0: the vehicle faces -x throughout, or the order of the numbers is x, y, z, w"
@@ -235,7 +235,7 @@ def _check_standing(log: FlightLog) -> Iterator[Finding]:
         text = (
             f"stands for {sum(seconds):.1f} s with its motors running, most of it from t = {begin:.2f} s on"
         )
-        yield info("cmd_thrust_pwm", f"{text}: not taken for flight")
+        yield info("cmd_thrust_pwm", f"{text}; this does not count as flight")
 
 
 def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:
@@ -260,9 +260,7 @@ def _check_thrust(parts: list[Motion]) -> Iterator[Finding]:
 def _check_attitude(parts: list[Motion]) -> Iterator[Finding]:
     pair = _compare_signals([p.tilt for p in parts], [p.thrust_tilt for p in parts])
     if pair is None:
-        yield limit(
-            "roll, pitch", "too little tilt to tell whether roll and pitch have the right signs and unit"
-        )
+        yield limit("roll, pitch", "too little tilt to check the signs and the unit of roll and pitch")
         return
     yield from _check_convention(pair, "roll and pitch", "the horizontal acceleration")
 
@@ -329,7 +327,7 @@ class _Agreement:
 def _compare_signals(
     first: list[np.ndarray], second: list[np.ndarray], excited: float = LEAST_EXCITATION
 ) -> _Agreement | None:
-    """Return the agreement of two signals without axes of NaN; None where the second hardly moves."""
+    """Return the agreement of two signals, NaN axes left out; None if the second hardly moves."""
     a = np.concatenate([x - x.mean() for x in first])
     b = np.concatenate([x - x.mean() for x in second])
     if np.isnan(a.real).any() or np.isnan(b.real).any():
@@ -361,7 +359,7 @@ def _check_convention(pair: _Agreement, what: str, against: str) -> Iterator[Fin
         return
     mirrored = abs(pair.mirrored) > abs(pair.straight) + 0.2
     turn = float(np.angle(pair.mirrored if mirrored else pair.straight))
-    ratio = f"{against} is {pair.ratio:.2g} times what {what} say"
+    ratio = f"{against} is {pair.ratio:.2g} times the value that {what} imply"
     if mirrored:
         yield refuse(what, f"{what} mirror {against}: {_describe_mirror(what, turn)}, or x and y are")
     elif abs(turn) > WRONG_TURN:
@@ -399,10 +397,14 @@ def _check_delay(response: str, channel: str, lag: float, correlation: float) ->
     text = f"{response} follows its command after {1e3 * lag:.0f} ms (correlation {correlation:.2f})"
     if lag < -LONGEST_LEAD and correlation > LEAST_CORRELATION:
         yield limit(
-            channel, f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are dated too late"
+            channel,
+            f"{response} leads its command by {-1e3 * lag:.0f} ms: the commands are stamped too late",
         )
     elif lag > LONGEST_DELAY and correlation > LEAST_CORRELATION:
-        yield limit(channel, f"{text}: the commands are dated too early, or others than those flown")
+        yield limit(
+            channel,
+            f"{text}: the commands are stamped too early, or are not the flown ones",
+        )
     else:
         yield info(channel, text)
 

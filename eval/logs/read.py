@@ -37,8 +37,8 @@ def read_log(
     path: CSV (packed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string with
         the names joined by `+`, as for the client's one file per log block.
     mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
-    units: unit per canonical column where the file and the mapping do not say it, {"roll": "deg"}.
-    check: refuse what `check_log` refuses and add what it limits to the notes.
+    units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
+    check: refuse flights that `check_log` refuses, and add its limits to the notes.
 
     Raises UserError, naming file and column, when the flight cannot be used.
     """
@@ -72,7 +72,7 @@ def read_log(
 
 
 def write_log(path: str | Path, log: FlightLog) -> None:
-    """Write the documented CSV (gzipped if the name ends in .gz), whole or not at all."""
+    """Write the documented CSV (gzipped if the name ends in .gz), atomically."""
     with storage.atomic(path) as part:
         log_table(log).to_csv(part, index=False)
 

@@ -1,4 +1,4 @@
-"""What a file holds, before a mapping gives its columns a meaning."""
+"""The contents of a file, before a mapping gives its columns a meaning."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """Columns of one file by the names the file gives them.
+    """Columns of one file by their names in the file.
 
     columns: values (m,) each; NaN where the file has no value.
     times: seconds (m,) per column where the format dates every value itself (micro-SD, bags);

@@ -48,7 +48,7 @@ def read(path: Path) -> Record:
     A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted; so are zero
     bytes at the end, of a file that was laid out in advance.
 
-    Raises UserError for what is not such a log.
+    Raises UserError for anything else.
     """
     data = path.read_bytes()
     if data[1 : 1 + len(_OLD)] == _OLD:
@@ -85,7 +85,7 @@ def read(path: Path) -> Record:
             columns[column] = table[name].astype(float)
             times[column] = table["time"] * _TIME[version][1]
     if not columns:
-        raise UserError(f"{path}: a micro-SD log without a single event")
+        raise UserError(f"{path}: a micro-SD log without events")
     _decompress(columns, times)
     return Record(str(path), columns, times=times, notes=tuple(notes))
 
@@ -137,7 +137,7 @@ def _read_old(path: Path, data: bytes) -> Record:
         blocks.append(np.frombuffer(block, row))
         position += size + 5
     if not blocks:
-        raise UserError(f"{path}: a micro-SD log without a single whole block")
+        raise UserError(f"{path}: a micro-SD log without a complete block")
     table = np.concatenate(blocks)
     columns = {name: table[name].astype(float) for name in row.names[1:]}
     tick = table["tick"].astype(np.int64)
@@ -151,7 +151,7 @@ def _field(path: Path, name: str) -> tuple[str, str]:
     """Return name and type of a variable whose name ends with its type in parentheses."""
     name, kind = name[:-3], name[-3:]
     if kind[:1] + kind[2:] != "()" or kind[1] not in _TYPES:
-        raise UserError(f"{path}: variable {name + kind} has no type that is known")
+        raise UserError(f"{path}: variable {name + kind} has an unknown type")
     return name, _TYPES[kind[1]]
 
 

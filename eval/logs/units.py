@@ -55,7 +55,7 @@ _SPELLINGS = {
 }
 OF_A_FORCE = (
     "newton, gram or m/s2 need a mapping file: inherit = 'documented' and, under [columns], "
-    "cmd_thrust_pwm = { column = 'NAME', full = 0.6 }, what it is at the full command"
+    "cmd_thrust_pwm = { column = 'NAME', full = 0.6 }, the value at full command"
 )
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")  # x [mm], roll (deg)
 _AT_THE_END = re.compile(r"(.+?)[ _](deg|degrees|rad|[mc]?m|m?v|s|secs?|[mun]s|[mun]sec)", re.IGNORECASE)
@@ -81,7 +81,7 @@ def factor(column: str, unit: str, where: str) -> float:
         return UNITS[COLUMNS[column]][_spelled(column, unit)]
     named = shown(unit.strip().strip("[]()"), 40)
     choices = ", ".join(name for name in UNITS[COLUMNS[column]] if name)
-    sentence = f"{where}: unit '{named}' of column {column} is not known; one of {choices}"
+    sentence = f"{where}: unit '{named}' of column {column} is unknown; choose from {choices}"
     if COLUMNS[column] == "pwm":
         sentence += f"; {OF_A_FORCE}"
     raise UserError(sentence)

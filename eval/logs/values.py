@@ -62,12 +62,12 @@ def _check_time(log: FlightLog) -> Iterator[Finding]:
         yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
         return
     if not FEWEST_PER_SECOND <= log.rate <= MOST_PER_SECOND:
-        yield refuse("t", f"has {log.rate:.3g} rows per second: no flight, or time in another unit")
+        yield refuse("t", f"has {log.rate:.3g} rows per second: not a flight, or time is in another unit")
         return
     if log.duration < SHORT_FLIGHT:
-        yield limit("t", f"lasts only {log.duration:.2g} s: little can be told from it")
+        yield limit("t", f"lasts only {log.duration:.2g} s: too short for most conclusions")
     if log.rate < LEAST_RATE:
-        yield limit("t", f"has only {log.rate:.3g} rows per second: lags and delays cannot be told apart")
+        yield limit("t", f"has only {log.rate:.3g} rows per second: lags and delays cannot be distinguished")
     gaps = log.gap_starts
     if len(gaps):
         steps = np.diff(log.t)[gaps]
@@ -75,9 +75,9 @@ def _check_time(log: FlightLog) -> Iterator[Finding]:
         text = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in time, the longest of {steps.max():.2g} s"
         text += f" at t = {log.t[worst]:.2f} s"
         if not log.pieces(SHORTEST):
-            yield refuse("t", f"{text}; no stretch of {SHORTEST:g} s without one is left")
+            yield refuse("t", f"{text}; no stretch of {SHORTEST:g} s without gaps is left")
         else:
-            yield limit("t", f"{text}: nothing is predicted across them")
+            yield limit("t", f"{text}: predictions stop at them")
 
 
 def _check_finite(log: FlightLog) -> Iterator[Finding]:
@@ -172,14 +172,14 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-9:
-            yield limit(name, f"column {name} never changes: nothing can be told about this axis")
+            yield limit(name, f"column {name} never changes: this axis cannot be judged")
         elif np.abs(column).max() > 1.2:
             steepest = np.degrees(np.abs(column).max())
             yield limit(
-                name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which no model here covers"
+                name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which the models do not cover"
             )
     if np.median(np.cos(np.nan_to_num(log.attitude[:, :2])).prod(axis=1)) < 0.0:
-        order = " The order of the quaternion's numbers, x, y, z, w or w, x, y, z?" * log.from_quaternion
+        order = " Is the order of the quaternion x, y, z, w instead of w, x, y, z?" * log.from_quaternion
         yield refuse("roll, pitch", f"the vehicle is upside down in most of the rows.{order}")
     if np.ptp(np.nan_to_num(log.attitude[:, :2]), axis=0).max() < 1e-9:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
@@ -198,7 +198,7 @@ def _check_end(log: FlightLog) -> Iterator[Finding]:
     else:
         yield limit(
             "roll, pitch, yaw, commands",
-            f"{text}: they were no longer written, and these rows are left out",
+            f"{text}: logging stopped, and these rows are left out",
             rows=tuple(map(int, rows)),
         )
 
@@ -220,12 +220,14 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
             f"State its unit. Of a force: {OF_A_FORCE}",
         )
     elif np.ptp(pwm) < 1.0:
-        yield refuse("cmd_thrust_pwm", f"column cmd_thrust_pwm is always {top:.6g}: not what was flown with")
+        yield refuse(
+            "cmd_thrust_pwm", f"column cmd_thrust_pwm is always {top:.6g}: this is not a flown command"
+        )
     elif top < MOTORS_OFF:
         yield refuse(
             "cmd_thrust_pwm",
-            f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is no flight, or in another unit; "
-            + OF_A_FORCE,
+            f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is not a flight, or the unit is "
+            "another; " + OF_A_FORCE,
         )
     else:
         share = (pwm >= 65534.0).mean()
@@ -257,7 +259,7 @@ def _check_voltage(log: FlightLog) -> Iterator[Finding]:
         at = log.t[log.voltage.argmax()]
         yield refuse("vbat", f"column vbat reaches {high:.4g} V at t = {at:.2f} s: millivolt? State its unit")
     elif high - low < 1e-3:
-        text = f"column vbat is always {high:.4g} V: no measurement of a battery in use, left out"
+        text = f"column vbat is always {high:.4g} V: not a measurement of a battery in use; left out"
         yield limit("vbat", text, without="voltage")
     elif low < 2.5 or high > 4.5:
         yield limit("vbat", f"battery voltage runs from {low:.3g} to {high:.3g} V: not a single-cell battery")
@@ -276,6 +278,7 @@ def failed_speed_sensors(log: FlightLog) -> dict[int, str]:
         if share > FAILED_SHARE:
             failed[k + 1] = (
                 f"rotor speed of M{k + 1} is {np.median(ratio):.2f} times that of the other rotors (median), "
-                f"and contradicts them in {100 * share:.0f} % of the rows in flight: its sensor failed?"
+                f"and contradicts them in {100 * share:.0f} % of the rows in flight; its sensor may have "
+                "failed"
             )
     return failed

@@ -43,9 +43,9 @@ def command(
     """Measure what a step, an action and a training run cost here (about a minute).
 
     Args:
-        policy: whose actions are timed.
-        seed: of actions and training.
-        json: print JSON, and nothing else, on standard output.
+        policy: policy whose actions are timed.
+        seed: seed for actions and training.
+        json: print only JSON on standard output.
         out: new folder for benchmark.json.
     """
     if out is not None:

@@ -56,10 +56,10 @@ def examine() -> list[CheckResult]:
 def command(*, json: Flag = False) -> int:
     """Check what is installed and what is missing, and name remedies.
 
-    The exit code is 2 when something that is needed is missing.
+    The exit code is 2 if something required is missing.
 
     Args:
-        json: print JSON, and nothing else, on standard output.
+        json: print only JSON on standard output.
     """
     findings = examine()
     healthy = all(finding.ok or not finding.needed for finding in findings)
@@ -77,7 +77,7 @@ def command(*, json: Flag = False) -> int:
 
 
 def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> CheckResult:
-    """Return what a check says, whether all is well and details; any error says that it is not."""
+    """Return the text, verdict and details of a check; any exception is a failed check."""
     try:
         return CheckResult(name, *check(), remedy)
     except Exception as error:  # missing GL, say, shows as various errors
@@ -132,7 +132,7 @@ def _simulation() -> tuple[bool, str]:
 
 
 def _rendering() -> tuple[bool, str]:
-    """Return how pictures are made; ray casting needs nothing but MuJoCo."""
+    """Return how pictures are rendered; ray casting only needs MuJoCo."""
     from inclined_landing.envs.rendering import make_renderer
     from inclined_landing.envs.rendering.gl import probe
 
@@ -181,8 +181,8 @@ def _show(findings: list[CheckResult]) -> None:
     say(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
     say(*(f"{finding.name}: {finding.remedy}" for finding in findings if not finding.ok))
     lacking, without = ([f.name for f in findings if not f.ok and f.needed is x] for x in (True, False))
-    optional = f" Optional and not here: {', '.join(without)}." if without else ""
+    optional = f" Optional and not installed: {', '.join(without)}." if without else ""
     if lacking:
-        say(f"Not everything that is needed works: {', '.join(lacking)}.{optional}")
+        say(f"These requirements are missing or broken: {', '.join(lacking)}.{optional}")
     else:
-        say(f"Everything that is needed works.{optional}")
+        say(f"All requirements are met.{optional}")

@@ -1,1 +1,1 @@
-"""What a flight or a training looks like: `figure`, `video`, `picture`, `curves`."""
+"""Pictures of flights and training runs: `figure`, `video`, `picture`, `curves`."""

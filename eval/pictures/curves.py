@@ -68,7 +68,7 @@ def command(
 
 
 def _read_run(folder: str | Path) -> _Run:
-    """Return a training run from its folder; raises UserError, naming the file, if it is none."""
+    """Return a training run from its folder; raises UserError, naming the file, if it is not one."""
     folder = Path(folder)
     if not folder.is_dir():
         raise UserError(f"the run folder {folder} does not exist")
@@ -77,12 +77,12 @@ def _read_run(folder: str | Path) -> _Run:
         task = record["config"]["task"]
         score = _score_curve(task)
     except (TypeError, KeyError, UserError) as error:
-        raise UserError(f"{folder / 'run.json'} does not say which task was trained") from error
+        raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
     cut: list[Path] = []
     learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
     evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut)
     if learning.empty:
-        raise UserError(f"{folder / 'learning.csv'} holds no rows yet: the run has not learned anything")
+        raise UserError(f"{folder / 'learning.csv'} has no rows yet; the run is too short for curves")
     return _Run(task, learning, evaluations, cut)
 
 
@@ -107,7 +107,9 @@ def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame
             warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
             table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
     except (ValueError, pd.errors.ParserWarning) as error:
-        raise UserError(f"{path} is no table: rows of different length, or a quotation mark") from error
+        raise UserError(
+            f"{path} is not a table: rows differ in length, or a quotation mark is open"
+        ) from error
     if table.empty:
         return pd.DataFrame({column: [] for column in columns}, dtype=float)
     numbers = {}
@@ -120,7 +122,7 @@ def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame
         if wrong.any():
             row = int(wrong.to_numpy().argmax())
             value = shown(table[column].iloc[row], 40)
-            raise UserError(f"{path}: {column} is {value} in row {row + 1}, which no run writes")
+            raise UserError(f"{path}: {column} is {value} in row {row + 1}, which is not a valid value")
         numbers[column] = values
     return pd.DataFrame(numbers)
 
@@ -132,14 +134,14 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     median is a thick line and the range from the lowest to the highest a band, as far as all runs
     reach. The curriculum's level and the episodes' length are left out where they never change. Shaded: the
     steps in which the level still moves, during which a policy that learns may have less reward.
-    Raises UserError for no runs, runs of different tasks and folders that are no runs.
+    Raises UserError for no runs, runs of different tasks and folders that are not runs.
     """
     if not runs:
         raise UserError("learning curves need at least one run folder")
     loaded = [_read_run(folder) for folder in runs]
     tasks = sorted({run.task for run in loaded})
     if len(tasks) > 1:
-        raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one")
+        raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one task")
     curves = [(_score_curve(tasks[0]), BLUE, [run.evaluations for run in loaded])]
     for curve, colour in _LEARNING.items():
         if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
@@ -159,7 +161,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         if changing := max(_curriculum_end(run.learning) for run in loaded):
             for axes in grid.ravel():
                 axes.axvspan(0, changing / 1e6, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
-            label = "curriculum level still moving: the task gets harder, and the reward may fall"
+            label = "curriculum level still rising: the task gets harder, and the reward may fall"
             patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=label)
             figure.legend(handles=[patch], loc="outside lower center")
         if len(loaded) > 1:

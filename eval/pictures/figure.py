@@ -1,4 +1,4 @@
-"""`landing-eval figure`: flights of a policy on paper."""
+"""`landing-eval figure`: figures of a policy's flights."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Fl
     """Draw a stroboscopic trajectory with PWM and pitch over time, as PNG and PDF.
 
     Args:
-        policy: file, or the name of a shipped one.
+        policy: policy file, or name of a shipped policy.
         out: folder for the files.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
-            more figures. Default: the task's cases, for landing the paper's two, 1.5,1.8 and 0,2.
+        start: start of a flight in metres, X,Z or (setpoint) X,Y,Z; repeatable (default: the cases of the
+            task; for landing the paper's two, 1.5,1.8 and 0,2).
     """
     storage.check_folder(out)
     loaded = flown.load(policy)

@@ -40,7 +40,7 @@ def choose_starts(task: Task, where: Sequence[tuple[float, ...]], drawn: int, se
 def check_random_starts(drawn: int, starts: Sequence[str]) -> None:
     """Raise UserError where starts are both given and drawn."""
     if drawn and starts:
-        raise UserError("give either --start or --drawn")
+        raise UserError("give either --start or --drawn, not both")
 
 
 def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
@@ -57,7 +57,7 @@ def say_outcome(flight: Flight, name: str) -> None:
 
 
 def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:
-    """Print one line about each flight, by its name, and how many succeeded; shown_in: what shows them."""
+    """Print one line for each flight, by name, and how many succeeded; shown_in: the file that shows them."""
     for name, flight in flights.items():
         say_outcome(flight, name)
     say(f"{succeeded(list(flights.values()))}; {shown_in}.")

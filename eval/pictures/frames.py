@@ -41,7 +41,7 @@ from inclined_landing.models.errors import UserError
 
 FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 FPS = 50.0  # one frame for every control step
-_ENDED = "ffmpeg was ended; is the disk full, the file too large (ulimit -f), or memory short?"
+_ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"
 _CODECS = {".mp4": "h264", ".gif": "gif"}
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
@@ -184,7 +184,7 @@ def strobe(
 
 
 def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
-    """Write a picture (h, w, 3) uint8 to a .png file, whole or not at all; return its path."""
+    """Write a picture (h, w, 3) uint8 to a .png file, atomically; return its path."""
     with storage.made(path.parent), storage.atomic(path) as part:
         Image.fromarray(picture).save(part)
     return path
@@ -198,7 +198,7 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
     """
     for path in every:
         if path.suffix.lower() not in _CODECS:
-            raise UserError(f"a video is an .mp4 or .gif file, not {path.name!r}")
+            raise UserError(f"--out must be an .mp4 or .gif file, not {path.name!r}")
     frames = iter(frames)
     first = next(frames, None)
     if first is None:

@@ -1,4 +1,4 @@
-"""The way of a flight, and where copies of the vehicle are drawn on it."""
+"""The path of a flight, and where copies of the vehicle are drawn on it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from inclined_landing.models.attitude import PITCH, ROLL
 def path_share(state: np.ndarray, turn: float = 0.0) -> np.ndarray:
     """Return the share (T,) of the path length covered at states (T, 13); by index if at rest.
 
-    turn: how much way [m] a turn of one radian counts.
+    turn: path length [m] that a turn of one radian counts.
     """
     # s_k = sum_j |dp_j| + turn (|droll_j| + |dpitch_j|), over its last value
     step = np.linalg.norm(np.diff(state[:, :3], axis=0), axis=1)

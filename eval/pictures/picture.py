@@ -33,14 +33,14 @@ def command(
     """Render one picture of a whole flight, with copies of the vehicle along its path.
 
     Args:
-        policy: file, or the name of a shipped one.
+        policy: policy file, or name of a shipped policy.
         out: .png file.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; by default the task's first start.
-        until: where a landing ends: rest goes on after the goal box with the motors cut, by MuJoCo, until the
-            vehicle is at rest; goal ends with the policy's flight.
+        start: start of the flight in metres, X,Z or (setpoint) X,Y,Z (default: the task's first start).
+        until: end of a landing; goal stops with the policy's flight, rest continues with the motors cut,
+            simulated in MuJoCo, until the vehicle is at rest.
     """
     if out.suffix.lower() != ".png":
-        raise UserError(f"a picture is a .png file, not {out.name!r}")
+        raise UserError(f"--out must be a .png file, not {out.name!r}")
     storage.check_file(out)
     look = checked_look(look)
     loaded = flown.load(policy)

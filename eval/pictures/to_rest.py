@@ -1,7 +1,8 @@
 """The rest of a landing: a flight that ends in the goal box goes on with its motors cut, until it is at rest.
 
-The goal box hovers over the slope, so a flight that the task calls a success has not landed yet. What
-follows is the MuJoCo plant's, whatever the policy was flown in, judged as `plants.recorder` judges rest.
+The goal box hovers over the slope, so that a successful flight has not landed yet. The continuation is
+simulated in the MuJoCo plant, whichever plant the policy was flown in, with the rest criterion of
+`plants.recorder`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the surface does to the vehicle at touchdown, at every step of the engine.
+"""Contact forces on the vehicle at touchdown, at every step of the engine.
 
 A recorded flight holds states at the control rate; contact comes and goes within it. So the flight's
 commands are flown again, one engine step at a time (the states come out the same, bit for bit), and a
@@ -71,7 +71,7 @@ def record_touchdown(flight: Flight) -> Touchdown:
     platform, and where nothing touches it.
     """
     if flight.platform is None:
-        raise UserError("contact forces need a flight that touches something; this task has no platform")
+        raise UserError("--forces needs a task with a platform")
     vehicle = flight.task.vehicle
     steps = resimulate(flight, CUT_TIME if flight.task.cut_at_success else 0.0)
     assert steps.platform is not None
@@ -80,7 +80,10 @@ def record_touchdown(flight: Flight) -> Touchdown:
     touching = [k for k, force in enumerate(forces) if len(force)]
     if not touching:
         x, z = flight.state[0, [0, 2]]
-        raise UserError(f"nothing touches in the flight from x {x:g}, z {z:g} m: no contact force to draw")
+        raise UserError(
+            f"there is no contact in the flight from x {x:g}, z {z:g} m, so that no contact force can be "
+            "drawn"
+        )
     platform = steps.platform[1:]
     _, velocity, _ = surface.relative(states, platform)
     moving = np.flatnonzero(np.linalg.norm(velocity, axis=1) > REST_SPEED)

@@ -1,4 +1,4 @@
-"""Slow pictures of a touchdown: contact forces as arrows, the normal force over time in a gauge."""
+"""Slow-motion videos of a touchdown: contact forces as arrows, the normal force over time in a panel."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
-Beside = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
+Compare = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
 _REST = 1.0  # s that the last frame of a flight stays
 
 
@@ -58,47 +58,44 @@ def command(
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
     forces: Flag = False,
     until: Until = "rest",
-    beside: Beside = (),
+    compare: Compare = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Render a video of flights, one after the other.
 
     Args:
-        policy: file, or the name of a shipped one.
+        policy: policy file, or name of a shipped policy.
         out: .mp4 or .gif file.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for
-            more flights.
+        start: start of a flight in metres, X,Z or (setpoint) X,Y,Z; repeatable.
         drawn: number of flights from random starts instead, over random slopes if the policy observes them.
-        seed: of the random starts.
-        gif: write a .gif beside the .mp4.
-        slow: 2 plays at half speed; the picture says so.
-        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. A landing
-            policy's motors are cut in the goal box. Best with --slow 16 and --camera touch, a fixed view of
-            the touchdown from close by.
-        until: where the video of a landing ends: rest goes on after the goal box with the motors cut, by
-            MuJoCo, until the vehicle is at rest; goal ends with the policy's flight.
-        beside: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
+        seed: seed for the random starts.
+        gif: also write a .gif.
+        slow: slow-down factor; 2 plays at half speed, as a label in the picture states.
+        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. The motors
+            of a landing policy are cut in the goal box. Best with --slow 16 and --camera touch, a fixed
+            close view of the touchdown.
+        until: end of a landing; goal stops with the policy's flight, rest continues with the motors cut,
+            simulated in MuJoCo, until the vehicle is at rest.
+        compare: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
     check_random_starts(drawn, start)
     storage.check_file(out)
     look = _checked(out, look, forces, until, flown)
-    if beside and (forces or flown.vehicle is not None):
-        raise UserError(
-            "--beside shows whole flights of the vehicles it names: leave --forces and --vehicle out"
-        )
+    if compare and (forces or flown.vehicle is not None):
+        raise UserError("--compare cannot be combined with --forces or --vehicle")
     loaded = flown.load(policy)
     if forces and not loaded.task.has_platform:
-        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight touches nothing")
-    others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in beside}
+        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight has no contact")
+    others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in compare}
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
-    flights = [] if beside else record_flights(loaded, flown.plant, where)
+    flights = [] if compare else record_flights(loaded, flown.plant, where)
     shown = dataclasses.asdict(look)
     if forces:
         frames, total, rate = film_touchdowns([record_touchdown(flight) for flight in flights], slow, **shown)
     else:
         most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
         sampled = min(FPS, most * slow)  # there are no more states
-        if beside:
+        if compare:
             each = {
                 name: fly_from(other, start_points(start, other.task), flown.plant)
                 for name, other in others.items()
@@ -118,20 +115,20 @@ def command(
 
 
 def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) -> Look:
-    """Return the look as it can be filmed; raise UserError where options do not go together."""
+    """Return the look to film with; raise UserError for options that cannot be combined."""
     if out.suffix.lower() not in (".mp4", ".gif"):
-        raise UserError(f"a video is an .mp4 or .gif file, not {out.name!r}")
+        raise UserError(f"--out must be an .mp4 or .gif file, not {out.name!r}")
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     if forces and flown.plant == "analytic":
-        raise UserError("--forces needs the MuJoCo plant: in the analytic one nothing is felt")
+        raise UserError("--forces needs --plant mujoco; the analytic plant does not simulate contact")
     if forces and until == "goal":
-        raise UserError("--forces films what follows the goal box: leave --until goal out")
+        raise UserError("--forces films what follows the goal box and cannot be combined with --until goal")
     if look.camera != "touch":
         near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
         return checked_look(near)
     if not forces or look.backend == "gl":
-        raise UserError("--camera touch is drawn with rays and looks at a touchdown: it needs --forces")
+        raise UserError("--camera touch looks at a touchdown and needs --forces")
     return look
 
 

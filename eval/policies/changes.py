@@ -254,8 +254,8 @@ def _answers(report: dict) -> list[str]:
             good = sum(share["share"] >= ENOUGH_MEDIUM for share in shares.values())
             worst = min(shares, key=lambda name: shares[name]["share"])
             parts.append(
-                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(shares)} medium effects; worst is "
-                f"{worst} with {count_words(shares[worst])}"
+                f"{100 * ENOUGH_MEDIUM:.0f} % or more under {good} of {len(shares)} medium effects; the "
+                f"worst is {worst} with {count_words(shares[worst])}"
             )
         said.append("; ".join(parts) + ".")
     return said

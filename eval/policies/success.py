@@ -270,8 +270,8 @@ def answer(name: str, report: dict[str, Any]) -> str:
         good = sum(row[key]["share"] >= ENOUGH for row in rows)
         worst = min(rows, key=lambda row: row[key]["share"])
         return (
-            f"{name} {what} in {100 * ENOUGH:.0f} % or more under {good} of {len(rows)} effects; worst is "
-            f"{worst['effect']} with {count_words(worst[key])}."
+            f"{name} {what} in {100 * ENOUGH:.0f} % or more under {good} of {len(rows)} effects; the worst "
+            f"is {worst['effect']} with {count_words(worst[key])}."
         )
     parts = []
     for condition in report["conditions"]:

@@ -1,1 +1,1 @@
-"""Flights to look at from all sides: `replay`, a page for the browser, and `view`, MuJoCo's viewer."""
+"""Interactive views of flights: `replay`, a page for the browser, and `view`, MuJoCo's viewer."""

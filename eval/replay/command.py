@@ -45,7 +45,7 @@ def command(
     start: Starts = (),
     drawn: Drawn = 0,
     seed: Seed = 0,
-    anew: Annotated[float, Meta(ge=0.05, le=3600)] = HORIZON,
+    restart: Annotated[float, Meta(ge=0.05, le=3600)] = HORIZON,
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
     platform: Flag = False,
@@ -53,36 +53,33 @@ def command(
 ) -> None:
     """Show flights of policies and logs in 3D, on one page for the browser.
 
-    The page holds everything it needs and opens from a file. A policy flies from --start, or from its task's
-    usual starts, and is followed at the engine's steps with its contact forces until it is at rest. A log is
-    shown with what the model makes of the same commands.
+    The page is self-contained and opens from a file. A policy flies from --start, or from its task's usual
+    starts; its flight is shown at the engine's steps, with contact forces, until the vehicle is at rest. A
+    log is shown together with a simulation of the same commands.
 
     Args:
         sources: policy files or names of shipped ones, and flight logs of any known kind.
         out: .html file.
-        start: where policies fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more
-            flights.
-        drawn: number of flights of each policy from random starts instead, over random slopes where it
-            observes them.
-        seed: of the random starts.
-        anew: seconds after which the simulation of a log restarts at the measured state.
-        mapping: shipped mapping or mapping file (TOML), where a log's column names are not known.
-        unit: unit of a column that states none, roll=deg for example; repeat the option for more.
-        platform: the vehicle file's slab stood in the arena (implied by logs with contacts).
+        start: start of the policies in metres, X,Z or (setpoint) X,Y,Z; repeatable.
+        drawn: number of flights of each policy from random starts instead, over random slopes if it observes
+            the slope.
+        seed: seed for the random starts.
+        restart: seconds after which the simulation of a log restarts at the measured state.
+        mapping: shipped mapping or mapping file (TOML), if a log's column names do not identify its format.
+        unit: unit of a column that states none, for example roll=deg; repeatable.
+        platform: the platform of the vehicle file stood in the arena (detected in logs with contacts).
     """
     if not sources:
         raise UserError("name at least one policy or log")
     if out.suffix.lower() not in (".html", ".htm"):
-        raise UserError(f"a page is an .html file, not {shown(out.name)!r}")
+        raise UserError(f"--out must be an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
     check_random_starts(drawn, start)
     check_plant(flown.plant)
     vehicle, units = _vehicle(flown), parse_units(unit)
     policies = [source for source in sources if _is_policy(source)]
     if (start or drawn) and not policies:
-        raise UserError(
-            f"--{'start' if start else 'drawn'} is where a policy flies from, and only logs were named"
-        )
+        raise UserError(f"--{'start' if start else 'drawn'} is for policies, but only logs were given")
     # Everything is read before anything flies.
     logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
     ready: dict[str, tuple[Policy, Start]] = {}
@@ -99,7 +96,9 @@ def command(
                 named = f"{name.removesuffix('.zip')} from {policy.task.start_words(flight.state[0])}"
                 recordings.append(from_flight(flight, named, flown.plant))
             continue
-        found, log_notes = from_log(logs[source], vehicle, platform=platform, horizon=anew, plant=flown.plant)
+        found, log_notes = from_log(
+            logs[source], vehicle, platform=platform, horizon=restart, plant=flown.plant
+        )
         recordings += found
         notes += log_notes
     text = write(

@@ -1,4 +1,4 @@
-"""A measured flight, and beside it what the model makes of the same commands."""
+"""A measured flight, and a simulation of it with the same commands."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _simulated(
     usable = np.full(flight.samples, True) if known else flight.usable
     segments = _segments(usable, max(1, round(horizon / flight.dt)))
     if not segments:
-        raise UserError("no free flight in it")
+        raise UserError("the log has no free flight")
     windows: dict[int, np.ndarray] = {}
     for steps in sorted({steps for _, steps in segments}):
         firsts = [first for first, length in segments if length == steps]
@@ -79,7 +79,7 @@ def _simulated(
     final = [error[end] for end, (_, n) in zip(ends, segments) if n == longest]
     typical = math.sqrt(float(np.mean(np.square(final))))
     of = "" if known else " of free flight"
-    often = "once" if len(segments) == 1 else f"anew every {horizon:g} s{of}"
+    often = "once" if len(segments) == 1 else f"again every {horizon:g} s{of}"
     return dataclasses.replace(
         measured,
         name=f"{measured.name}, simulated",

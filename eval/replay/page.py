@@ -1,4 +1,4 @@
-"""The page: recordings, scenes and the player in one file that needs nothing else."""
+"""The page: recordings, scenes and the player in one self-contained file."""
 
 from __future__ import annotations
 

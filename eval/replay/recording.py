@@ -1,4 +1,4 @@
-"""`Recording`: one flight as the page plays it, whatever it comes from."""
+"""`Recording`: one flight as the page plays it, of a policy or a log."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FLOWN, MEASURED, SIMULATED = "flown", "measured", "simulated"
 class Recording:
     """Motion, commands and contacts of one flight; T rows.
 
-    What was not logged is NaN. A simulation that begins anew has two rows of one time there: the end of the
-    old part and the start of the new one.
+    What was not logged is NaN. A simulation that restarts has two rows of one time: the end of the old part
+    and the start of the new one.
     """
 
     name: str
@@ -74,7 +74,7 @@ def from_flight(flight: Flight, name: str, plant: str) -> Recording:
     rate, without contacts. Raises UserError for a flight over a moving platform.
     """
     if flight.motion is not None:
-        raise UserError("the replay page shows platforms that stand still; landing-eval video draws this one")
+        raise UserError("replay cannot show moving platforms; use landing-eval video")
     task, outcome = flight.task, flight.task.flight_words(flight)
     events = [(flight.duration, "goal box")] if flight.success and task.goal_size is not None else []
     flight = to_rest(flight)

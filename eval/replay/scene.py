@@ -1,4 +1,4 @@
-"""What stands in the scene and what the vehicle looks like, as the compiled MuJoCo models have it."""
+"""The geometry of the scene and of the vehicle, from the compiled MuJoCo models."""
 
 from __future__ import annotations
 

@@ -31,10 +31,10 @@ def command(
     Closing the window ends the command.
 
     Args:
-        policy: file, or the name of a shipped one.
-        start: where to fly from, in metres: X,Z or (setpoint) X,Y,Z; repeat the option for more flights.
-        slow: 2 plays at half speed.
-        again: begin again after the last flight, until the window is closed.
+        policy: policy file, or name of a shipped policy.
+        start: start of a flight in metres, X,Z or (setpoint) X,Y,Z; repeatable.
+        slow: slow-down factor; 2 plays at half speed.
+        again: repeat the flights until the window is closed.
     """
     loaded = flown.load(policy)
     where = start_points(start, loaded.task)

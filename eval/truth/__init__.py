@@ -1,5 +1,5 @@
-"""Can the simulator be believed? Two sets of claims, each with its tolerance and the measured value.
+"""Validation of the simulator: two sets of claims, each with its tolerance and the measured value.
 
 `equivalence` compares the vehicle with the paper's model, `contact` what happens at touchdown with mechanics.
-The words and tolerances of their claims are in `claims.toml`; `report` makes the page.
+The text and tolerances of their claims are in `claims.toml`; `report` writes the page.
 """

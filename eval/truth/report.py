@@ -1,4 +1,4 @@
-"""What both sets of claims share: the words of `claims.toml`, progress bar, page, JSON and figures."""
+"""The parts that both sets of claims share: `claims.toml`, progress bar, page, JSON and figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from inclined_landing.models import storage
 
 
 class Words:
-    """What the sections and claims of a package say: `claims.toml` beside its code.
+    """The text of the sections and claims of a package: `claims.toml` next to its code.
 
     A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
     `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and its bounds

@@ -1,1 +1,1 @@
-"""Public sets of measured flights: where each is to be had, and its own files as documented CSV."""
+"""Public sets of measured flights: where to get each, and its files as documented CSV."""

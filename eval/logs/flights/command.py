@@ -1,4 +1,4 @@
-"""`landing-eval flights`: where measured flights of others are, and their files as documented CSV."""
+"""`landing-eval flights`: sources of public flights, and their files as documented CSV."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
     """List public sets of measured flights with their licences, or convert one to documented CSV.
 
     Args:
-        public: a set, and files of it as they are in its repository.
+        public: name of a set, and unmodified files of its repository.
         out: new folder for the converted flights, one .csv.gz each, and source.txt.
     """
     sets = public_sets()
     if not public:
         print("\n\n".join(_where(key, known) for key, known in sets.items()))
-        print(f"\n{len(sets)} sets of measured flights are known: {', '.join(sets)}.")
+        print(f"\n{len(sets)} sets of measured flights are available: {', '.join(sets)}.")
         return
     name, *files = public
     if name not in sets:
@@ -39,7 +39,7 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
         print(_where(name, sets[name]))
         return
     if out is None:
-        raise UserError("flights are converted into a new folder: --out DIR")
+        raise UserError("give a new folder for the converted flights with --out DIR")
     runs.check_new_run(out)
     seen: dict[str, str] = {}
     with runs.staged_run(out) as folder:
@@ -48,7 +48,7 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
             text = table.to_csv(index=False, lineterminator="\n").encode()
             key = hashlib.sha256(text).hexdigest()
             if key in seen:
-                print(f"{shown(file, 250)}: the same flight as {seen[key]}, left out", file=sys.stderr)
+                print(f"{shown(file, 250)}: the same flight as {seen[key]}, skipped", file=sys.stderr)
                 continue
             if (folder / f"{flight}.csv.gz").exists():
                 raise UserError(f"{shown(file, 250)}: two files are both the flight {flight}")

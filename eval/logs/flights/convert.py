@@ -1,6 +1,6 @@
 """From the files of a public set, as its authors published them, to the documented CSV.
 
-What a set's columns become stands in the TOML file of its name: source column, unit, sign, decimals.
+The TOML file of a set's name maps its columns: source column, unit, sign, decimals.
 Nothing is filtered, shifted or filled in: an impossible PWM, and what was not logged, become empty cells.
 """
 
@@ -63,7 +63,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
     known = public_sets()[name]
     match = re.fullmatch(known.path, path.as_posix())
     if not match:
-        raise UserError(f"{shown(path, 250)}: the path of a file of {name} ends like {known.files}")
+        raise UserError(f"{shown(path, 250)}: a file of {name} has a path that ends like {known.files}")
     if limits.check_file(path):
         raise UserError(f"{path}: a folder, not a file")
     flight = match.expand(known.name)
@@ -92,11 +92,13 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
             continue
         wrong = (table[column] < 0) | (table[column] > _MOST_PWM)
         if wrong.any():
-            notes.append(f"{column} is no PWM in {wrong.sum()} rows ({table[column].max():.0f}): left empty")
+            notes.append(
+                f"{column} is not a PWM value in {wrong.sum()} rows ({table[column].max():.0f}): left empty"
+            )
             table.loc[wrong, column] = np.nan
     idle = [column for column in known.zeros_mean_not_logged if (table[column] == 0.0).all()]
     if idle:
-        notes.append(f"zero throughout: {', '.join(idle)}; not logged, left empty")
+        notes.append(f"always zero: {', '.join(idle)}; treated as not logged")
         table[idle] = np.nan
     decimals = {c: of["decimals"] for c, of in known.columns.items() if "decimals" in of}
     return flight, table.round(decimals), notes

@@ -1,1 +1,1 @@
-"""Figures on paper: trajectories, curricula, missions. Curves, shapes and text are vectors."""
+"""Figures of trajectories, curricula and missions, with curves, shapes and text as vectors."""

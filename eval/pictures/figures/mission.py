@@ -1,4 +1,4 @@
-"""The figure of missions: their ways from the side and from above, coloured by leg."""
+"""The figure of missions: paths from the side and from above, coloured by leg."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_PATHS = 100  # ways of others that are drawn
 def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
     """Return a figure of one mission from the side, with copies of the vehicle, and from above.
 
-    others: missions of the same plan whose ways are drawn thin behind it, at most the first hundred.
+    others: missions of the same plan whose paths are drawn thin behind it, at most the first hundred.
     """
     others = [other for other in others if other is not mission][:_MOST_PATHS]
     points = np.concatenate([track.state[:, :3] for track in (mission, *others)])

@@ -1,4 +1,4 @@
-"""The stroboscopic figure of a flight: the way above, PWM and pitch commands below."""
+"""The stroboscopic figure of a flight: the path above, PWM and pitch commands below."""
 
 from __future__ import annotations
 
@@ -41,9 +41,7 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
     if flight.motion is not None:
-        raise UserError(
-            "a trajectory figure shows a platform that stands still; a picture draws a moving one"
-        )
+        raise UserError("a trajectory figure cannot show a moving platform; use landing-eval picture")
     vehicle, landing = flight.task.vehicle, flight.inclination is not None
     chosen = select_copies(flight.state, copies or (11 if landing else 8), _SPACING, _TURN)
     gap, foot = 0.33, 0.50

@@ -1,5 +1,5 @@
-"""Can what happens at touchdown be believed? `landing-eval contact` answers with numbers.
+"""Contact at touchdown compared with the laws of mechanics: `landing-eval contact`.
 
-`drops` are the unpowered vehicles that are set down or dropped, `laws` the measurements, `figures` what is
-drawn of them. Measured touchdowns are simulated by `python -m tests.proof touchdowns`, from a clone.
+`drops` simulates unpowered vehicles that are set down or dropped, `laws` measures, `figures` draws. Measured
+touchdowns are simulated by `python -m tests.proof touchdowns`, from a clone.
 """

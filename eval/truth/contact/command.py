@@ -16,7 +16,7 @@ def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
 
     Args:
         out: new folder for contact.html, contact.json and the figures.
-        vehicle: vehicle file (TOML), where it or its contact setting differs from the shipped one.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
     runs.check_new_run(out)
     tested = load_vehicle(vehicle)
@@ -33,9 +33,9 @@ def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
         sections,
         {f"{s.key}.png": DRAW[s.key](s.data) for s in sections if s.key in DRAW},
         contact_record(sections),
-        title="Contact: what can be believed",
+        title="Contact compared with mechanics",
         lead=f"The vehicle of this package in MuJoCo, contact setting {setting}, RK4 at 4 ms unless a line "
-        "says otherwise. What is not met is a limit to know about, and stays in the table.",
+        "says otherwise. A claim that is not met is a known limit and stays in the table.",
         run="landing-eval contact",
     )
 

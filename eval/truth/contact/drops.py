@@ -1,4 +1,4 @@
-"""Unpowered vehicles at rest and dropped, recorded at every engine step: what all measurements share."""
+"""Unpowered vehicles at rest and dropped, recorded at every engine step, for all measurements."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ def rest(data: dict, force: Axes, creep: Axes) -> None:
     force.plot(data["degrees"], weight * np.cos(slope), **_DASHED, label="m g cos, m g sin")
     force.plot(data["degrees"], weight * np.sin(slope), **_DASHED)
     _curves(creep, data["restitution"], {"measured": 1e3 * data["creep_of_restitution"]},
-            xlabel="restitution set", ylabel="creep on the default slope [mm/s]", yscale="log")  # fmt: skip
-    creep.axhline(0.2, **_DASHED, label="asked for: 0.2 mm/s")
+            xlabel="restitution setting", ylabel="creep, default slope [mm/s]", yscale="log")  # fmt: skip
+    creep.axhline(0.2, **_DASHED, label="required: below 0.2 mm/s")
     for axes in (force, creep):
         legend_below(axes, ncols=3)
 
@@ -45,7 +45,7 @@ def slip(data: dict, axes: Axes) -> None:
     """Draw acceleration around the friction angle."""
     curves = {f"friction {mu:g}": values for mu, values in zip(data["friction"], data["acceleration"])}
     _curves(axes, data["around"], curves,
-            xlabel="inclination less atan(friction) [deg]", ylabel="acceleration [m/s²]")  # fmt: skip
+            xlabel="inclination - atan(friction) [deg]", ylabel="acceleration [m/s²]")  # fmt: skip
     legend_below(axes, ncols=3)
 
 
@@ -59,8 +59,8 @@ def restitution(data: dict, times: Axes, speeds: Axes) -> None:
     times.set_title("drops at 1 m/s, by contact time", loc="left")
     speeds.set_title("contact time 20 ms, by drop speed", loc="left")
     for axes in (times, speeds):
-        axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="as set")
-        axes.set(xlabel="restitution set", ylabel="restitution measured")
+        axes.plot([0, 0.6], [0, 0.6], **_DASHED, zorder=1, label="setting")
+        axes.set(xlabel="restitution setting", ylabel="measured restitution")
         legend_below(axes, ncols=4)
 
 
@@ -88,7 +88,7 @@ def penetration(data: dict, axes: Axes) -> None:
     curves = {f"contact time {1e3 * t:g} ms": 1e3 * values for t, values in by_time}
     _curves(axes, data["speeds"], {"default": 1e3 * data["default"]} | curves,
             xlabel="normal speed [m/s]", ylabel="deepest penetration [mm]", ylim=(0, 12))  # fmt: skip
-    axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="asked for: below 5 mm at 1 m/s")
+    axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="required: below 5 mm at 1 m/s")
     axes.axhline(10, **_DASHED, label="middle of the slab")
     legend_below(axes, ncols=3)
 
@@ -120,7 +120,7 @@ def tumbling(data: dict, axes: Axes) -> None:
 def torque(data: dict, axes: Axes) -> None:
     """Draw pitch after half a second over thrust, for two torque limits; dashed: statics."""
     curves = {f"torque up to {1e3 * row['limit']:g} mN m": row["pitch"] for row in data["rows"]}
-    _curves(axes, data["share"], curves, xlabel="thrust over weight", ylabel="pitch after 0.5 s [deg]")
+    _curves(axes, data["share"], curves, xlabel="thrust / weight", ylabel="pitch after 0.5 s [deg]")
     for row, label in zip(data["rows"], ("statics", None)):
         axes.axvline(row["predicted"], **_DASHED, label=label)
     legend_below(axes, ncols=3)

@@ -1,4 +1,4 @@
-"""What the rate loop costs against the paper's equations, as a function of its bandwidth."""
+"""The difference of the rate loop from the paper's equations, as a function of its bandwidth."""
 
 from __future__ import annotations
 

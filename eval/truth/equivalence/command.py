@@ -45,10 +45,10 @@ def command(
 
     Args:
         out: new folder for report.html, report.json and the figures.
-        policy: landing policy for recorded commands and closed loops: a file, or a shipped one.
-        vehicle: vehicle file (TOML), where it differs from the shipped one.
-        seed: of commands and states.
-        quick: fewer commands, states and starts.
+        policy: landing policy for recorded commands and closed loops, a file or the name of a shipped one.
+        vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
+        seed: seed for commands and states.
+        quick: use fewer commands, states and starts.
     """
     runs.check_new_run(out)
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
@@ -77,7 +77,7 @@ def command(
         sections,
         drawn,
         record,
-        title="Is the MuJoCo vehicle the paper's model?",
+        title="The MuJoCo vehicle and the paper's model",
         lead="The MuJoCo vehicle, with its native plugins, against the equations of Kooi and Babuska "
         "(IROS 2021).",
         run=f"{name} · seed {seed} · policy {loaded.path.name} · {seconds:.0f} s",

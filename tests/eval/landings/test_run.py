@@ -126,9 +126,9 @@ BAD = [
     ("to = 40, ", "to = 40, count = 3, ", "mass needs one of value, values, from and to, or mean"),
     ("values = [18, 25]", "values = [18, 25], from = 3", "foot_height needs one of value, values, from"),
     ('unit = "g"', 'unit = "lb"', "mass needs a unit, kg or g, not 'lb'"),
-    ('contact_time = { value = 15, unit = "ms" }', "", "belong together"),
+    ('contact_time = { value = 15, unit = "ms" }', "", "give both restitution and contact_time"),
     ("seed = 5", "sede = 5", "unknown entry 'sede' in the file"),
-    ('"latin-hypercube"', '"factorial"', "samples belongs to a Latin hypercube"),
+    ('"latin-hypercube"', '"factorial"', "a Latin hypercube needs samples"),
     ('["inclination", "friction"]', '["inclination", "thrust"]', "needs two parameters that vary"),
     ("duration = 0.4", "timestep = 0.003", "timestep must divide the control period"),
     ("[parameters]", "[start]\npolicy = 'none.zip'\n[parameters]", "inclination cannot be set in a study"),
@@ -215,7 +215,7 @@ def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, referenc
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(
-            UserError, match="no space left on device; what is finished is kept, go on with --r"
+            UserError, match="no space left on device; finished chunks are kept, continue with"
         ):
             command.command(study, tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").rglob("*")) == ["00000.parquet", "parts", "study.json"]

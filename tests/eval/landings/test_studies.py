@@ -308,4 +308,4 @@ def test_cells_without_landings_are_hatched_and_named():
     drawn = [patch for axes in figure.axes[:2] for patch in axes.patches if patch.get_gid() == "empty"]
     assert cells > 20 and len(drawn) == 2 * cells and all(patch.get_hatch() for patch in drawn)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "no landing there" in words and "slides off" in words and "tips over" not in words
+    assert "no landings" in words and "slides off" in words and "tips over" not in words

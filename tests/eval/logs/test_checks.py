@@ -152,7 +152,7 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
         "millinewton": (change(log, cmd_thrust_pwm=pwm / 110), "full = 0.6"),
         "upside down": (change(log, roll=roll + np.pi), "upside down in most of the rows"),
         "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),
-        "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is no flight"),
+        "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is not a flight"),
         "millivolt": (
             dataclasses.replace(log, voltage=1e3 * log.voltage),
             "vbat reaches 4100 V at t = 0.00 s: millivolt",
@@ -211,7 +211,7 @@ def test_a_lone_impossible_value_is_named_and_left_out(column, tmp_path):
     used = read_log(path)
     words = f"column {column} ({column}) holds {IMPOSSIBLE[column]:.4g}, which no flight has"
     assert f"{words}, in 2 rows, first in row 301 of the data (t = 3 s): left out" in used.notes
-    others = [note for note in used.notes if column not in note and "clocks of their own" not in note]
+    others = [note for note in used.notes if column not in note and "different clocks" not in note]
     assert others == [] and len(used) == len(log) - 2 * (column == "x")
     near = np.isin(log.t, used.t)
     assert np.abs(used.position - log.position[near]).max() < 0.01
@@ -287,9 +287,9 @@ def test_commands_on_another_clock_are_noticed(late):
     command = np.roll(log.command, rows if late > 0 else -rows, axis=0)
     words = " ".join(enforce(dataclasses.replace(log, command=command).rows(slice(40, -40))).notes)
     if late > 0:
-        assert "attitude leads its command by 70 ms: the commands are dated too late" in words
+        assert "attitude leads its command by 70 ms: the commands are stamped too late" in words
     else:
-        assert "attitude follows its command after 380 ms" in words and "dated too early" in words
+        assert "attitude follows its command after 380 ms" in words and "stamped too early" in words
 
 
 def test_flights_of_two_vehicles():
@@ -300,7 +300,7 @@ def test_flights_of_two_vehicles():
     assert mixed.decision == "refuse"
     assert "different vehicles are mixed: a0, a1, a2 hover at" in mixed.text and "b1, b0 at" in mixed.text
     (unlike,) = check_fleet([one[0], flight(5, hover=45_500, name="c")])
-    assert unlike.decision == "limit" and "one vehicle, one load?" in unlike.text
+    assert unlike.decision == "limit" and "are they of one vehicle with one load?" in unlike.text
 
 
 def on_the_floor(log: FlightLog, rows: slice) -> FlightLog:

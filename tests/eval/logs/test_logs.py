@@ -129,7 +129,7 @@ def test_a_row_of_units_or_the_option_says_degrees(tmp_path):
     path = table(tmp_path / "row.csv", f"{HEADER}\nms,m,m,m,deg,rad,rad,PWM,rad,rad,rad/s", *columns)
     back = read(path)
     assert np.allclose(back.attitude, log.attitude) and np.allclose(back.t, log.t)
-    with pytest.raises(UserError, match="unit 'furlong' of column x is not known; one of m, cm, mm"):
+    with pytest.raises(UserError, match="unit 'furlong' of column x is unknown; choose from m, cm, mm"):
         read(path, units={"x": "furlong"})
 
 
@@ -138,7 +138,7 @@ def test_a_commanded_yaw_angle_is_not_made_into_a_rate(tmp_path):
     header = HEADER.replace("cmd_yaw_rate", "cmd_yaw")
     path = table(tmp_path / "a.csv", header, log.t, *log.position.T, *log.attitude.T, *log.command.T)
     back = read(path)
-    assert np.isnan(back.command[:, 3]).all() and "no yaw rate command was logged" in back.notes[0]
+    assert np.isnan(back.command[:, 3]).all() and "there is no yaw rate command" in back.notes[0]
 
 
 def test_quaternions_become_the_houses_angles(tmp_path):
@@ -199,7 +199,7 @@ BAD = {
     "header only": (HEADER + "\n", "a header and no rows|no time column"),
     "no position": (
         "t,roll,pitch,yaw,cmd_thrust_pwm\n0,0,0,0,1\n1,0,0,0,1\n",
-        "are those of no known kind of log",
+        "belong to no known kind of log",
     ),
     "no height": ("t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,,0,1\n1,0,0,,0,1\n", "no position column z"),
     "no attitude": ("t,x,y,z,cmd_thrust_pwm\n0,0,0,0,1\n1,0,0,0,1\n", "no attitude column roll, pitch, yaw"),
@@ -393,8 +393,8 @@ def test_rows_in_order_of_arrival_are_sorted_and_two_flights_are_not(tmp_path):
     for late in (0.02, 0.3):  # s that a row comes late at most
         back = order(np.argsort(log.t + random.uniform(0.0, late, 400)))
         assert np.array_equal(back.t, log.t) and np.allclose(back.position, log.position)
-        assert any("sorted by it" in note for note in back.notes)
-    with pytest.raises(UserError, match="cut the file where another flight begins"):
+        assert any("sorted by time" in note for note in back.notes)
+    with pytest.raises(UserError, match="cut the file where the next flight begins"):
         order([*range(60), *range(400)])  # 0.6 s, then another recording
     with pytest.raises(UserError, match=r"and in \d+ more: correct that row, sort the rows by it"):
         order(random.permutation(400))
@@ -438,10 +438,10 @@ def test_files_of_one_flight_are_joined_by_a_plus_wherever_they_are(tmp_path, fo
         ("a.xlsx", b"PK\x03\x04" + bytes(99), "a spreadsheet: save it as CSV"),
         ("a.parquet", b"PAR1" + bytes(99), r"read_parquet\('a.parquet'\).to_csv"),
         ("a.npz", b"PK\x03\x04" + bytes(99), r"numpy.load\('a.npz'\)"),
-        ("a.pkl", b"\x80\x04\x95" + bytes(99), "a pickle, which could run anything"),
+        ("a.pkl", b"\x80\x04\x95" + bytes(99), "a pickle, which is not opened"),
         ("a.csv", b"<!DOCTYPE html>", "a web page"),
         ("a.csv", b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
-        ("log07", bytes(4096), "nothing but zero bytes"),
+        ("log07", bytes(4096), "only zero bytes"),
         ("a.csv", b"t,x,y\n0,0,0,1,0,2\n", "rows of different length"),
         ("a.csv", b"t,x,y,z,roll,cmd_thrust_pwm [N]\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "full = 0.6"),
         ("a.csv", b"t,x,y,z,q.0,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n", 'as qw = "q.3"'),
@@ -499,13 +499,13 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
         ("x = 1", "unknown entry 'x' in the file"),
         ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
         ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
-        ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is not known"),
+        ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is unknown"),
         ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
         ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
         ("[columns", "is not TOML"),
         ("", r"no \[columns\]"),
         ("[columns]\ncmd_thrust_pwm = { mean_square = ['a', 'b'] }", "mean_square needs full"),
-        ("[columns]\nx = { column = 'x', full = 2.0 }", "full is for a thrust command or a request"),
+        ("[columns]\nx = { column = 'x', full = 2.0 }", "full is only for a thrust command or a request"),
         ("[columns]\ncmd_thrust_pwm = { column = 'a', full = 0.0 }", "full"),
         ("inherit = 'mine'", "inherit mine: choose from"),
     ],
@@ -579,12 +579,12 @@ def test_bags(tmp_path, ros):
     assert np.allclose(back.t, log.t, atol=1e-6) and np.allclose(back.position, log.position)
     assert np.allclose(back.attitude, log.attitude)
     assert np.allclose(back.command, log.command)
-    assert any("have no stamp: dated by when they were recorded" in note for note in back.notes)
+    assert any("have no stamp: their time of recording is used" in note for note in back.notes)
 
 
 def test_bags_that_do_not_fit_are_refused_in_words(tmp_path):
     path = write_bag(tmp_path / "two", a_log(), 2, vehicles=("cf1", "cf2"))
-    with pytest.raises(UserError, match=r"\*/pose fits /cf1/pose, /cf2/pose; a mapping file must say which"):
+    with pytest.raises(UserError, match=r"\*/pose fits /cf1/pose, /cf2/pose; a mapping file must name one"):
         read(path)
     mapping = tmp_path / "m.toml"
     mapping.write_text("[columns]\nx = '/cf1/pose:pose.position.height'\n")
@@ -659,7 +659,7 @@ vbat = "*/status:battery_voltage"
     ("options", "words"),
     [
         # A stamp that is no Time.
-        ({"status": "own"}, "/cf/status have no stamp: dated by when they were recorded"),
+        ({"status": "own"}, "/cf/status have no stamp: their time of recording is used"),
         ({"status": "own", "defined": False}, r"vbat is left out: .*\(a/msg/Status\) cannot be decoded"),
         ({"status": "text"}, "vbat is left out: topic /cf/status has no number battery_voltage"),
         ({"lost": (7, 8, 30)}, "is empty or not a number in 3 of 40 rows"),

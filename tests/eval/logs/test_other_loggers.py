@@ -63,7 +63,7 @@ def test_what_is_cut_off_costs_its_block(tmp_path, lost):
     assert len(record.columns["motor.f1"]) == (6 if lost < 47 else 3)  # 47 bytes a block
     assert "cut short" in record.notes[0]
     path.write_bytes(old_log(rows[:2], NAMES)[: -min(lost, 20)])
-    with pytest.raises(UserError, match="without a single whole block"):
+    with pytest.raises(UserError, match="without a complete block"):
         sd_card.read(path)
 
 
@@ -252,5 +252,5 @@ def test_columns_of_lists(tmp_path):
     np.testing.assert_allclose(log.command[:, 2], tilt, atol=1e-5)
     np.testing.assert_allclose(log.position[:, 0], x, atol=1e-5)
     path.write_text(path.read_text().replace('"[0, 0, 0]"', '"[0, 0]"', 1))
-    with pytest.raises(UserError, match="the lists in column v are not all of one length"):
+    with pytest.raises(UserError, match="the lists in column v differ in length"):
         read_log(path)

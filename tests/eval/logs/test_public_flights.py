@@ -45,7 +45,7 @@ def test_nanobench_is_turned_into_si_units_and_the_documented_frame(tmp_path):
     assert list(tidy["cmd_thrust_pwm"]) == [40000, 41000, 42000]
     assert list(tidy["m2_pwm"].isna()) == [False, True, True]
     assert tidy["cmd_roll"].isna().all() and not tidy["cmd_pitch"].isna().any()
-    assert len(notes) == 2 and "m2_pwm" in notes[0] and notes[1].startswith("zero throughout: cmd_roll")
+    assert len(notes) == 2 and "m2_pwm" in notes[0] and notes[1].startswith("always zero: cmd_roll")
 
 
 def test_utias_keeps_the_phase_and_the_written_digits(tmp_path):

@@ -249,7 +249,7 @@ def test_what_is_no_run_is_a_sentence(tmp_path):
     run = write_run(tmp_path / "a")
     for content in ("[]", '{"config": 3}'):
         (run / "run.json").write_text(content)
-        with pytest.raises(UserError, match=r"run\.json does not say"):
+        with pytest.raises(UserError, match=r"run\.json does not name"):
             learning_curves([run])
 
 
@@ -356,7 +356,7 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["video", "--out", "a.avi"], "a video is an .mp4 or .gif file, not 'a.avi'"),
+        (["video", "--out", "a.avi"], "--out must be an .mp4 or .gif file, not 'a.avi'"),
         (["video", "--out", "a.mp4", "--start", "1,2,3"], "--start must be X,Z in metres"),
         (["video", "--out", "a.mp4", "--start", "9,1"], "x must be between -3.4 and 3.4 m"),
         (["video", "--out", "a.mp4", "--start", "nan,1"], "--start must be X,Z in metres"),
@@ -370,7 +370,7 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
             ["video", "--out", "file/a.mp4", "--width", "64", "--height", "64"],
             "cannot write into file: file is not a folder",
         ),
-        (["picture", "--out", "a.jpg"], "a picture is a .png file, not 'a.jpg'"),
+        (["picture", "--out", "a.jpg"], "--out must be a .png file, not 'a.jpg'"),
         (["figure", "--out", "file"], "cannot write into file: file is not a folder"),
         (["figure", "--out", "new", "--plant", "paper"], "unknown plant 'paper'"),
         (["figure", "--out", "new", "--inclination", "70"], "outside the supported range"),

@@ -64,9 +64,9 @@ def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
 
 def test_a_flight_that_touches_nothing_is_a_sentence(flight):
     hover = dataclasses.replace(flight, t=flight.t[:6], state=flight.state[:6], commands=flight.commands[:6])
-    with pytest.raises(UserError, match=r"nothing touches in the flight from x 1\.5, z 1\.8 m"):
+    with pytest.raises(UserError, match=r"there is no contact in the flight from x 1\.5, z 1\.8 m"):
         record_touchdown(hover)
-    with pytest.raises(UserError, match="no platform"):
+    with pytest.raises(UserError, match="needs a task with a platform"):
         record_touchdown(dataclasses.replace(flight, inclination=None))
 
 
@@ -100,9 +100,9 @@ def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("policy, options, sentence", [
-    ("touchdown", ["--camera", "touch", "--backend", "gl"], "--camera touch is drawn with rays"),
-    ("setpoint", [], "a setpoint flight touches nothing"),
-    ("landing", ["--plant", "analytic"], "--forces needs the MuJoCo plant"),
+    ("touchdown", ["--camera", "touch", "--backend", "gl"], "--camera touch looks at a touchdown"),
+    ("setpoint", [], "a setpoint flight has no contact"),
+    ("landing", ["--plant", "analytic"], "--forces needs --plant mujoco"),
 ])  # fmt: skip
 def test_forces_without_a_touch_are_one_sentence(policy, options, sentence, tmp_path, capsys):
     out = tmp_path / "x.mp4"

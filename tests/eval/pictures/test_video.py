@@ -84,8 +84,8 @@ def test_failure_leaves_nothing_behind(tmp_path):
     ("code", "said"),
     [
         ("echo 'a: x' >&2; echo 'b: Error: No space left on device' >&2; exit 1", "no space left on device"),
-        ("kill -9 $$", "ffmpeg was ended; is the disk full"),
-        ("kill -XFSZ $$", "ffmpeg was ended; is the disk full"),
+        ("kill -9 $$", "ffmpeg was killed; is the disk full"),
+        ("kill -XFSZ $$", "ffmpeg was killed; is the disk full"),
     ],
 )
 def test_ffmpeg_that_fails_is_one_sentence(code, said, tmp_path, monkeypatch):
@@ -177,7 +177,7 @@ def test_a_slowed_video_says_so():
 
 @pytest.mark.parametrize("words, sentence", [
     (["--until", "noon"], "invalid choice 'noon'"),
-    (["--until", "goal", "--forces"], "leave --until goal out"),
+    (["--until", "goal", "--forces"], "cannot be combined with --until goal"),
 ])  # fmt: skip
 def test_wrong_ends_are_sentences(words, sentence, tmp_path, capsys):
     assert main(["video", "landing", *words, "--out", str(tmp_path / "x.mp4")]) == 2

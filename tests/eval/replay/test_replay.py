@@ -167,20 +167,20 @@ def test_a_page_of_a_policy_and_a_log_with_a_hostile_name(tmp_path, landing, cap
     np.testing.assert_allclose(position, resimulate(steps).state[:, :3], atol=1e-6)
     velocity = np.frombuffer(base64.b64decode(flights[0]["velocity"]), "<f4").reshape(-1, 3)
     np.testing.assert_allclose(velocity[-1], steps.state[-1, VX : VX + 3], atol=1e-6)
-    assert "simulated anew every 1 s" in capsys.readouterr().out
+    assert "simulated again every 1 s" in capsys.readouterr().out
     assert not re.search(r'(src|href)="?https?:', text)  # nothing is fetched
 
 
 WRONG = [
     ([], "at least one policy or log"),
-    (["landing", "--out", "page.pdf"], "a page is an .html file"),
+    (["landing", "--out", "page.pdf"], "--out must be an .html file"),
     (["nowhere.csv"], "nowhere.csv"),
     (["nowhere.zip"], "policy nowhere.zip does not exist"),
     (["."], "."),
-    (["log.csv", "--start", "1,2"], "only logs were named"),
+    (["log.csv", "--start", "1,2"], "only logs were given"),
     (["log.csv", "--plant", "gazebo"], "unknown plant"),
     (["landing", "--start", "9,9"], "outside the arena"),
-    (["log.csv", "--anew", "nan"], "--anew"),
+    (["log.csv", "--restart", "nan"], "--restart"),
     (["log.csv", "--inclination", "89"], "inclination"),
 ]
 
