@@ -1,4 +1,4 @@
-"""Periodic evaluation: flights of the present policy, as the task judges them."""
+"""Periodic evaluation: flights of the present policy, scored by the task."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.envs.tasks.own import blame
 from inclined_landing.models.attitude import LAG
@@ -25,7 +26,7 @@ class PeriodicEvaluation:
     """Random starts of a stream of its own, hybrid plant in RK4, no training aids.
 
     Of a randomised run two of three flights have a vehicle of another pool than the training's, hovering at
-    first: the score is that of all flights, and after it stands that of either kind.
+    first: the score is that of all flights, followed by that of each kind.
     """
 
     def __init__(self, config: TrainConfig, vehicle: Vehicle):
@@ -48,15 +49,25 @@ class PeriodicEvaluation:
         flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
         score = self.task.score(flights)
         if self.plant.pool:
-            kinds = {
-                "score_nominal": flights[::3],
-                "score_drawn": [f for k, f in enumerate(flights) if k % 3],
-            }
-            score |= {name: self.task.score(some)["score"] for name, some in kinds.items()}
+            kinds = {"nominal": flights[::3], "drawn": [f for k, f in enumerate(flights) if k % 3]}
+            for kind, some in kinds.items():
+                found = self.task.score(some)
+                columns = ("score", self.task.score_curve.column)
+                score |= {f"{name}_{kind}": found[name] for name in columns}
         return score
 
+    def words(self, score: dict) -> str:
+        """Return a result of `score` in a few words, of a randomised run for either kind of vehicle."""
+        if not self.plant.pool:
+            return self.task.score_words(score)
+        parts = []
+        for kind, name in VEHICLE_KINDS.items():
+            of_kind = {column.removesuffix(f"_{kind}"): x for column, x in score.items() if kind in column}
+            parts.append(f"{self.task.score_words(score | of_kind)} ({name})")
+        return ", ".join(parts)
+
     def rehearse(self) -> None:
-        """Ask the task for all that evaluation asks, of two flights of 20 steps; raises TaskError."""
+        """Call everything of the task that evaluation needs, on two flights of 20 steps; raises TaskError."""
         task = self.task
         idle = SimpleNamespace(task=task, predict=lambda seen: np.zeros((len(seen), len(task.action_names))))
         try:
@@ -70,4 +81,4 @@ class PeriodicEvaluation:
             raise
         except Exception as error:
             reason = blame(error) or f"{type(error).__name__}: {shown(error, 120)}"
-            raise TaskError(f"task {task.name}: what it says of itself does not fit: {reason}") from error
+            raise TaskError(f"task {task.name} does not fit the interface of tasks: {reason}") from error

@@ -1,4 +1,4 @@
-"""One training run: from a configuration to a run folder that holds everything about it.
+"""One training run: from a configuration to a run folder with everything about it.
 
 run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
@@ -69,7 +69,7 @@ def train(config: TrainConfig) -> tuple[Path, dict]:
 
 
 class _Reached(Exception):
-    """The asked success is there."""
+    """The wanted success is reached."""
 
 
 class Run:
@@ -239,7 +239,7 @@ class Run:
         self.evaluations.append({"steps": int(self.model.num_timesteps), **self.clock.columns(), **score})
         for name, value in score.items():
             self.model.logger.record(f"evaluation/{name}", value)
-        self.progress.notice = f", evaluation {self.evaluation.task.score_words(score)}"
+        self.progress.notice = f", evaluation {self.evaluation.words(score)}"
         self.clock.switch("training")
 
     def checkpoint(self, iteration: int) -> None:
@@ -317,9 +317,9 @@ class Run:
         return self.reached() or self.model.num_timesteps >= self.config.most_steps()
 
     def reached(self) -> bool:
-        """Return whether the last two evaluations, both after the curriculum, reach the success asked for.
+        """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
 
-        On drawn vehicles that of the model's vehicle, while the share of drawn ones rises no more.
+        In a randomised run it must be reached with the nominal vehicle, and stop rising with drawn ones.
         """
         config, last = self.config, self.evaluations[-2:]
         if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
@@ -340,14 +340,14 @@ class Run:
             return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
         asked = f"two evaluations in a row at {100 * config.success:g} %"
         if config.randomise is not None:
-            drawn = f", now {100 * self.evaluations[-1]['score_drawn']:.0f} %," if self.evaluations else ""
-            asked += f" on the model's vehicle while the share of drawn ones{drawn} no longer rises"
+            varied = f" (last {100 * self.evaluations[-1]['score_drawn']:.0f} %)" if self.evaluations else ""
+            asked += f" with the nominal vehicle, and no further rise with varied vehicles{varied},"
         if self.reached():
             return f"{asked} after {steps} steps"
-        last = f"the last one said {self.evaluation.task.score_words(self.evaluations[-1])}"
+        last = f"the last one gave {self.evaluation.words(self.evaluations[-1])}"
         most = f" of at most {config.max_steps}" if not self._over() else ""
         level = f"the curriculum stood at level {self.curriculum.level:.2f}"
-        return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
+        return f"ended without {asked.rstrip(',')}: after {steps} steps{most} {last}, and {level}"
 
     def policy_file(self) -> bytes:
         """Return the present policy with its metadata, as a file."""

@@ -98,6 +98,9 @@ class Evaluation:
         return sum(self.terms.values(), np.zeros(len(self.success)))
 
 
+VEHICLE_KINDS = {"nominal": "nominal vehicle", "drawn": "varied vehicles"}  # scored apart in a randomised run
+
+
 @dataclasses.dataclass(frozen=True)
 class ScoreCurve:
     """How the learning curves plot an entry of `Task.score`."""
@@ -316,7 +319,7 @@ class Task(abc.ABC):
 
     def score_words(self, score: dict[str, float]) -> str:
         """Return a result of `score` in a few words."""
-        return f"{score['score']:.0%}"
+        return f"{100 * score['score']:.0f} %"
 
     def flight_words(self, flight) -> str:
         """Return how a recorded flight ended, in one line."""

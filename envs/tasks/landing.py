@@ -170,7 +170,10 @@ class InclinedLanding(Task):
     score_curve = ScoreCurve(
         "strict_success",
         "strict success [%]",
-        reference=(100.0 * PAPER_RESULTS[0]["share"], f"paper: {100 * PAPER_RESULTS[0]['share']:.1f} %"),
+        reference=(
+            100.0 * PAPER_RESULTS[0]["share"],
+            f"paper, one vehicle: {100 * PAPER_RESULTS[0]['share']:.1f} %",
+        ),
     )
     start_axes: tuple[str, ...] = ("x", "z")
     film_starts: tuple[tuple[float, ...], ...] = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])

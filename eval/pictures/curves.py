@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import warnings
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import is_path, known, task_class
-from inclined_landing.envs.tasks.base import ScoreCurve
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, ScoreCurve
 from inclined_landing.eval.base.options import File
 from inclined_landing.eval.base.style import (
     BLUE,
@@ -80,7 +81,8 @@ def _read_run(folder: str | Path) -> _Run:
         raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
     cut: list[Path] = []
     learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
-    evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut)
+    kinds = [f"{score.column}_{kind}" for kind in VEHICLE_KINDS]  # of a randomised run
+    evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut, kinds)
     if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} has no rows yet; the run is too short for curves")
     return _Run(task, learning, evaluations, cut)
@@ -91,7 +93,9 @@ def _score_curve(task: str) -> ScoreCurve:
     return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
 
 
-def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame:
+def _read_table(
+    path: Path, columns: list[str], cut: list[Path], optional: Sequence[str] = ()
+) -> pd.DataFrame:
     """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
 
     The row that the table ends within, as after a copy that was cut short, is left out; `path` is then added
@@ -113,7 +117,7 @@ def _read_table(path: Path, columns: list[str], cut: list[Path]) -> pd.DataFrame
     if table.empty:
         return pd.DataFrame({column: [] for column in columns}, dtype=float)
     numbers = {}
-    for column in columns:
+    for column in (*columns, *(name for name in optional if name in table)):
         if column not in table:
             raise UserError(f"{path} lacks the column {column}")
         values = pd.to_numeric(table[column], errors="coerce").astype(float)
@@ -142,7 +146,8 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted({run.task for run in loaded})
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one task")
-    curves = [(_score_curve(tasks[0]), BLUE, [run.evaluations for run in loaded])]
+    score = _score_curve(tasks[0])
+    curves = [(score, BLUE, [run.evaluations for run in loaded])]
     for curve, colour in _LEARNING.items():
         if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
             curves.append((curve, colour, [run.learning for run in loaded]))
@@ -152,7 +157,12 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
-            _draw_curves(axes, curve, colour, tables)
+            columns_of = _score_columns(curve, tables) if curve is score else {curve.column: ""}
+            for (column, name), shade in zip(columns_of.items(), (colour, ORANGE)):
+                _draw_curves(axes, dataclasses.replace(curve, column=column), shade, tables)
+                if name:
+                    axes.plot([], [], color=shade, lw=2.0, label=name)
+                    axes.legend(loc="lower right")
             _format_axes(axes, curve)
         for axes in grid[-1]:
             axes.set_xlabel("environment steps [10⁶]")
@@ -190,16 +200,27 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
     found = []
     for task in dict.fromkeys(run.task for run in loaded):
         curve = _score_curve(task)
-        columns = [run.evaluations[curve.column].dropna() for run in loaded if run.task == task]
-        ends = [curve.factor * column.iloc[-1] for column in columns if len(column)]
-        count = f"{len(columns)} run{'s' * (len(columns) != 1)} of {task}"
-        if not ends:
-            found.append(f"{count}, not evaluated yet.")
-            continue
-        spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
-        found.append(f"{count}; {curve.label} at the end: {np.median(ends):.3g}{spread}.")
+        tables = [run.evaluations for run in loaded if run.task == task]
+        count = f"{len(tables)} run{'s' * (len(tables) != 1)} of {task}"
+        parts = []
+        for column, name in _score_columns(curve, tables).items():
+            ends = [curve.factor * x.iloc[-1] for table in tables if len(x := table[column].dropna())]
+            if ends:
+                spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
+                parts.append(f"{np.median(ends):.3g}{spread}{f' with the {name}' * bool(name)}")
+        found.append(
+            f"{count}; {curve.label} at the end: {' and '.join(parts)}."
+            if parts
+            else f"{count}, not evaluated yet."
+        )
     cut = [path for run in loaded for path in run.cut]
     return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
+
+
+def _score_columns(curve: ScoreCurve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
+    """Return the columns to show of evaluations, and the vehicles of each; "" for all flights."""
+    of_kind = {f"{curve.column}_{kind}": name for kind, name in VEHICLE_KINDS.items()}
+    return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
 
 
 def _draw_curves(axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame]) -> None:

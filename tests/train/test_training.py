@@ -429,7 +429,7 @@ def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, m
     options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
     _, metrics = train(config(tmp_path / "a", **options))
     assert metrics["reached"] is True and metrics["steps"] == 7 * 64
-    assert "the share of drawn ones, now 80 %, no longer rises after 448 steps" in metrics["ended"]
+    assert "no further rise with varied vehicles (last 80 %), after 448 steps" in metrics["ended"]
 
 
 def test_what_the_landing_trains_on_unless_told(tmp_path):
@@ -458,7 +458,7 @@ def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
     folder, metrics = train(config(tmp_path / "a", **OPEN | {"curriculum": "adaptive"}, max_steps=384))
     assert metrics["steps"] == 384 and metrics["finished"] and metrics["reached"] is False
     assert metrics["ended"] == (
-        "ended without two evaluations in a row at 99 %: after 384 steps the last one said 100%, "
+        "ended without two evaluations in a row at 99 %: after 384 steps the last one gave 100 %, "
         "and the curriculum stood at level 0.00"
     )
     assert (folder / "final.zip").exists() and (folder / "best.zip").exists()

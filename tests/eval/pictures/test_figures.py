@@ -229,6 +229,20 @@ def test_one_run_is_one_line(tmp_path):
     np.testing.assert_allclose(shaded.get_width(), last / 1e6)
 
 
+def test_nominal_and_varied_vehicles_are_two_curves(tmp_path):
+    run = write_run(tmp_path / "a")
+    table = pd.read_csv(run / "evaluations.csv")
+    kinds = {"strict_success_nominal": 1.0, "strict_success_drawn": table["strict_success"] / 2}
+    table.assign(**kinds).to_csv(run / "evaluations.csv", index=False)
+    axes = learning_curves([run]).axes[0]
+    nominal, varied = by_gid(axes.lines, "run")
+    assert (nominal.get_ydata() == 100.0).all()
+    np.testing.assert_allclose(varied.get_ydata(), 50 * table["strict_success"])
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == ["nominal vehicle", "varied vehicles"]
+    assert "100 with the nominal vehicle and 48" in final_scores([run])[0]
+
+
 def test_seeds_have_median_and_range(tmp_path):
     runs = [write_run(tmp_path / str(k), rate=rate) for k, rate in enumerate((0.5, 1.0, 3.0))]
     level = learning_curves(runs).axes[1]
