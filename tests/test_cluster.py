@@ -294,7 +294,9 @@ def test_a_node_that_does_not_see_the_folder(machines, tmp_path):
         cwd=tmp_path,
     )
     error = ended(process, 2)[1]
-    sentence = f"landing-train: {os.uname().nodename} does not see {hidden}/out: all machines must share it\n"
+    sentence = (
+        f"landing-train: {os.uname().nodename} cannot access {hidden}/out; all machines must share it\n"
+    )
     assert error == sentence
     until(lambda: not trainings(hidden), "the end of the other trainings")
     kill(node)

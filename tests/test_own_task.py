@@ -158,7 +158,7 @@ def test_what_goes_wrong_in_the_midst_of_it_leaves_a_run_that_goes_on(own, tmp_p
     assert train(["hopping.py:Hop", "--out", "cut", *SIZE]) == 2
     error = capsys.readouterr().err
     assert "task hop: the reward of a step is NaN or infinite; after " in error
-    assert "cut has a checkpoint: with the task corrected, --resume goes on" in error
+    assert "cut has a checkpoint: correct the task and continue with --resume" in error
     (tmp_path / "hopping.py").write_text(CODE, "utf-8")
     own()
     assert train(["hopping.py:Hop", "--out", "cut", "--resume", "--no-report"]) == 0

@@ -1,7 +1,8 @@
 """PPO, its configuration, curriculum, callbacks and the `landing-train` command.
 
-Public, for trainings of one's own with Stable-Baselines3 (examples/): `ppo_kwargs`, `scaled_observation`,
-`AdaptiveCurriculum`, `CurriculumCallback`, `FastPPO`; and `TrainConfig` with `train`, which landing-train is.
+Public, for custom training with Stable-Baselines3 (examples/): `ppo_kwargs`, `scaled_observation`,
+`AdaptiveCurriculum`, `CurriculumCallback`, `FastPPO`; and `TrainConfig` with `train`, which `landing-train`
+calls.
 """
 
 from importlib import import_module

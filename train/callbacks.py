@@ -1,4 +1,4 @@
-"""What happens around the iterations of a training: curriculum, curves, evaluation, checkpoints, progress."""
+"""Callbacks between the iterations of a training: curriculum, curves, evaluation, checkpoints, progress."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from inclined_landing.train.curriculum import Curriculum
 class TimeSpent:
     """Seconds of training, evaluation and video apart, continued after a resume.
 
-    `cpu` has those that the process computed for the training, on all cores together.
+    `cpu` has the CPU seconds of the process for the training, summed over all cores.
     """
 
     def __init__(self, spent: dict[str, float] | None = None, cpu: float = 0.0):
@@ -40,7 +40,7 @@ class TimeSpent:
         return sum(self.spent.values())
 
     def columns(self) -> dict[str, float]:
-        """Return what tables of a run show of it."""
+        """Return the columns of the tables of a run."""
         return {"training_seconds": self.spent["training"], "cpu_seconds": self.cpu}
 
 
@@ -119,7 +119,7 @@ class LearningCurve(BaseCallback):
 
 
 class CriticFirst(BaseCallback):
-    """Leaves the actor alone until `steps` environment steps: a new critic must not spoil a good actor."""
+    """Freezes the actor until `steps` environment steps, so that a new critic does not spoil a good actor."""
 
     def __init__(self, steps: int):
         super().__init__()
@@ -187,7 +187,7 @@ class ProgressCallback(BaseCallback):
             self.bar.update(self.item, completed=done, notice=notice)
 
     def close(self, at_end: bool = False) -> None:
-        """Stop drawing; at_end: did success end the run before its most steps."""
+        """Stop drawing; at_end: success ended the run before its maximum number of steps."""
         if self.bar is not None:
             if at_end:
                 self.bar.update(self.item, total=self.bar.tasks[0].completed)

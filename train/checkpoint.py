@@ -1,4 +1,4 @@
-"""checkpoint.pt: all that a continuation needs, in one zip that appears whole and holds data only.
+"""checkpoint.pt: everything that a continuation needs, in one atomically written zip of data only.
 
 state.json   numbers and words: progress, random generators, curriculum, histories
 NAME.npy     arrays: network, optimizer, vehicles, episodes, random states
@@ -36,7 +36,7 @@ Row = dict[str, int | float]
 
 
 class TrainingState(Struct, forbid_unknown_fields=True):
-    """What state.json holds besides its format."""
+    """The content of state.json, without its format."""
 
     steps: Count
     updates: Count
@@ -55,7 +55,7 @@ class TrainingState(Struct, forbid_unknown_fields=True):
 
 
 class Checkpoint(NamedTuple):
-    """What a checkpoint holds."""
+    """The content of a checkpoint."""
 
     state: dict  # JSON types, NaN allowed
     arrays: dict[str, np.ndarray]
@@ -63,7 +63,7 @@ class Checkpoint(NamedTuple):
 
 
 def write(path: Path, saved: Checkpoint) -> None:
-    """Write a checkpoint, whole or not at all."""
+    """Write a checkpoint atomically."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("state.json", json.dumps({"format": FORMAT} | saved.state))
@@ -76,7 +76,7 @@ def write(path: Path, saved: Checkpoint) -> None:
 
 
 def read(path: Path) -> Checkpoint:
-    """Read a checkpoint; raises UserError for a file that is damaged or none."""
+    """Read a checkpoint; raises UserError for a damaged or foreign file."""
     content = storage.read_bytes(path, "checkpoint", _LARGEST)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -91,7 +91,7 @@ def read(path: Path) -> Checkpoint:
         }
     except Exception as error:  # whatever zipfile, json and numpy raise for damaged bytes
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise refused(path, f"is damaged or none ({reason})") from error
+        raise refused(path, f"is damaged or not a checkpoint ({reason})") from error
     if not isinstance(state, dict) or state.pop("format", None) != FORMAT:
         raise refused(path, "was written by another version of this package")
     return Checkpoint(state, arrays, best)
@@ -135,8 +135,7 @@ def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
 def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
     """Carry a new model on to a checkpoint, for `learn(..., reset_num_timesteps=False)`; return its state.
 
-    Raises UserError for whatever is not of the names, shapes and types that this model and this environment
-    would have written.
+    Raises UserError for names, shapes or types that this model and this environment would not have written.
     """
     state, arrays, batch = schema.parse(saved.state, TrainingState), saved.arrays, env.env
     batch.reset()  # which makes room for the waves of moving platforms

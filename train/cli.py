@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 def main(arguments: list[str] | None = None) -> int:
     """Run `landing-train` and return its exit code.
 
-    2 for wrong input, 3 for a run that ended without the success that was to end it, 130, 143 and 129 after
-    Ctrl-C, SIGTERM and the end of its terminal.
+    The code is 2 for wrong input, 3 for a run that ended without the wanted success, and 130, 143 and 129
+    after Ctrl-C, SIGTERM and the end of its terminal.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
 
     def interrupted() -> str:
         if arguments[:1] == ["sweep"]:
-            return "interrupted; the same command goes on"
-        return "interrupted; --resume with the same --out goes on from the last checkpoint"
+            return "interrupted; repeat the command to continue"
+        return "interrupted; add --resume with the same --out to continue from the last checkpoint"
 
     return command_line.exit_code("landing-train", lambda: _train(arguments), "train", interrupted)
 
@@ -63,13 +63,13 @@ def _train(arguments: list[str]) -> int:
         word = "Training succeeded" if metrics.get("reached") else "Training"
         print(f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.")
         return 0
-    more = "" if metrics["finished"] else "; --resume with the same --out goes on"
+    more = "" if metrics["finished"] else "; add --resume with the same --out to continue"
     print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     return NOT_REACHED
 
 
 def help_page(complete: bool) -> str:
-    """Return the page of --help-all, or of --help, with the options that people change."""
+    """Return the page of --help-all, or of --help with the common options only."""
     from inclined_landing.train.config import COMMON, TrainConfig, flag_of
 
     page = command_line.help_page(TrainConfig, "landing-train")
@@ -78,7 +78,7 @@ def help_page(complete: bool) -> str:
     head, *options = re.split(r"\n(?=  --)", page)
     flags = [flag_of(name) for name in COMMON]
     chosen = [option for option in options if re.match(r"  (--[a-z-]+)", option)[1] in flags]  # type: ignore
-    return "\n".join([head, *chosen, "\nlanding-train --help-all tells all options."])
+    return "\n".join([head, *chosen, "\nlanding-train --help-all lists all options."])
 
 
 def _report(run: Run, metrics: dict) -> None:
@@ -89,8 +89,8 @@ def _report(run: Run, metrics: dict) -> None:
     try:
         report = look_up("report")
     except UserError as error:
-        again = "; the same command with --resume then reports on the run"
-        print(f"landing-train: no report, as {error}{again}", file=sys.stderr)
+        again = "; after that, the same command with --resume writes it"
+        print(f"landing-train: no report, because {error}{again}", file=sys.stderr)
         return
     vehicle = run.folder / VEHICLE if run.config.vehicle is not None else None
     report(run.folder, metrics, vehicle, run.curriculum.stages())

@@ -91,118 +91,119 @@ Widths = Annotated[tuple[Width, ...], Meta(min_length=1, max_length=15)]
 
 @dataclasses.dataclass
 class TrainConfig:
-    """Train a policy with Stable-Baselines3's PPO; everything lands in one run folder.
+    """Train a policy with Stable-Baselines3's PPO and write everything into one run folder.
 
-    Where the task names a share of successes, the run ends when the curriculum is complete and two
-    evaluations in a row reach it, each from 256 starts of its own. One that ends without exits with code 3;
-    wrong input with 2. Options without a default here have the task's, or that of its vehicles; run.json in
-    the run folder has all values.
+    If the task sets a success rate, the run ends when the curriculum is complete and two evaluations in a row
+    reach that rate, each from 256 new starts. The exit code is 3 if the run ends without reaching it, and 2
+    for wrong input. Options without a default take the value of the task or of its vehicles; run.json in the
+    run folder records all values.
 
     `landing-train sweep RECIPE` runs the command lines of a recipe for every seed.
     """
 
     task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[TASK]")] = "landing"
-    """landing, setpoint, touchdown, or one of your own: module:Class or file.py:Class."""
+    """landing, setpoint, touchdown, or a custom task as module:Class or file.py:Class."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
-    """Of the policy, the starts and the minibatches, not of periodic evaluation."""
+    """Seed for the policy, the starts and the minibatches; periodic evaluation has its own."""
 
     # --- when it ends
     steps: int | None = None
-    """Environment steps, fixed beforehand; with --resume, to train a run for more."""
+    """Fixed number of environment steps; with --resume, the new total number of steps."""
     success: float | None = None
-    """Share of successes, from 0 to 1, in two evaluations in a row, that ends the run."""
+    """Success rate, from 0 to 1, that ends the run when two evaluations in a row reach it."""
     min_steps: int | None = None
-    """Environment steps that such a run has at least."""
+    """Minimum number of environment steps of a run that ends by success."""
     max_steps: int | None = None
-    """Environment steps that such a run has at most."""
+    """Maximum number of environment steps of a run that ends by success."""
     max_seconds: Seconds | None = None
-    """Stop at this wall time [s]; the checkpoint allows to resume."""
+    """Stop after this wall time [s]; the run can be resumed from its checkpoint."""
     max_cpu_seconds: Seconds | None = None
-    """Stop after so much computing for the training [s], on all cores together and without evaluations:
-    unlike wall time, other work on the machine does not use it up."""
+    """Stop after this CPU time of the training [s], summed over all cores, without evaluations. Unlike wall
+    time, it does not depend on other load of the machine."""
 
     # --- what it goes on from
     start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
-    """The policy to go on from, a file or a shipped one; descent: the law that touchdown in space begins
-    with."""
+    """Policy to start from, a file or the name of a shipped one; descent is the feedback law that touchdown
+    training in 3D starts from."""
     resume: bool = False
-    """Continue the run in --out from its last checkpoint; task and all else are those of the run."""
+    """Continue the run in --out from its last checkpoint, with the task and options of that run."""
 
     # --- the task
     inclination: Annotated[Real | None, tyro.conf.arg(metavar="DEG")] = None
-    """Of the platform in degrees, where it differs from the vehicle file's."""
+    """Platform inclination in degrees (default: that of the vehicle file); negative rises towards +x."""
     steepest: Annotated[Real | None, tyro.conf.arg(metavar="DEG")] = None
-    """Every episode has a slope of its own, which the policy observes: up to this inclination in degrees, to
-    both sides; in three dimensions to all sides."""
+    """Draw a slope for every episode, up to this inclination in degrees, to both sides or, in 3D, in any
+    direction. The policy observes it."""
     dimensions: Literal[2, 3] | None = None
-    """With 3 it flies in space, with roll, and not in a plane (default: 2, touchdown 3)."""
+    """3 flies in space, with roll; 2 flies in a plane (default: 2, touchdown 3)."""
     random_yaw: bool = False
-    """With three dimensions: every episode begins with a heading of its own."""
+    """In 3D, draw the initial heading of every episode."""
     fastest: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None
-    """With three dimensions: platforms that travel steadily, any way, at up to this speed (observed)."""
+    """In 3D, let platforms travel in any direction at a constant speed of up to this value. The policy
+    observes it."""
     swell: float | None = None
-    """With --fastest: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg (default: 0)."""
+    """With --fastest, let platforms also heave, roll and pitch; 1 is up to 0.24 m and 16 deg (default: 0)."""
     angle_limit: Annotated[Real | None, tyro.conf.arg(metavar="DEG")] = None
-    """Of roll and pitch commands in degrees, where it differs from the vehicle file's."""
+    """Limit of roll and pitch commands in degrees (default: that of the vehicle file)."""
     pwm_centre: Annotated[
         float | Literal["hover", "own", "paper"] | None, tyro.conf.arg(metavar="NUMBER|hover|own|paper")
     ] = None
-    """PWM at action 0: a number, hover (of the vehicle with its effects), own (of each vehicle that is drawn,
-    or flown later) or paper, 42000 (default: hover; landing on drawn vehicles the middle of all commands,
-    35000; with --from the policy's, which is rewritten for another)."""
+    """PWM at action 0: a number, hover (that of the vehicle with its effects), own (that of each drawn or
+    flown vehicle) or paper, 42000 (default: hover; for landing with randomised vehicles the middle of the
+    command range, 35000; with --from that of the policy, which is rewritten if another is given)."""
     pwm_span: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
-    """PWM from action 0 to action 1 (default: the vehicle file's, 16500; landing on drawn vehicles up to the
-    ends of all commands, 25000; with --from the policy's)."""
+    """PWM from action 0 to action 1 (default: that of the vehicle file, 16500; for landing with randomised
+    vehicles the whole command range, 25000; with --from that of the policy)."""
     history: int | None = None
-    """Past steps, observation and action each, that the policy is given besides the observation (default: as
-    many as the policy in --from; else landing on drawn vehicles 3, others 0)."""
+    """Number of past steps, each an observation and an action, in the policy's input (default: that of the
+    policy in --from; otherwise 3 for landing with randomised vehicles, else 0)."""
     observe_vehicle: bool = False
-    """Tell the policy six numbers of each vehicle: thrust to weight, lags, gain, drag, reach. One that goes
-    on from a policy that is told them is too."""
+    """Let the policy observe six parameters of its vehicle: thrust to weight, lags, gain, drag, reach.
+    Implied by a policy in --from that observes them."""
 
     # --- the vehicle and the plant
     vehicle: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Vehicle file (TOML), or a shipped vehicle by name, where it is not the Crazyflie 2.1; the run keeps a
-    copy."""
+    """Vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1); the run keeps a copy."""
     randomise: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Ranges (TOML, or a shipped name) that each episode's vehicle is drawn from (default: landing and
-    touchdown, robust)."""
+    """File of ranges (TOML), or name of a shipped one, to draw each episode's vehicle from (default: robust
+    for landing and touchdown, otherwise none)."""
     nominal: bool = False
-    """As in the paper: one vehicle in the plane, no history, actions around hover."""
+    """Train as in the paper: one vehicle in the plane, no history, actions around hover."""
     plant: Literal["mujoco", "hybrid", "analytic"] = "hybrid"
-    """The engine; the same with the equations in free flight; or the equations alone."""
+    """Simulated physics: mujoco is the engine, hybrid the engine near surfaces and the equations elsewhere,
+    analytic the equations only."""
     integrator: Literal["RK4", "implicitfast", "Euler"] | None = None
-    """Of the engine in training, 4 ms steps; evaluation uses RK4."""
+    """Integrator of the engine in training, with steps of 4 ms; evaluation uses RK4."""
     keep_out: float | None = None
-    """Sensor-only zone around the platform that is an obstacle in training [m]."""
+    """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
     environments: int | None = None
-    """Vehicles stepped together."""
+    """Number of vehicles simulated in parallel."""
     threads: Annotated[int, Meta(ge=0, le=1024)] = 0
-    """Physics threads (0: all cores)."""
+    """Number of physics threads (0: all cores)."""
 
     # --- learning
     net_arch: Annotated[Widths | None, tyro.conf.arg(metavar="N [N ...]")] = None
-    """Widths of the hidden layers, of actor and critic each (default: 64 64; with --from the policy's)."""
+    """Widths of the hidden layers of actor and critic (default: 64 64; with --from those of the policy)."""
     curriculum: str | None = None
-    """What eases the task at first; landing: adaptive, fixed, paper, none; setpoint: effort, none; touchdown:
+    """Curriculum: adaptive, fixed, paper or none for landing; effort or none for setpoint; touchdown for
     touchdown."""
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
-    """Parts of the landing's curriculum to leave out: start, tilt, motion, goal and platform are the task's
-    from the first step on; without departure, a vehicle that leaves is cut and pays nothing."""
+    """Parts of the landing curriculum to omit. start, tilt, motion, goal and platform then have the task's
+    values from the first step. Without departure, leaving the arena truncates the episode."""
     rollout: int | None = None
-    """Steps of each vehicle in an iteration, after which PPO updates."""
+    """Steps of each vehicle between two updates of PPO."""
     batch_size: int | None = None
-    """Samples in a minibatch, at most a whole rollout."""
+    """Samples in a minibatch, at most one whole rollout."""
     epochs: int | None = None
     """Passes over each rollout."""
     learning_rate: float | None = None
-    """Initial; the curriculum says when it falls."""
+    """Initial learning rate; the curriculum determines its decay."""
     gamma: Annotated[Discount | Literal["paper"] | None, tyro.conf.arg(metavar="NUMBER|paper")] = None
-    """Discount; paper: from 0.97 to 0.99 over 800 000 steps, as in the curriculum paper anyway."""
+    """Discount factor; paper raises it from 0.97 to 0.99 over 800 000 steps, as the curriculum paper does."""
     gae_lambda: Share = 0.95
-    """Of the advantage estimate."""
+    """Lambda of the generalised advantage estimate."""
     entropy: Share = 0.0
     """Weight of the entropy bonus."""
     log_std_init: float | None = None
@@ -210,16 +211,16 @@ class TrainConfig:
     reward_scale: Annotated[float, Meta(gt=0, lt=1000)] = 0.1
     """Rewards are multiplied by this before PPO sees them."""
     update: Literal["fast", "stock"] = "fast"
-    """PPO compiled for tanh networks, or Stable-Baselines3's own: the same loss and files."""
+    """Implementation of PPO: fast is compiled for tanh networks, stock is Stable-Baselines3's; both have the
+    same loss and files."""
 
     # --- what it writes on its way
     evaluate_every: Iterations | None = None
-    """Iterations between evaluations in the hybrid plant, without training aids; 0: never (default: 16; on
-    drawn vehicles 32)."""
+    """Iterations between evaluations, 0 for none (default: 16; with randomised vehicles 32)."""
     checkpoint_every: Many = 20
     """Iterations between checkpoints."""
     report: bool = True
-    """After training: success table, learning curves, figures, a picture and a video of one flight."""
+    """After training, write a success table, curves, figures, a picture and a video of one flight."""
 
     def resolved(self) -> TrainConfig:
         """Return a copy with every default filled in and every value checked; raises UserError."""
@@ -227,7 +228,7 @@ class TrainConfig:
 
     @property
     def folder(self) -> Path:
-        """The run folder; of a resolved configuration."""
+        """The run folder of a resolved configuration."""
         assert self.out is not None
         return self.out
 
@@ -241,7 +242,7 @@ class TrainConfig:
         }
 
     def copied(self) -> dict[str, Path]:
-        """Of what the run keeps a copy, by the copy's name."""
+        """Return the files that the run copies, by the name of the copy."""
         files = {}
         if self.vehicle is not None:
             files[COPIED["vehicle"]] = locate_vehicle(self.vehicle)
@@ -251,7 +252,7 @@ class TrainConfig:
 
     @property
     def per_iteration(self) -> int:
-        """Environment steps of an iteration; of a resolved configuration."""
+        """Environment steps of an iteration of a resolved configuration."""
         assert self.environments is not None and self.rollout is not None
         return self.environments * self.rollout
 
@@ -281,7 +282,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
         raise UserError(f"task {shown(config.task, 60)}, its training: {error}") from error
     for name in config.task_options():
         if name not in kind.option_names():
-            raise UserError(f"{flag_of(name)} is no option of the task {kind.name}")
+            raise UserError(f"{flag_of(name)} does not apply to the task {kind.name}")
 
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
@@ -298,7 +299,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
     if is_drawn and dimensions == 3 and not by_law:
         training = dataclasses.replace(training, **SPACE)
     if config.nominal and config.randomise is not None:
-        raise UserError("--nominal trains on one vehicle, and --randomise draws many: leave one out")
+        raise UserError("--nominal and --randomise cannot be combined")
     randomise = config.randomise or preset.randomise
     pace = NOMINAL if randomise is None else DRAWN
 
@@ -342,17 +343,17 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
     chosen = [flag_of(name) for name in ENDING[1:] if getattr(config, name) is not None]
     if config.steps is not None:
         if chosen:
-            raise UserError(f"--steps fixes how long the run is; {chosen[0]} goes without it")
+            raise UserError(f"--steps fixes the length of the run and cannot be combined with {chosen[0]}")
         return {}
     if training.success is None:
         if chosen:
             by_success = " and ".join(task.name for task in TASKS.values() if task.training.success)
             raise UserError(
-                f"{chosen[0]} is for the {by_success} task; a run of {config.task} is fixed by --steps"
+                f"{chosen[0]} is only for the task {by_success}; a run of {config.task} takes --steps"
             )
         return {"steps": training.steps}
     if config.evaluate_every == 0:
-        raise UserError("--evaluate-every 0 goes with --steps: without evaluations nothing ends the run")
+        raise UserError("--evaluate-every 0 needs --steps, because without evaluations nothing ends the run")
     low, high = config.min_steps, config.max_steps
     if low is not None and high is not None and low > high:
         raise UserError(f"--min-steps {low} is more than --max-steps {high}")

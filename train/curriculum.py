@@ -1,8 +1,8 @@
-"""Curricula: which conditions episodes start under, and when that changes.
+"""Curricula: the conditions that episodes start under, and when these change.
 
-A curriculum is an object with a rule. It is told of every finished episode, asked once per rollout to
-`advance`, logged, and checkpointed through `state` / `restore`. The environment reads its `conditions`
-and never changes them.
+A curriculum is an object with a rule. It receives every finished episode, is asked once per rollout to
+`advance`, and is logged and checkpointed through `state` and `restore`. The environment reads its
+`conditions` and never changes them.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ RISING = "paper"  # how the paper's discount is called
 def settling(steps: int) -> float:
     """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
 
-    Falls linearly, as policies that learn at full rate to their end are brittle, and stays at a tenth, as
-    nobody knows when that end comes.
+    It falls linearly, because policies that learn at full rate to the end are brittle, and stays at a tenth,
+    because the end is not known beforehand.
     """
     return max(0.1, 1.0 - steps / SETTLING)
 
@@ -50,14 +50,14 @@ def rising_gamma(steps: int) -> float:
 
 
 def initial_gamma(gamma: float | str) -> float:
-    """Return the discount of the first rollout; the curriculum says the others."""
+    """Return the discount of the first rollout; the curriculum determines the others."""
     return rising_gamma(0) if gamma == RISING else float(gamma)
 
 
 class Curriculum:
-    """The task as it is, the discount as given, a learning rate that falls linearly to zero (or `settling`).
+    """No curriculum: the task itself, constant discount, learning rate linear to zero (or `settling`).
 
-    What other curricula do otherwise, they override: `stage` for the conditions of the moment.
+    Other curricula override this; `stage` returns the conditions of the moment.
     """
 
     name = "none"
@@ -88,13 +88,13 @@ class Curriculum:
         return self.but_for_parts(self.stage())
 
     def leave_out(self, parts: list[str]) -> None:
-        """Let the parts, of PARTS, be the task's; without an out-of-bounds penalty, leaving truncates."""
+        """Give these parts, of PARTS, the task's values; without departure, leaving the arena truncates."""
         stage = self.stage()
         fields = {field.name for field in dataclasses.fields(stage)} if stage is not None else set()
         known = [part for part, names in PARTS.items() if fields.issuperset(names)]
         for part in parts:
             if part not in known:
-                has = f"it has {', '.join(known)}" if known else "it has none"
+                has = f"it has {', '.join(known)}" if known else "it has no parts"
                 raise UserError(
                     f"--without: the curriculum {self.name} has no part {shown(part, 40)!r}; {has}"
                 )
@@ -108,17 +108,17 @@ class Curriculum:
         return dataclasses.replace(stage, **{name: getattr(task, name) for name in self._without})
 
     def episode(self, success: bool, length: int) -> None:
-        """Take note of the end of a training episode."""
+        """Record the end of a training episode."""
 
     def advance(self, steps: int) -> None:
-        """Take note of the end of a rollout, after `steps` environment steps in all."""
+        """Record the end of a rollout, after `steps` environment steps in total."""
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
         return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
 
     def skip(self) -> None:
-        """Begin at the end of a curriculum that follows success, as the policy has learned the task."""
+        """Start at the end of a curriculum that follows success, because the policy has learned the task."""
 
     def gamma(self, steps: int) -> float:
         """Return the discount factor of the next rollout, after `steps` environment steps."""
@@ -129,7 +129,7 @@ class Curriculum:
         return {"level": self.level}
 
     def state(self) -> dict:
-        """Return everything `restore` needs, JSON types only."""
+        """Return everything that `restore` needs, in JSON types."""
         return {name: getattr(self, name) for name in self.kept}
 
     def restore(self, state: dict) -> None:
@@ -146,10 +146,9 @@ def _shown(c: LandingConditions) -> dict[str, float]:
 class AdaptiveCurriculum(Curriculum):
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
-    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m and platforms move, where they do, by l =
-    0.8, the goal tilts by l = 0.6,
-    the platform appears in more and more episodes from l = 0.25 to 0.45, the goal box shrinks from
-    0.25 to 0.10 from l = 0.4 on.
+    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m by l = 0.8, as does the motion of moving
+    platforms, the goal tilts by l = 0.6, the platform appears in a growing share of the episodes from l =
+    0.25 to 0.45, and the goal box shrinks from 0.25 to 0.10 from l = 0.4 on.
 
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
     `step` and the window is emptied; above `floor`, l creeps up by `creep`; in a full window at or below
@@ -239,7 +238,7 @@ class AdaptiveCurriculum(Curriculum):
 
 
 class FixedCurriculum(AdaptiveCurriculum):
-    """The same levels, by steps, whatever the success: level 1 at RAMP, where the adaptive one usually is."""
+    """The same levels as a function of steps: level 1 at RAMP, where the adaptive one usually is."""
 
     name = "fixed"
     RAMP = 175_000  # environment steps
@@ -252,8 +251,7 @@ class FixedCurriculum(AdaptiveCurriculum):
 
 
 class PaperCurriculum(Curriculum):
-    """The paper's schedule, by episodes and steps, whatever the success, with the numbers of its
-    authors' public training code.
+    """The paper's schedule, by episodes and steps, with the numbers of its authors' public training code.
 
     Starts within 0.2 m of the goal at first, growing by 1/6000 m per episode (in height by three
     quarters of that, to 1.2 m at most); the goal box shrinks from 0.25 to 0.10 over episodes 2500 to
@@ -326,17 +324,17 @@ class EffortCurriculum(Curriculum):
 
 
 class TouchdownCurriculum(Curriculum):
-    """Touchdown: by steps, whatever the success, as the policy lands from the first step on.
+    """Touchdown: a schedule by steps, because the policy lands from the first step on.
 
-    The price of a hard touchdown grows to the task's over the first half of a run of RAMP steps, so that
-    coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
-    0.2 down to none at RAMP. Three tenths begin around the raised edge: most of the starts that failed lie
-    there, as the edge has to be passed at once, and few uniform starts show it. Where slopes are drawn, three
-    tenths are among the steepest, as nothing else is as hard to rest on. Friction and restitution are drawn
-    for every episode, mostly slippery and springy. Leaving the arena, falling to the floor or lying on the
-    slab the wrong way terminates the episode with a penalty: a truncation would bootstrap from states whose
-    value the critic never learned. The learning rate is constant for 40 % of the run and then falls linearly
-    to zero; only the critic learns at first (`warm_start.CRITIC_FIRST`).
+    The penalty of a hard touchdown grows to that of the task over the first half of a run of RAMP steps, so
+    that coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
+    0.2 down to none at RAMP. Three tenths begin around the raised edge, where most starts fail because the
+    edge has to be passed at once, and which uniform starts rarely cover. If slopes are drawn, three tenths
+    are among the steepest, the hardest to rest on. Friction and restitution are drawn for every episode,
+    mostly slippery and springy. Leaving the arena, falling to the floor or lying on the slab in another
+    attitude terminates the episode with a penalty: a truncation would bootstrap from states whose value the
+    critic never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero;
+    only the critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
     name = "touchdown"

@@ -1,12 +1,11 @@
-"""A feedback law that touchdown in space begins with: fly onto the platform, aligned with it, and stop the
-motors.
+"""A feedback law that touchdown training in 3D starts from: fly onto the platform and stop the motors.
 
-It remembers nothing, so that a network can take it over by imitation. At every moment it plans anew:
-trajectories of least squared snap (polynomials of the seventh degree) that take `TIMES` s and end on the
+It has no memory, so that a network can imitate it. At every moment it replans: trajectories of least squared
+snap (polynomials of the seventh degree) that take `TIMES` s and end on the
 platform, sinking into it and going uphill, with the acceleration of a vehicle whose thrust is along the
 platform's normal and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of
-the platform and within what a vehicle commands. Where there is none it flies to a place from which there is
-one, beside the platform's normal and downhill of it. Reinforcement learning goes on from there.
+the platform and within what a vehicle commands. If there is none, it flies to a place from which there
+is one, off the platform's normal and downhill of it. Reinforcement learning continues from there.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
 and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).

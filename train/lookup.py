@@ -1,4 +1,4 @@
-"""What training uses of evaluation, looked up by name: training runs where evaluation is not installed."""
+"""Functions of evaluation that training looks up by name, so that it runs without evaluation installed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MODULES = {
 
 
 def look_up(name: str) -> Callable[..., Any]:
-    """Return a function of evaluation by its name; raises UserError where a package of it is missing."""
+    """Return a function of evaluation by its name; raises UserError if one of its packages is missing."""
     try:
         module = importlib.import_module(f"inclined_landing.eval.{_MODULES[name]}")
     except ModuleNotFoundError as error:

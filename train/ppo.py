@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO, fast or stock, on the batched environment: both made from a configuration."""
+"""Stable-Baselines3's PPO, fast or stock, on the batched environment, from a configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""run.json, metadata and metrics: what a run folder says of its run, and what `--resume` reads of it."""
+"""run.json, metadata and metrics: the record of a run in its folder, which `--resume` reads."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RunRecord(schema.Table, frozen=True):
 
 
 class NotNamed(UserError):
-    """A run folder alone does not have code imported."""
+    """Code is never imported because a run folder names it."""
 
 
 def new_record(config: TrainConfig) -> dict:
@@ -45,7 +45,7 @@ def new_record(config: TrainConfig) -> dict:
     folder = config.folder
     if os.path.isfile(folder / RECORD) and not os.path.isfile(folder / "metrics.json"):
         raise UserError(
-            f"the run folder {folder} exists and is not empty; choose another name, or go on with its run: "
+            f"the run folder {folder} exists and is not empty; choose another name, or continue its run: "
             f"landing-train --resume --out {shlex.quote(str(folder))}"
         )
     runs.check_new_run(folder)
@@ -74,7 +74,7 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         for package, now in runs.packages().items():
             then = found.versions.get(package)
             if then != now:
-                raise UserError(f"it was begun with {package} {then}, and {now} would go on otherwise")
+                raise UserError(f"it was begun with {package} {then}, and {now} would continue differently")
         # Of a run of other versions of this package: options that are gone play no part, new ones are at
         # their defaults.
         names = {field.name for field in dataclasses.fields(TrainConfig)}
@@ -83,7 +83,7 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         _check_named(config, begun)
         resolved = begun.resolved().as_json()
         if any(resolved[name] != value for name, value in written.items()):
-            raise UserError("its configuration is not as it was written")
+            raise UserError("its configuration has been changed")
     except NotNamed:
         raise
     except UserError as error:
@@ -125,15 +125,15 @@ def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
         was = f"has {shown(recorded, 40)}" if recorded is not None else "has none"
         final = shlex.quote(str(config.folder / "final.zip"))
         raise UserError(
-            f"--resume goes on with the options of the run, which {was} for {flag_of(field.name)}, not "
-            f"{shown(asked, 40)}; begin a new run with another --out, perhaps --from {final}"
+            f"--resume continues with the options of the run, which {was} for {flag_of(field.name)}, not "
+            f"{shown(asked, 40)}; start a new run with another --out, for example with --from {final}"
         )
 
 
 def cannot_continue(path: Path, error: UserError) -> UserError:
     """Return the error for a run.json that cannot be continued."""
     why = shown(error, 120)
-    return UserError(f"run record {path} cannot be continued: {why}; begin a new run with another --out")
+    return UserError(f"run record {path} cannot be continued: {why}; start a new run with another --out")
 
 
 def changed_entries(vehicle: Vehicle) -> dict:
@@ -143,7 +143,7 @@ def changed_entries(vehicle: Vehicle) -> dict:
 
 
 def ranges_of(config: TrainConfig) -> dict:
-    """Return what differs from episode to episode, as the file says it."""
+    """Return what differs from episode to episode, as the file states it."""
     return {} if config.randomise is None else read_ranges(config.randomise).given
 
 

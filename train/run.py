@@ -166,12 +166,12 @@ class Run:
             except TaskError as error:
                 after, folder = self.model.num_timesteps, shown(self.folder, 100)
                 raise UserError(
-                    f"{error}; after {after} steps; {folder} has a checkpoint: with the task corrected, "
-                    "--resume goes on"
+                    f"{error}; after {after} steps; {folder} has a checkpoint: correct the task and continue "
+                    "with --resume"
                 ) from error
 
     def _prepare_folder(self) -> None:
-        """Write what a new run has at first, or bring the folder back to what it held at the checkpoint."""
+        """Write the first files of a new run, or restore the folder to its content at the checkpoint."""
         storage.write_json(self.folder / RECORD, self.record)
         if self.begun_at is None:  # new, or stopped before the first checkpoint
             for file, source in self.config.copied().items():
@@ -185,7 +185,7 @@ class Run:
             storage.write_bytes(self.folder / "best.zip", self.best)
 
     def _learn(self) -> None:
-        """Train until the end, with everything that happens on the way."""
+        """Train until the end, with all callbacks."""
         config, model = self.config, self.model
         self.progress = progress = ProgressCallback(config.most_steps(), self.curriculum)
         assert config.learning_rate is not None and config.evaluate_every is not None
@@ -243,7 +243,7 @@ class Run:
         self.clock.switch("training")
 
     def checkpoint(self, iteration: int) -> None:
-        """Write everything that a continuation needs, in one file that appears whole; then the curves."""
+        """Write everything that a continuation needs, in one atomically written file; then the curves."""
         numbers, arrays = checkpoint.training_state(self.model, self.env)
         state = numbers | {
             "config": self._as_recorded(),
@@ -393,6 +393,6 @@ def _read_checkpoint(folder: Path) -> Checkpoint | None:
     if others := {p.name for p in folder.iterdir() if not storage.is_part(p)} - _BEFORE:
         raise UserError(
             f"nothing to resume: {folder} lacks its {CHECKPOINT}, though it holds {min(others)}; "
-            "begin a new run with another --out"
+            "start a new run with another --out"
         )
     return None

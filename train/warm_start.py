@@ -1,14 +1,14 @@
-"""Training that goes on from a policy: of the same task with its exploration and its critic, or of another.
+"""Training that starts from a policy: of the same task with its exploration and its critic, or of another.
 
 Touchdown starts from the landing policy, taught to cut the motors where it would hand over. A landing policy
 has never held the motors at idle, and exploration does not find fifteen idle steps in a row. So the actor
-takes over the landing policy's weights and is then taught by imitation: what the landing policy does, except
-that motors go to idle in the goal box and close over the slope (the paper's motor cut, without its external
-signal). The states are those that the learner itself comes through (DAgger). What reinforcement learning adds
-is then in the comparison with the landing policy and a motor cut.
+takes over the landing policy's weights and then learns by imitation: the actions of the landing policy,
+except that motors go to idle in the goal box and close over the slope (the paper's motor cut, without its
+external signal). The states are those that the learner itself visits (DAgger). The comparison with the
+landing policy and a motor cut then shows what reinforcement learning adds.
 
-In space, over moving platforms too, touchdown starts from a feedback law instead (`descent`), taught in the
-same way.
+In space, over moving platforms too, touchdown starts from a feedback law instead (`descent`), imitated in
+the same way.
 """
 
 from __future__ import annotations
@@ -56,9 +56,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     """
     if name == descent.NAME:
         if not (isinstance(task, InclinedTouchdown) and not task.is_planar):
-            raise UserError(
-                f"--from {name} is for touchdown in three dimensions, not for this {task.name} task"
-            )
+            raise UserError(f"--from {name} is only for touchdown in 3D, not for this {task.name} task")
         return Descent(task)
     usual = task.training.start_from
     if usual == descent.NAME:
@@ -86,7 +84,9 @@ def take_over(model: PPO, policy: Policy) -> None:
     gain, offset = task.thrust_of(policy.task)
     row = task.action_names.index("thrust") if (gain, offset) != (1.0, 0.0) else None
     if row is not None and policy.task.history:
-        raise UserError(f"policy {policy.path} knows its past actions, and goes on with its own PWM only")
+        raise UserError(
+            f"policy {policy.path} observes its past actions and can only be continued with its own PWM"
+        )
     with torch.no_grad():
         for layer, weight, bias in zip(actor, weights, policy.biases):
             layer.weight.copy_(torch.as_tensor(weight.T))
@@ -105,13 +105,16 @@ def _check_task(policy: Policy, task: Task) -> None:
     before = policy.task
     how = "with" if before.observe_vehicle else "without"
     for fits, remedy in (
-        (before.history <= task.history, f"goes on with --history {before.history} or more"),
-        (before.observe_vehicle == task.observe_vehicle, f"goes on {how} --observe-vehicle"),
+        (before.history <= task.history, f"needs --history {before.history} or more"),
+        (before.observe_vehicle == task.observe_vehicle, f"must be continued {how} --observe-vehicle"),
         (
             before.history == task.history or not before.observe_vehicle,
-            "observes its vehicle's parameters, and goes on with its own history only",
+            "observes its vehicle's parameters and can only be continued with its own history",
         ),
-        (before.per_vehicle_hover == task.per_vehicle_hover, "goes on with its own PWM at action 0 only"),
+        (
+            before.per_vehicle_hover == task.per_vehicle_hover,
+            "can only be continued with its own PWM at action 0",
+        ),
     ):
         if not fits:
             raise UserError(f"policy {policy.path} {remedy}")
@@ -120,7 +123,7 @@ def _check_task(policy: Policy, task: Task) -> None:
 def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list[tuple]) -> None:
     """Raise UserError where the policy's network is not the model's; shapes: of the layers' weights."""
     if shapes != wanted or policy.activation != "Tanh" or policy.squashed:
-        raise UserError(f"policy {policy.path} has another network than training uses: {wanted} is needed")
+        raise UserError(f"policy {policy.path} has another network than training uses; it must be {wanted}")
     known = len(policy.centre)
     centre, scale = np.float32(input_centre(task)[:known]), np.float32(input_scale(task)[:known])
     if not (np.array_equal(policy.centre, centre) and np.array_equal(policy.scale, scale)):

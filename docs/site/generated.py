@@ -46,7 +46,10 @@ def commands() -> str:
         table(
             ["command", ""],
             [
-                ["[`landing-train`](#landing-train)", "Train a policy; everything lands in one run folder."],
+                [
+                    "[`landing-train`](#landing-train)",
+                    "Train a policy and write everything into one run folder.",
+                ],
                 [
                     "[`landing-train sweep`](#landing-train-sweep)",
                     "Run the command lines of a recipe for every seed.",

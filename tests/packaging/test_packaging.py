@@ -147,7 +147,7 @@ def test_training_needs_nothing_of_evaluation(tmp_path):
     )
     remedy = r"\w+ is not installed; pip install 'inclined-landing\[eval\]'"
     said = without(evaluation, code).splitlines()
-    told = f"landing-train: no report, as {remedy}; the same command with --resume then reports on the run"
+    told = f"landing-train: no report, because {remedy}; after that, the same command with --resume writes it"
     assert [line for line in said if re.fullmatch(told, line)], said
     assert [line for line in said if line.startswith("code")] == ["code 0", "code 0", "code 2"]
     assert re.search(remedy, said[-2]) and not (tmp_path / "sweep").exists()

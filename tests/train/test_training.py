@@ -262,9 +262,9 @@ def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_pa
     assert load_policy(saved).task.history == 2
     again = Run(config(tmp_path / "b", start_from=saved, steps=256))
     assert again.config.history == 2
-    with pytest.raises(UserError, match="goes on with --history 2 or more"):
+    with pytest.raises(UserError, match="needs --history 2 or more"):
         Run(config(tmp_path / "c", start_from=saved, history=1))
-    with pytest.raises(UserError, match="goes on with --history 2 or more"):
+    with pytest.raises(UserError, match="needs --history 2 or more"):
         Run(config(tmp_path / "d", task="touchdown", start_from=saved))
 
 
@@ -362,7 +362,7 @@ def test_resume_with_other_options_is_refused_by_name(options, landing_run):
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     name = {"start_from": "from", "net_arch": "net-arch"}.get(*options, *options)
     with pytest.raises(
-        UserError, match=f"goes on with the options of the run, which has .* for --{name}, not"
+        UserError, match=f"continues with the options of the run, which has .* for --{name}, not"
     ):
         Run(TrainConfig(out=folder, resume=True, **options))
     assert Run(TrainConfig(out=folder, resume=True, steps=512, seed=3)).metrics["steps"] == 512
@@ -449,7 +449,7 @@ def test_what_the_landing_trains_on_unless_told(tmp_path):
     in_space = TrainConfig(out=tmp_path / "a", dimensions=3).resolved()
     assert (in_space.rollout, in_space.learning_rate) == (128, 1e-3)
     assert TrainConfig(out=tmp_path / "a", dimensions=3, rollout=32).resolved().rollout == 32
-    with pytest.raises(UserError, match="--nominal trains on one vehicle, and --randomise draws many"):
+    with pytest.raises(UserError, match="--nominal and --randomise cannot be combined"):
         said(nominal=True, randomise=robust)
 
 
@@ -475,7 +475,7 @@ def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, s
         == 3
     )
     *_, said = capsys.readouterr().err.splitlines()  # after the progress
-    assert "after 128 steps of at most" not in said and "--resume with the same --out goes on" in said
+    assert "after 128 steps of at most" not in said and "--resume with the same --out to continue" in said
     for _ in range(2):  # to its end, and once more
         assert cli.main(["--resume", *out]) == 3
         *_, said = capsys.readouterr().err.splitlines()
@@ -512,8 +512,8 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
     assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
     for wrong, sentence in (
         ({"min_steps": 9, "max_steps": 8}, "--min-steps 9 is more than --max-steps 8"),
-        ({"evaluate_every": 0}, "--evaluate-every 0 goes with --steps"),
-        ({"task": "setpoint", "success": 0.9}, "--success is for the landing task"),
+        ({"evaluate_every": 0}, "--evaluate-every 0 needs --steps"),
+        ({"task": "setpoint", "success": 0.9}, "--success is only for the task landing"),
     ):
         with pytest.raises(UserError, match=sentence):
             ends(**wrong)
@@ -549,8 +549,8 @@ def test_a_named_vehicle_is_copied_into_the_run():
 
 
 @pytest.mark.parametrize("options, sentence", [
-    ({"observe_vehicle": True}, "goes on without --observe-vehicle"),
-    ({"pwm_centre": "own"}, "goes on with its own PWM at action 0 only"),
+    ({"observe_vehicle": True}, "must be continued without --observe-vehicle"),
+    ({"pwm_centre": "own"}, "can only be continued with its own PWM at action 0"),
 ])  # fmt: skip
 def test_a_policy_goes_on_with_what_it_observed(options, sentence, tmp_path):
     with pytest.raises(UserError, match=sentence):
@@ -573,12 +573,12 @@ WRONG = {
     "--curriculum steep": "unknown curriculum 'steep' for task landing",
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm-centre",
-    "setpoint --inclination 10": "--inclination is no option of the task setpoint",
+    "setpoint --inclination 10": "--inclination does not apply to the task setpoint",
     "--random-yaw": "random_yaw needs dimensions=3",
     "--steepest 60": "steepest must be an angle above 0 and up to 0.873 rad",
     "--randomise none.toml": "randomise file none.toml does not exist",
     "--from none.zip": "policy none.zip does not exist",
-    "--success 0.9": "--steps fixes how long the run is; --success goes without it",
+    "--success 0.9": "--steps fixes the length of the run and cannot be combined with --success",
 }
 
 

@@ -3,7 +3,7 @@
 A network is one vector of float32 weights, layer by layer (outputs, inputs) and then the bias, as torch has
 them, and the widths of its layers; an actor's ends with the logarithm of its standard deviations. Activations
 stand in blocks (width, BLOCK), samples last, so that every inner loop runs over a fixed number of neighbours.
-Indices are unsigned, or the compiler would ask for negative ones before each access.
+Indices are unsigned, which saves the compiler a check for negative ones before each access.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """`FastPPO`: Stable-Baselines3's PPO with compiled rollouts and updates.
 
 Networks, optimizer, buffer, schedules, callbacks, logged values and files are SB3's, and so is the loss: on
-the same rollout and the same order of samples an update gives the same weights to rounding. A run may be
-begun with one of the two and go on with the other.
+the same rollout and the same order of samples an update gives the same weights to rounding. A run may
+start with one of the two and continue with the other.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class _FlatNetwork:
         self.widths = np.array([layers[0].in_features, *(layer.out_features for layer in layers)], np.uint64)
         self.learns = any(tensor.requires_grad for tensor in self.tensors)
         if self.learns != all(tensor.requires_grad for tensor in self.tensors):
-            raise UserError("the fast update takes networks that learn as a whole or not at all")
+            raise UserError("the fast update cannot freeze single layers of a network")
         self.weights = gather(self.tensors)
 
     def activations(self) -> np.ndarray:
@@ -76,7 +76,7 @@ class _FlatNetwork:
 
 
 class Adam(torch.optim.Adam):
-    """torch's own. Its methods load a compiler, two seconds, only to keep it off; here they go without."""
+    """torch's own, without the two seconds that its methods take to load a compiler only to disable it."""
 
     add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
     state_dict = inspect.unwrap(torch.optim.Optimizer.state_dict)
@@ -133,7 +133,7 @@ def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] |
 class FastPPO(PPO):
     """PPO for two separate tanh networks, a normal distribution of actions and a CPU.
 
-    Raises UserError where the options ask for anything else. `threads` says how many cores compute it (one or
+    Raises UserError if the options ask for anything else. `threads` says how many cores compute it (one or
     two; by default what there is), which changes no bit.
     """
 
@@ -176,7 +176,7 @@ class FastPPO(PPO):
         }
         for what, found in conditions.items():
             if not found:
-                raise UserError(f"the fast update is for {what}; take stock PPO instead (--update stock)")
+                raise UserError(f"the fast update needs {what}; use stock PPO instead (--update stock)")
 
     def _networks(self) -> tuple[_FlatNetwork, _FlatNetwork]:
         """Return actor and critic."""
@@ -196,7 +196,7 @@ class FastPPO(PPO):
     def collect_rollouts(self, env, callback, rollout_buffer, n_rollout_steps) -> bool:
         """Fill the buffer with `n_rollout_steps` of every environment; False if the callback stopped it.
 
-        As in SB3, but for the values: nobody needs them before the end, and they are computed all at once.
+        As in SB3, except that the values, which are only needed at the end, are computed all at once.
         """
         self.policy.set_training_mode(False)
         buffer, n = rollout_buffer, env.num_envs
@@ -269,7 +269,7 @@ class FastPPO(PPO):
         group = optimizer.param_groups[0]
         actor, critic = self._networks()
         if not critic.learns:
-            raise UserError("the fast update is for critics that learn; take stock PPO instead")
+            raise UserError("the fast update needs a critic that learns; use stock PPO instead")
         if not buffer.generator_ready:
             for name in _BUFFERED:
                 setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))

@@ -1,4 +1,4 @@
-"""`landing-train sweep`: command lines for every seed, side by side, and the numbers that come out.
+"""`landing-train sweep`: command lines for every seed, in parallel, and the resulting numbers.
 
-`command` runs what `recipe` reads: each seed is a job (`jobs`), the numbers are summed up in `result`.
+`command` runs what `recipe` reads: each seed is a job (`jobs`), `result` summarises the numbers.
 """

@@ -1,4 +1,4 @@
-"""`landing-train sweep`: the options, the runs side by side, the numbers."""
+"""`landing-train sweep`: the options, the parallel runs, the numbers."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ def command(
     on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
 ) -> int:
-    """Run the command lines of a recipe for every seed and variant; the numbers over the seeds.
+    """Run the command lines of a recipe for every seed and variant, and summarise numbers over the seeds.
 
-    The same command again goes on: finished commands are kept, interrupted trainings resumed. Exit code 1
-    says that a run failed.
+    Repeat the command to continue: finished commands are kept, interrupted trainings resumed. Exit code 1
+    means that a run failed.
 
     Args:
-        recipe: file, or the name of a shipped one. Like a script, it runs whatever its command lines say.
+        recipe: recipe file, or name of a shipped recipe. Like a script, it runs any command in it.
         out: folder of the sweep, with a run folder for each seed (default: runs/RECIPE).
-        jobs: runs side by side (0: one for each core); the cores are shared out among them.
-        on: on this machine, or on a Ray cluster whose machines all see the folder.
-        address: of a running Ray cluster; without it, Ray is started on this machine.
+        jobs: number of parallel runs (0: one for each core); the cores are divided among them.
+        on: run on this machine, or on a Ray cluster whose machines all share the folder.
+        address: address of a running Ray cluster (default: start Ray on this machine).
     """
     path = shipped().get(recipe, Path(recipe))
     if not os.path.lexists(path):
@@ -157,5 +157,5 @@ class Sweep:
             table.add_row(*row)
         table.caption = result.cost()
         show_table(table)
-        say(f"Everything about this sweep is in {self.folder}.")
+        say(f"The results of this sweep are in {self.folder}.")
         say(f"{recipe.title}, {len(recipe.seeds)} seeds: {result.answer(recipe)}")

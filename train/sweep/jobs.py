@@ -1,7 +1,7 @@
-"""One run of a sweep: its command lines, each done once whatever happens on the way.
+"""One run of a sweep: its command lines, each executed exactly once.
 
-SWEEP/steps/RUN.json says how they ended, RUN.log beside it what they printed. A command that is done is not
-done again; a training that was interrupted is resumed, everything else is begun again.
+SWEEP/steps/RUN.json records how they ended, RUN.log their output. A finished command is not repeated; an
+interrupted training is resumed, everything else is started again.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Step(msgspec.Struct):
 
 
 class Job(msgspec.Struct, frozen=True):
-    """A run, or what is made of all runs together.
+    """A run, or the commands over all runs together.
 
     In its lines {out} and {sweep} still stand, so that a sweep that has been moved goes on.
     """
@@ -128,7 +128,7 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
         with leashed() as leash:
             return work(threads, patience, leash, job)
     if not job.record.parent.is_dir():
-        raise UserError(f"{os.uname().nodename} does not see {job.sweep}: all machines must share it")
+        raise UserError(f"{os.uname().nodename} cannot access {job.sweep}; all machines must share it")
     with runs.locked(job.folder, job.log, patience) as log:
         steps = read(job)
         for step in steps:
@@ -144,7 +144,7 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
 
 
 def failure(job: Job, steps: Sequence[Step]) -> str | None:
-    """Return what went wrong, in one sentence; None where nothing did."""
+    """Return what went wrong, in one sentence; None if nothing did."""
     wrong = next((step for step in steps if not step.done), None)
     if wrong is None:
         return None

@@ -23,7 +23,7 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 
 class Number(Table, frozen=True, kw_only=True):
-    """A number that every run has: in a JSON file below its folder, at a path of keys with dots between."""
+    """A number that every run has, in a JSON file below its folder, at a path of keys with dots between."""
 
     title: Text
     file: Text
@@ -51,7 +51,7 @@ class Recipe(Table, frozen=True, kw_only=True):
 
 
 def shipped() -> dict[str, Path]:
-    """Return the recipes that come with the package, by name."""
+    """Return the shipped recipes by name."""
     folder = Path(str(resources.files("inclined_landing.train") / "recipes"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 

@@ -1,4 +1,4 @@
-"""The numbers of a recipe over its seeds: read from the runs' files, summed up.
+"""The numbers of a recipe over its seeds: read from the files of the runs, and summarised.
 
 A number is found as
 
@@ -6,7 +6,7 @@ A number is found as
 - true or false: the share of the seeds, with its Wilson interval;
 - a share as `statistics.proportion` writes it (`count` and `of`): the share of all flights of all seeds, with
   its Wilson interval;
-- null: this run never got there. It counts as larger than every number.
+- null: the run never reached it. It counts as larger than every number.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Measured(Table, frozen=True, kw_only=True):
 
 
 class Result(Table, frozen=True, kw_only=True):
-    """What a sweep found, as result.json has it."""
+    """The result of a sweep, as in result.json."""
 
     command: str  # that runs it again
     versions: dict[str, Any]  # of packages and machine, as `runs.versions` gives them
@@ -113,7 +113,7 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
         return "share", value
     if value is None or (isinstance(value, (int, float)) and math.isfinite(value)):
         return "number", value
-    raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is no number")
+    raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is not a number")
 
 
 def sum_up(variant: str, name: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
