@@ -263,6 +263,18 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,),
     vehicle v and perturbation p (7,).
     """
+    near = 0.0, 0.0, 0.0
+    if v.effects.ground_effect != 0.0:
+        near = ground_effect(position, r, 1.0, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v)
+    wrench_near(near, velocity, r, lag, pwm, ambient, v, p, out)
+
+
+@numba.njit(cache=True, inline="always")
+def wrench_near(near, velocity, r, lag, pwm, ambient, v, p, out):
+    """Write force and torque into `out` (5,), as `wrench`.
+
+    near (3,): the ground effect's extra thrust [N] and torques [N m] at a thrust of 1 N.
+    """
     thrust = powered_thrust(total_thrust(lag, pwm, v, p), lag, ambient[TIME], ambient[VOLTAGE], v)
     ax, ay, az = velocity[0] - v.effects.wind[0], velocity[1] - v.effects.wind[1], velocity[2]
     bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
@@ -271,23 +283,17 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
     # Rotor and body drag: f = K (sum of rotor speeds) b - c |b| b, b = R^T (v - wind), K diagonal
     speed, k = rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE]), v.drag.coefficients
     drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
-    out[0], out[1], out[2] = k[0] * speed * bx, k[1] * speed * by, k[2] * speed * bz
     # F (1 - mean loss) (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
     lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
     thrust *= intact(v) * lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
-    out[3] = out[4] = 0.0
-    if v.effects.ground_effect != 0.0:
-        extra, out[3], out[4] = ground_effect(
-            position, r, thrust, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v
-        )
-        thrust += extra
+    torque_x, torque_y = near[1] * thrust, near[2] * thrust
+    thrust += near[0] * thrust
     # Thrust at (x, y) from the centre of mass, which is at c: tau = (y F, -x F)
-    out[3] += (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
-    out[4] -= (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
-    out[0] += drag * bx
-    out[1] += drag * by
-    out[2] += drag * bz
-    out[2] += thrust
+    out[3] = torque_x + (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
+    out[4] = torque_y - (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
+    out[0] = k[0] * speed * bx + drag * bx
+    out[1] = k[1] * speed * by + drag * by
+    out[2] = k[2] * speed * bz + drag * bz + thrust
 
 
 def free_air(n: int) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -32,15 +33,17 @@ DEVIANCE_TOLERANCE = 1.0  # decrease of the deviance that ends the iteration
 
 @dataclasses.dataclass(frozen=True)
 class LeastSquaresFit:
-    """A least-squares fit and its linearisation."""
+    """A least-squares fit, with its linearisation where that is asked for."""
 
+    problem: Problem
     values: FittedValues
-    linear: Linearisation  # columns of the effects in `values`
+    columns: Sequence[Column]  # of the effects in `values`
+    squares: float  # weighted squared white error over all windows (least-squares cost)
 
-    @property
-    def squares(self) -> float:
-        """Return the weighted squared white error over all windows (least-squares cost)."""
-        return float(self.linear.c.sum())
+    @cached_property
+    def linear(self) -> Linearisation:
+        """Return the linearisation at the fit."""
+        return self.problem.linearise(self.values, self.columns)
 
 
 def fit_least_squares(
@@ -65,7 +68,7 @@ def fit_least_squares(
         for p in problem.library[name].parameters
     ]
     columns += problem.columns([BASE] if BASE in names else ())
-    fit = LeastSquaresFit(start, problem.linearise(start, columns))
+    fit = LeastSquaresFit(problem, start, columns, problem.squares(start))
     width = prior(problem, columns) if prior else np.full(len(columns), np.inf)
 
     def penalty(at: Values) -> float:  # sum_k (x_k / width_k)^2
@@ -76,10 +79,10 @@ def fit_least_squares(
         improved = False
         while damping < 1e4:
             trial = _damped_step(problem, fit, damping, width)
-            gain = fit.squares - problem.squares(trial)
-            gain += penalty(fit.values) - penalty(trial)
+            squares = problem.squares(trial)
+            gain = fit.squares - squares + penalty(fit.values) - penalty(trial)
             if gain > 0.0:
-                fit, improved = LeastSquaresFit(trial, problem.linearise(trial, columns)), True
+                fit, improved = LeastSquaresFit(problem, trial, columns, squares), True
                 damping = max(1e-9, damping / 10.0)
                 break
             step = problem.coordinates(trial, columns) - problem.coordinates(fit.values, columns)

@@ -43,6 +43,7 @@ LINEARISATIONS = 3  # points whose log evidences are averaged
 SIMULATED = (
     1.25  # squared error of a probable set, simulated, over the least of all, beyond which it is dropped
 )
+SUBSET = 0.02  # the same over that of a subset
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
 
 
@@ -255,16 +256,16 @@ def _greedy_search(
     far: dict[EffectSet, FittedValues] = {}
     while len(nodes) < MOST_FITS:
         best = max(nodes.values(), key=lambda node: node.score)
-        if best.names not in expanded:
-            expanded.add(best.names)
-            for names in _neighbours(problem, best):
-                predicted[names] = (best.screen(names) + log_prior(problem, names), best)
-            for name, (start, gain) in _far_starts(problem, best.values).items():
-                others = [n for n in problem.library[name].confused_with if n in best.names]
-                for names in (best.names | {name}, *(best.names - {n} | {name} for n in others)):
+        for node in [n for n in (nodes[frozenset()], best) if n.names not in expanded]:
+            expanded.add(node.names)
+            for names in _neighbours(problem, node):
+                predicted[names] = (node.screen(names) + log_prior(problem, names), node)
+            for name, (start, gain) in _far_starts(problem, node.values).items():
+                others = [n for n in problem.library[name].confused_with if n in node.names]
+                for names in (node.names | {name}, *(node.names - {n} | {name} for n in others)):
                     if names not in nodes:
                         far[names] = start
-                        predicted[names] = (max(predicted[names][0], best.score + gain), best)
+                        predicted[names] = (max(predicted[names][0], node.score + gain), node)
         unfitted = [(score, names) for names, (score, _) in predicted.items() if names not in nodes]
         if not unfitted:
             break
@@ -276,12 +277,34 @@ def _greedy_search(
             nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
         else:  # its predicted probability comes from values beyond the bounds
             del predicted[names]
+    nodes = _no_worse_than_subsets(problem, spread, nodes)
     best = max(nodes.values(), key=lambda node: node.score)
     for names in _exchange_candidates(problem, best, nodes):
         start = _linear_estimate(problem, best, names)
         if _all_nonzero(problem, names, start):
             nodes[names] = _fit_set(problem, spread, names, start, best.score - ROUGH_BEYOND)
     return nodes
+
+
+def _no_worse_than_subsets(
+    problem: Problem, spread: Spread, nodes: Mapping[EffectSet, FittedSet]
+) -> dict[EffectSet, FittedSet]:
+    """Return the fitted sets without those whose simulation is worse than that of a subset.
+
+    Newton's method has led these astray. First they are fitted again from the subset's values.
+    """
+    kept: dict[EffectSet, FittedSet] = {}
+    squares: dict[EffectSet, float] = {}
+    for names, node in sorted(nodes.items(), key=lambda item: len(item[0])):
+        subset = min((n for n in kept if n < names), key=lambda n: squares[n], default=names)
+        most = (1.0 + SUBSET) * squares.get(subset, math.inf)
+        own = problem.squares(node.values)
+        if own > most:
+            node = _fit_set(problem, spread, names, kept[subset].values)
+            own = problem.squares(node.values)
+        if own <= most:
+            kept[names], squares[names] = node, own
+    return kept
 
 
 def _exchange_candidates(

@@ -21,11 +21,20 @@ import numba
 import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
-from inclined_landing.eval.gap.model.swing import pulled
+from inclined_landing.eval.gap.model.swing import Starts, pulled
 from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, euler_rates, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
 from inclined_landing.models.delays import averages
-from inclined_landing.models.forces import lag_step, lags, pack, wrench
+from inclined_landing.models.forces import (
+    AZIMUTH,
+    INCLINATION,
+    PRESENT,
+    ground_effect,
+    lag_step,
+    lags,
+    pack,
+    wrench_near,
+)
 from inclined_landing.models.perturbation import NEUTRAL
 from inclined_landing.models.vehicle import Vehicle
 
@@ -39,6 +48,7 @@ UNITS_OF = {
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
+_NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 # Constants that act in the attitude loops alone, beside those of the table `attitude`.
 _OF_THE_LOOPS = {
     *(f"effects_attitude_{n}" for n in ("delay", "integral", "saturation", "trim")),
@@ -79,7 +89,8 @@ def predictions(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
         own = [k for k, one in enumerate(seen) if one == alike]
         first = vehicles[own[0]]
         same = [_translation(vehicles[k]) == _translation(first) for k in own]
-        _predict(_Measured.of(flight, first), packed, np.array(own), np.array(same), out)
+        begun, other = (Starts.none(flight.starts, flight.rows, flight.dt) for _ in range(2))
+        _predict(_Measured.of(flight, first), packed, np.array(own), np.array(same), begun, other, out)
     if flight.requests is not None:
         for vehicle, one in zip(vehicles, out):
             one[YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle).T
@@ -202,21 +213,33 @@ class _Measured(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def _predict(measured, vehicles, own, as_first, out):
+def _predict(measured, vehicles, own, as_first, begun, other, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
-    as_first (k,): whether its translation is that of the first of these.
+    as_first (k,): whether its translation is that of the first of these. begun, other: `Starts` of loads.
     """
     m, dt, pose = len(measured.command), measured.dt, slice(0, YAW_CHANNEL + 1)
     angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
     twist, first_twist, first_angles = np.zeros((m - 1, 3)), np.zeros((m - 1, 3)), np.empty((m, 3))
+    near, turning = np.zeros((m - 1, 3)), _turning(measured.attitude)
+    known, loaded = 0, -1  # the vehicles that `near` and `begun` are of
+    free = measured.velocity  # then: the acceleration of that one without its load
     for k in range(len(own)):
         vehicle, predicted, first = vehicles[own[k] : own[k] + 1], out[own[k], pose], out[own[0], pose]
         if k == 0 or not as_first[k]:
-            acceleration = _accelerations(measured, vehicle[0], twist)
+            if k == 0 or not _same_ground(vehicle[0], vehicles[own[known]]):
+                _ground(measured, vehicle[0], near)
+                known = k
+            acceleration = _accelerations(measured, vehicle[0], near, turning, twist)
             if vehicle[0].effects.load_mass != 0.0:
-                starts, rows = measured.starts, measured.rows
-                acceleration = pulled(acceleration, measured.position, starts, rows, dt, vehicle)
+                again = loaded >= 0 and _same_load(vehicle[0], vehicles[own[loaded]])
+                if loaded < 0:
+                    loaded, free = k, acceleration
+                else:
+                    again = again and ((acceleration - free) ** 2).mean() < _NEARLY**2
+                written = begun if again or loaded == k else other
+                seen, starts, rows = measured.position, measured.starts, measured.rows
+                acceleration = pulled(acceleration, seen, starts, rows, dt, vehicle, written, again)
             _translate(acceleration, vehicle[0].environment.gravity, dt, predicted)
         else:
             predicted[:ROLL_CHANNEL], twist[:] = first[:ROLL_CHANNEL], first_twist
@@ -233,22 +256,68 @@ def _predict(measured, vehicles, own, as_first, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def _accelerations(measured, v, twist):
-    """Return accelerations (m - 1, 3) without gravity's and a load's; write the angles' ones into twist."""
+def _turning(attitude):
+    """Return the Euler rates (k, 3) of a body rate of 1 rad/s about x, at attitudes (k, 3)."""
+    out = np.empty_like(attitude)
+    for k in range(len(attitude)):
+        out[k, 0], out[k, 1], out[k, 2] = euler_rates(attitude[k, 0], attitude[k, 1], 1.0, 0.0, 0.0)
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def _same_ground(v, w):
+    """Return whether two vehicles meet the same ground effect at the same thrust."""
+    same = v.effects.ground_effect == w.effects.ground_effect
+    same &= v.effects.ground_fading == w.effects.ground_fading
+    same &= v.rotor.radius == w.rotor.radius and v.rotor.arm == w.rotor.arm
+    same &= v.rotor.height == w.rotor.height and v.slab_half_length == w.slab_half_length
+    return (
+        same
+        and v.platform.depth == w.platform.depth
+        and v.platform.surface_height == w.platform.surface_height
+    )
+
+
+@numba.njit(cache=True, inline="always")
+def _same_load(v, w):
+    """Return whether two vehicles carry the same load: of the same mass too, which the swing depends on."""
+    same = v.effects.load_mass == w.effects.load_mass and v.effects.load_length == w.effects.load_length
+    return same and v.body.mass == w.body.mass
+
+
+@numba.njit(cache=True, nogil=True)
+def _ground(measured, v, near):
+    """Write the ground effect of a thrust of 1 N along a flight into near (m - 1, 3), as `wrench_near`."""
+    near[:] = 0.0
+    if v.effects.ground_effect == 0.0:
+        return
+    position, ambient = measured.middle_position, measured.ambient
+    for k in range(len(near)):
+        inclination, present, azimuth = ambient[k, INCLINATION], ambient[k, PRESENT], ambient[k, AZIMUTH]
+        near[k, 0], near[k, 1], near[k, 2] = ground_effect(
+            position[k], measured.rotation[k], 1.0, inclination, present, azimuth, v
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _accelerations(measured, v, near, turning, twist):
+    """Return accelerations (m - 1, 3) without gravity's and a load's; write the angles' ones into twist.
+
+    near, turning: as `_ground` and `_turning` have them.
+    """
     pwm = averages(measured.command[:, PWM], measured.dt, v.effects.thrust_delay + v.effects.mocap_delay)
     out, f, lag = np.empty_like(measured.velocity), np.zeros(5), pwm[0] / v.thrust.lag_rate
-    position, velocity, ambient = measured.middle_position, measured.velocity, measured.ambient
+    velocity, ambient = measured.velocity, measured.ambient
     for k in range(len(pwm)):
         u, r = pwm[k], measured.rotation[k]
         lag, mean = lag_step(lag, u, measured.dt, v)
-        wrench(position[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
+        wrench_near(near[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
         for i in range(3):
             out[k, i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
-            twist[k, i] = 0.0
-        if f[3] != 0.0 or f[4] != 0.0:
-            roll, pitch = measured.attitude[k, 0], measured.attitude[k, 1]
-            turning = f[3] / v.body.inertia[0], f[4] / v.body.inertia[1]
-            twist[k, 0], twist[k, 1], twist[k, 2] = euler_rates(roll, pitch, turning[0], turning[1], 0.0)
+        about_x, about_y = f[3] / v.body.inertia[0], f[4] / v.body.inertia[1]
+        twist[k, 0] = turning[k, 0] * about_x
+        twist[k, 1] = turning[k, 1] * about_x + about_y
+        twist[k, 2] = turning[k, 2] * about_x
     return out
 
 
@@ -282,7 +351,9 @@ def _angles(measured, twist, vehicle):
 def _integrals(measured, vehicle):
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch."""
     v, twist, out = vehicle[0], np.empty_like(measured.velocity), np.empty((len(measured.command), 2))
-    _accelerations(measured, v, twist)
+    near = np.empty_like(twist)
+    _ground(measured, v, near)
+    _accelerations(measured, v, near, _turning(measured.attitude), twist)
     for axis in range(2):
         command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
         steps = integrated_steps(axis, command, twist[:, axis], start, measured.dt, vehicle)

@@ -9,6 +9,7 @@ rest. In the limit of no mass nothing is estimated.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -24,12 +25,28 @@ _ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
 
 
+class Starts(NamedTuple):
+    """The load's standardised states at the beginning of s stretches, and how they follow from errors."""
+
+    z: np.ndarray  # (s, 4) angles and rates along x and y
+    gain: np.ndarray  # (4, 2 w rows) of the errors in all windows
+    inverse: np.ndarray  # (s, 4, 4) of the prior
+
+    @staticmethod
+    def none(starts: np.ndarray, rows: int, dt: float) -> Starts:
+        """Return those before the first fit. Arguments: see `pulled`."""
+        s = len(stretches(starts, rows, dt)) - 1
+        return Starts(np.zeros((s, 4)), np.zeros((4, 2 * len(starts) * rows)), np.zeros((s, 4, 4)))
+
+
 @numba.njit(cache=True, nogil=True)
-def pulled(acceleration, position, starts, rows, dt, vehicle):
+def pulled(acceleration, position, starts, rows, dt, vehicle, begun, again):
     """Return the mean accelerations (m - 1, 3) [m/s2] of a vehicle whose load swings, over a flight's steps.
 
     acceleration (m - 1, 3): without the load. Both without gravity's. position (m, 3) [m] measured; starts
-    (w,): first rows of the windows, of `rows` rows `dt` [s] apart. vehicle: see `forces.pack`.
+    (w,): first rows of the windows, of `rows` rows `dt` [s] apart. vehicle: see `forces.pack`. begun:
+    `Starts`, written unless `again`: they are those of nearly the same accelerations with the same load, from
+    which a single linear step leads to these.
     """
     v = vehicle[0]
     mass, length = v.effects.load_mass, v.effects.load_length
@@ -38,13 +55,19 @@ def pulled(acceleration, position, starts, rows, dt, vehicle):
     frequency = math.sqrt(total * v.environment.gravity / (v.body.mass * length))
     spread = np.array([ANGLE, ANGLE, ANGLE * frequency, ANGLE * frequency])
     string = share, length, dt
-    out = (1.0 - share) * acceleration  # as one body, beside the windows
+    out = (1.0 - share) * acceleration  # as one body, outside the windows
     ends = stretches(starts, rows, dt)
     for i in range(len(ends) - 1):
         own = starts[ends[i] : ends[i + 1]]
         first, last = own[0], own[-1] + rows - 1
         free, seen = acceleration[first:last], position[first : last + 1]
-        _swing(free, _start(seen, free, own - first, rows, spread, string), string, out[first:last])
+        z, inverse = begun.z[i], begun.inverse[i]
+        gain = begun.gain[:, 2 * rows * ends[i] : 2 * rows * ends[i + 1]]
+        if not again:
+            _start(seen, free, own - first, rows, spread, string, z, gain, inverse)
+        loads = _state(z, spread).reshape(1, LOAD_SIZE)
+        errors = _errors(seen, free, loads, own - first, rows, string)[0]
+        _swing(free, _state(z - _step(errors, z, gain, inverse), spread), string, out[first:last])
     return out
 
 
@@ -116,20 +139,35 @@ def _errors(position, acceleration, loads, starts, rows, string):
 
 
 @numba.njit(cache=True, nogil=True)
-def _start(position, acceleration, starts, rows, spread, string):
-    """Return the load's most probable state (6,) at the beginning of a stretch of k steps.
+def _step(errors, z, gain, inverse):
+    """Return the step (4,) of Gauss and Newton, to be taken off, at errors (n,)."""
+    step = np.zeros(4)
+    for i in range(4):
+        for k in range(len(errors)):
+            step[i] += gain[i, k] * errors[k]
+        for j in range(4):
+            step[i] += inverse[i, j] * z[j]
+    return step
+
+
+@numba.njit(cache=True, nogil=True)
+def _start(position, acceleration, starts, rows, spread, string, z, gain, inverse):
+    """Write the load's most probable state at the beginning of a stretch of k steps, as of `Starts`.
 
     position (k + 1, 3) [m] measured, acceleration (k, 3) [m/s2] without the load, starts (w,) of the windows.
     """
-    z, eye = np.zeros(4), np.eye(4)
+    eye = np.eye(4)
     loads = np.empty((5, LOAD_SIZE))
+    z[:] = 0.0
     for _ in range(_ROUNDS):
         loads[0] = _state(z, spread)
         for i in range(4):
             loads[1 + i] = _state(z + _STEP * eye[i], spread)
         errors = _errors(position, acceleration, loads, starts, rows, string)
         here, slopes = errors[0], (errors[1:] - errors[0]) / _STEP
-        # Minimise w |e + S dz|^2 + |z + dz|^2,  w = numbers/(rows mean e^2)
+        # Minimise w |e + S dz|^2 + |z + dz|^2,  w = numbers/(rows mean e^2):
+        #   dz = -(w S S' + 1)^-1 (w S e + z)
         weight = _NUMBERS / (rows * (here**2).mean() + 1e-12)
-        z -= np.linalg.solve(weight * (slopes @ slopes.T) + eye, weight * (slopes @ here) + z)
-    return _state(z, spread)
+        inverse[:] = np.linalg.inv(weight * (slopes @ slopes.T) + eye)
+        gain[:] = inverse @ (weight * slopes)
+        z -= _step(here, z, gain, inverse)

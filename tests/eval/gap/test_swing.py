@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.model.swing import ANGLE, STRETCH, pulled, stretches
+from inclined_landing.eval.gap.model.swing import ANGLE, STRETCH, Starts, pulled, stretches
 from inclined_landing.models import forces, load
 from inclined_landing.models.parameters import load_vehicle
 
@@ -16,7 +16,8 @@ SHARE = V.effects_load_mass / (V.body_mass + V.effects_load_mass)
 
 def pull(flight, vehicle, force):
     """Accelerations (m - 1, 3) with the load, from those without it; flight: positions and windows."""
-    return pulled(force, *flight, ROWS, DT, forces.pack(vehicle))
+    begun = Starts.none(flight[1], ROWS, DT)
+    return pulled(force, *flight, ROWS, DT, forces.pack(vehicle), begun, False)
 
 
 def flown(seconds=6.0, angle=0.3, noise=0.0, seed=0, vehicle=V):
