@@ -23,31 +23,69 @@ COMMAND_SIZE = 4
 COMMAND_NAMES = ("pwm", "roll", "pitch", "yaw_rate")
 COMMAND_UNITS = ("PWM", "rad", "rad", "rad/s")
 
+# The first terms of their series that rounding leaves at pi/4: (-1)^k/(2 k + 1)! and (-1)^k/(2 k)!.
+_SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(8))
+_COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(9))
+# pi/2, its first part with so few bits that its multiples up to 2^17 are exact.
+_QUARTER_HIGH = math.floor(0.5 * math.pi * 2.0**33) / 2.0**33
+_QUARTER_LOW = 6.077100506506192e-11  # pi/2 less that
 _SINGULAR = 1e-6  # smallest |cos(roll)| used in divisions: the ZXY chart ends at roll = 90 deg
 
 
 @numba.njit(cache=True, inline="always")
-def safe_cosine(roll):
-    """cos(roll), kept away from zero where the Euler rates are undefined."""
-    c = math.cos(roll)
-    if abs(c) < _SINGULAR:
-        return _SINGULAR if c >= 0.0 else -_SINGULAR
-    return c
+def small_sine_cosine(angle):
+    """Return sine and cosine of an angle [rad] of at most pi/4, to rounding: Taylor's series."""
+    x, s, c = angle * angle, _SINE, _COSINE
+    odd = s[4] + x * (s[5] + x * (s[6] + x * s[7]))
+    odd = s[0] + x * (s[1] + x * (s[2] + x * (s[3] + x * odd)))
+    even = c[4] + x * (c[5] + x * (c[6] + x * (c[7] + x * c[8])))
+    even = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * even)))
+    return angle * odd, even
+
+
+@numba.njit(cache=True)
+def sine_cosine(angle):
+    """Return sine and cosine of an angle [rad] up to 1e5, to rounding; quicker than `math`'s two calls."""
+    # angle = k pi/2 + x, |x| <= pi/4, with pi/2 in two parts
+    k = math.floor(angle * (2.0 / math.pi) + 0.5)
+    s, c = small_sine_cosine((angle - k * _QUARTER_HIGH) - k * _QUARTER_LOW)
+    if k & 1:
+        s, c = c, -s
+    return (-s, -c) if k & 2 else (s, c)
+
+
+@numba.njit(cache=True, inline="always")
+def away_from_zero(cosine):
+    """Return the cosine of a roll angle, kept away from zero, where the Euler rates are undefined."""
+    if abs(cosine) < _SINGULAR:
+        return _SINGULAR if cosine >= 0.0 else -_SINGULAR
+    return cosine
 
 
 @numba.njit(cache=True, inline="always")
 def euler_rates(roll, pitch, wx, wy, wz):
     """Rates (roll, pitch, yaw) [rad/s] from body rates [rad/s]."""
-    sp, cp = math.sin(pitch), math.cos(pitch)
-    yaw_rate = (cp * wz - sp * wx) / safe_cosine(roll)
-    return cp * wx + sp * wz, wy - math.sin(roll) * yaw_rate, yaw_rate
+    return euler_rates_at(sine_cosine(roll), sine_cosine(pitch), wx, wy, wz)
+
+
+@numba.njit(cache=True, inline="always")
+def euler_rates_at(roll, pitch, wx, wy, wz):
+    """As `euler_rates`, with (sine, cosine) of roll and pitch."""
+    (sr, cr), (sp, cp) = roll, pitch
+    yaw_rate = (cp * wz - sp * wx) / away_from_zero(cr)
+    return cp * wx + sp * wz, wy - sr * yaw_rate, yaw_rate
 
 
 @numba.njit(cache=True, inline="always")
 def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     """Body rates [rad/s] from Euler rates [rad/s]; the inverse of `euler_rates`."""
-    sr, cr = math.sin(roll), math.cos(roll)
-    sp, cp = math.sin(pitch), math.cos(pitch)
+    return body_rates_at(sine_cosine(roll), sine_cosine(pitch), roll_rate, pitch_rate, yaw_rate)
+
+
+@numba.njit(cache=True, inline="always")
+def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
+    """As `body_rates`, with (sine, cosine) of roll and pitch."""
+    (sr, cr), (sp, cp) = roll, pitch
     return (
         roll_rate * cp - yaw_rate * cr * sp,
         pitch_rate + yaw_rate * sr,
@@ -58,10 +96,15 @@ def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
 @numba.njit(cache=True, inline="always")
 def body_accelerations(roll, pitch, rates, accelerations):
     """Time derivative [rad/s2] of `body_rates` at Euler rates and accelerations (3,) each [rad/s, rad/s2]."""
+    return body_accelerations_at(sine_cosine(roll), sine_cosine(pitch), rates, accelerations)
+
+
+@numba.njit(cache=True, inline="always")
+def body_accelerations_at(roll, pitch, rates, accelerations):
+    """As `body_accelerations`, with (sine, cosine) of roll and pitch."""
+    (sr, cr), (sp, cp) = roll, pitch
     roll_rate, pitch_rate, yaw_rate = rates
     roll_acc, pitch_acc, yaw_acc = accelerations
-    sr, cr = math.sin(roll), math.cos(roll)
-    sp, cp = math.sin(pitch), math.cos(pitch)
     horizontal = yaw_acc * cr - yaw_rate * roll_rate * sr
     radial = pitch_rate * yaw_rate * cr
     cross = roll_rate * pitch_rate
@@ -75,9 +118,7 @@ def body_accelerations(roll, pitch, rates, accelerations):
 @numba.njit(cache=True, inline="always")
 def quaternion(roll, pitch, yaw):
     """Unit quaternion (w, x, y, z) of Rz(yaw) Rx(roll) Ry(pitch)."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    (sr, cr), (sp, cp), (sy, cy) = sine_cosine(0.5 * roll), sine_cosine(0.5 * pitch), sine_cosine(0.5 * yaw)
     w, x, y, z = cr * cp, sr * cp, cr * sp, sr * sp  # Rx Ry
     return cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w
 
@@ -96,8 +137,7 @@ def tilted(attitudes, roll, pitch, out):
     """Attitudes (n, 3) turned in their own frame by Rx(roll) Ry(pitch), into `out` (n, 3)."""
     t = rotation(roll, pitch, 0.0)
     for i in range(attitudes.shape[0]):
-        sr, cr = math.sin(attitudes[i, 0]), math.cos(attitudes[i, 0])
-        sp, cp = math.sin(attitudes[i, 1]), math.cos(attitudes[i, 1])
+        (sr, cr), (sp, cp) = sine_cosine(attitudes[i, 0]), sine_cosine(attitudes[i, 1])
         # Without the heading, which is added again.
         ahead = cp * t[0, 1] + sp * t[2, 1]
         left = sr * sp * t[0, 1] + cr * t[1, 1] - sr * cp * t[2, 1]
@@ -109,16 +149,29 @@ def tilted(attitudes, roll, pitch, out):
         out[i, 2] = attitudes[i, 2] + math.atan2(-ahead, left)
 
 
+@numba.njit(cache=True, inline="always")
+def rotation_entries(roll, pitch, yaw):
+    """Return the nine entries of the rotation matrix, row by row, from (sine, cosine) of the angles."""
+    (sr, cr), (sp, cp), (sy, cy) = roll, pitch, yaw
+    # R = Rz(psi) Rx(phi) Ry(theta)
+    first = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
+    second = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
+    return first + second + (-cr * sp, sr, cr * cp)
+
+
+@numba.njit(cache=True, inline="always")
+def entries(r):
+    """Return the nine entries of a matrix (3, 3), row by row."""
+    return r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2]
+
+
 @numba.njit(cache=True)
 def rotation(roll, pitch, yaw):
     """Rotation matrix (3, 3), body to world."""
-    sr, cr = math.sin(roll), math.cos(roll)
-    sp, cp = math.sin(pitch), math.cos(pitch)
-    sy, cy = math.sin(yaw), math.cos(yaw)
+    of = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
     r = np.empty((3, 3))
-    r[0, 0], r[0, 1], r[0, 2] = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
-    r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
-    r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
+    for k in range(9):
+        r[k // 3, k % 3] = of[k]
     return r
 
 

@@ -110,15 +110,34 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
     v = vehicle[0]
     if v.effects.attitude_integral != 0.0 or v.effects.attitude_saturation != 0.0:
         return integrated_steps(axis, command, twist, start, dt, vehicle)[:, 0].copy()
-    a, b = 1.0 / v.attitude.time_constant, v.attitude.bandwidth
     gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
+    tau = v.attitude.time_constant
+    step, stiffness = held_step(tau, dt, v), v.attitude.bandwidth / tau
+    out, rate = np.empty(len(command) + 1), 0.0
+    out[0] = start
+    for k in range(len(command)):
+        rest = gain * (command[k] + trim) + twist[k] / stiffness
+        off, rate = held_angle(out[k] - rest, rate, step)
+        out[k + 1] = rest + off
+    return out
+
+
+@numba.njit(cache=True, inline="always")
+def damping_rate(tau, v):
+    """Return the coefficient [1/s] of the rate in a loop of the time constant tau [s]: sum of its poles."""
+    return v.attitude.damping * (1.0 / tau + v.attitude.bandwidth)
+
+
+@numba.njit(cache=True, inline="always")
+def held_step(tau, dt, v):
+    """Return what `held_angle` needs for steps of `dt` [s] of a loop with the time constant tau [s]."""
     # a = 1/tau, b = B: x'' = a b (rest - x) - damping (a + b) x', rest = k (command + trim) + twist/(a b).
     # Poles -mean +- half. Off the rest, e = x - rest, over one step:
     #   e   <- stay e + drive x',          stay = exp(-mean dt) cosh(half dt) + mean drive
     #   x'  <- (stay - 2 mean drive) x' - a b drive e,   drive = exp(-mean dt) sinh(half dt)/half
     # with cos and sin of |half| dt where the poles are complex.
-    mean = 0.5 * v.attitude.damping * (a + b)
-    square = mean * mean - a * b
+    mean, stiffness = 0.5 * damping_rate(tau, v), v.attitude.bandwidth / tau
+    square = mean * mean - stiffness
     half = math.sqrt(abs(square))
     if square > 0.0:
         slow, apart = math.exp(-(mean - half) * dt), 2.0 * half * dt
@@ -128,14 +147,14 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
         slow, swing = math.exp(-mean * dt), half * dt
         drive = slow * dt * (math.sin(swing) / swing if swing > 0.0 else 1.0)
         stay = slow * math.cos(swing) + mean * drive
-    out, rate = np.empty(len(command) + 1), 0.0
-    out[0] = start
-    for k in range(len(command)):
-        rest = gain * (command[k] + trim) + twist[k] / (a * b)
-        off = out[k] - rest
-        out[k + 1] = rest + stay * off + drive * rate
-        rate = (stay - 2.0 * mean * drive) * rate - a * b * drive * off
-    return out
+    return stay, drive, stay - 2.0 * mean * drive, stiffness * drive
+
+
+@numba.njit(cache=True, inline="always")
+def held_angle(off, rate, step):
+    """Return an angle's distance from its rest [rad] and its rate [rad/s] after a step of `held_step`."""
+    stay, drive, keep, back = step
+    return stay * off + drive * rate, keep * rate - back * off
 
 
 @numba.njit(cache=True, nogil=True)

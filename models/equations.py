@@ -8,7 +8,6 @@ Symbols of the comments: position x, velocity v, attitude matrix R (body to worl
 in the body frame, Omega state of the thrust lag, phi, theta, psi roll, pitch and yaw.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numba
@@ -24,9 +23,13 @@ from inclined_landing.models.attitude import (
     WX,
     WY,
     WZ,
-    body_accelerations,
+    body_accelerations_at,
     body_rates,
+    body_rates_at,
     euler_rates,
+    euler_rates_at,
+    rotation_entries,
+    sine_cosine,
 )
 from inclined_landing.models.attitude_loops import (
     angle_errors,
@@ -43,7 +46,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 # The integrated vector: position, velocity, Euler angles, lag, Euler rates (rate loop only), where there are
 # some the integrals of roll and pitch, and the slung load's direction and its rate where there is one.
-_PHI, _THETA, _PSI, _OMEGA, _RATES, _SIZE = 6, 7, 8, 9, 10, 13
+_PHI, _THETA, _PSI, OMEGA, RATES, _SIZE = 6, 7, 8, 9, 10, 13
 _INTEGRAL, _LOAD = _SIZE, _SIZE + 2
 _LOADED_SIZE = _LOAD + LOAD_SIZE
 NOT_INTEGRATED = np.empty((0, 2))
@@ -79,10 +82,8 @@ _STEP = np.dtype(
         ("rate_loop", bool),  # which attitude model
         ("integrated", bool),  # whether the attitude loops have integral gains
         ("loaded", bool),  # whether there is a slung load
-        # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives,
-        # attitude matrix, force and torque.
+        # Working memory: a stage's integrated vector, its derivative, weighted sum of the derivatives.
         *((name, float, _LOADED_SIZE) for name in ("stage", "derivative", "total")),
-        *(("rotation", float, (3, 3)), ("wrench", float, 5)),
     ],
     align=True,
 )
@@ -96,18 +97,19 @@ def _saturation(torque, limit):
 
 
 @numba.njit(cache=True, inline="always")
-def _saturations(y, dy, v, limits):
-    """Return the body torque (x, y, z) [N m] by which limits (3,) [N m] change that of the loops in dy."""
-    j, roll, pitch = v.body.inertia, y[_PHI], y[_THETA]
-    rates = y[_RATES], y[_RATES + 1], y[_RATES + 2]
-    accelerations = dy[_RATES], dy[_RATES + 1], dy[_RATES + 2]
-    wx, wy, wz = body_rates(roll, pitch, rates[0], rates[1], rates[2])
-    ax, ay, az = body_accelerations(roll, pitch, rates, accelerations)
+def body_torque(roll, pitch, rates, accelerations, v):
+    """Return the body torque (x, y, z) [N m] under which the Euler rates have these accelerations.
+
+    roll, pitch: (sine, cosine) of these angles; rates, accelerations: three each [rad/s, rad/s2].
+    """
+    j = v.body.inertia
+    wx, wy, wz = body_rates_at(roll, pitch, rates[0], rates[1], rates[2])
+    ax, ay, az = body_accelerations_at(roll, pitch, rates, accelerations)
     # Euler: tau = J dw/dt + w x J w
     return (
-        _saturation(j[0] * ax + (j[2] - j[1]) * wy * wz, limits[0]),
-        _saturation(j[1] * ay + (j[0] - j[2]) * wz * wx, limits[1]),
-        _saturation(j[2] * az + (j[1] - j[0]) * wx * wy, limits[2]),
+        j[0] * ax + (j[2] - j[1]) * wy * wz,
+        j[1] * ay + (j[0] - j[2]) * wz * wx,
+        j[2] * az + (j[1] - j[0]) * wx * wy,
     )
 
 
@@ -124,86 +126,88 @@ def _swing(y, dy, mass, v):
     dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(qx, qy, qz, vx, vy, vz, ax, ay, az, length)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _derivative(y, s, v):
     """Write dy/dt of an integrated vector y (21,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
-    u, p, push, dy, r, f = s.command, s.perturbation, s.push, s.derivative, s.rotation, s.wrench
-    # R = Rz(psi) Rx(phi) Ry(theta)
-    sr, cr = math.sin(y[_PHI]), math.cos(y[_PHI])
-    sp, cp = math.sin(y[_THETA]), math.cos(y[_THETA])
-    sy, cy = math.sin(y[_PSI]), math.cos(y[_PSI])
-    r[0, 0], r[0, 1], r[0, 2] = cy * cp - sy * sr * sp, -sy * cr, cy * sp + sy * sr * cp
-    r[1, 0], r[1, 1], r[1, 2] = sy * cp + cy * sr * sp, cy * cr, sy * sp - cy * sr * cp
-    r[2, 0], r[2, 1], r[2, 2] = -cr * sp, sr, cr * cp
-    wrench(y[:3], y[VX : VZ + 1], r, y[_OMEGA], u[PWM], s.ambient, v, p, f)
+    u, p, push, dy = s.command, s.perturbation, s.push, s.derivative
+    roll_turn, pitch_turn, yaw_turn = sine_cosine(y[_PHI]), sine_cosine(y[_THETA]), sine_cosine(y[_PSI])
+    r = rotation_entries(roll_turn, pitch_turn, yaw_turn)
+    velocity = y[VX], y[VX + 1], y[VZ]
+    fx, fy, fz, tx, ty = wrench(y, velocity, r, y[OMEGA], u[PWM], s.ambient, v, p)
     # dx/dt = v, dv/dt = R f/m + push - (0, 0, g)
     mass = v.body.mass * p[MASS_SCALE]
-    for k in range(3):
-        dy[k] = y[VX + k]
-        dy[VX + k] = (r[k, 0] * f[0] + r[k, 1] * f[1] + r[k, 2] * f[2]) / mass
-        if s.pushed:
-            dy[VX + k] += push[k]
+    dy[0], dy[1], dy[2] = y[VX], y[VX + 1], y[VZ]
+    dy[VX] = (r[0] * fx + r[1] * fy + r[2] * fz) / mass
+    dy[VX + 1] = (r[3] * fx + r[4] * fy + r[5] * fz) / mass
+    dy[VZ] = (r[6] * fx + r[7] * fy + r[8] * fz) / mass
+    for k in range(3 if s.pushed else 0):
+        dy[VX + k] += push[k]
     if s.loaded:
         _swing(y, dy, mass, v)
     dy[VZ] -= v.environment.gravity
-    dy[_OMEGA] = lag_derivative(y[_OMEGA], u[PWM], v, p)
+    dy[OMEGA] = lag_derivative(y[OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
     errors, integrals = angle_errors(roll, pitch, u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
     wanted = loop_rates(errors, integrals, u, v, p)
     for k in range(2):
         dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
-        phid, thetad, psid = y[_RATES], y[_RATES + 1], y[_RATES + 2]
+        phid, thetad, psid = y[RATES], y[RATES + 1], y[RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
         integral = v.effects.attitude_integral
-        dy[_RATES] = rate_loop_acceleration(wanted[0], phid, integral * dy[_INTEGRAL], tau, v)
-        dy[_RATES + 1] = rate_loop_acceleration(wanted[1], thetad, integral * dy[_INTEGRAL + 1], tau, v)
-        dy[_RATES + 2] = v.attitude.yaw_bandwidth * (wanted[2] - psid)
-        tx, ty, tz = f[3], f[4], 0.0
+        dy[RATES] = rate_loop_acceleration(wanted[0], phid, integral * dy[_INTEGRAL], tau, v)
+        dy[RATES + 1] = rate_loop_acceleration(wanted[1], thetad, integral * dy[_INTEGRAL + 1], tau, v)
+        dy[RATES + 2] = v.attitude.yaw_bandwidth * (wanted[2] - psid)
+        tz = 0.0
         if s.limited:
-            over_x, over_y, over_z = _saturations(y, dy, v, s.torque_limits)
-            tx, ty, tz = tx + over_x, ty + over_y, tz + over_z
+            rates, accelerations = (phid, thetad, psid), (dy[RATES], dy[RATES + 1], dy[RATES + 2])
+            wanted_x, wanted_y, wanted_z = body_torque(roll_turn, pitch_turn, rates, accelerations, v)
+            tx += _saturation(wanted_x, s.torque_limits[0])
+            ty += _saturation(wanted_y, s.torque_limits[1])
+            tz += _saturation(wanted_z, s.torque_limits[2])
         if s.pushed:  # its torque along the body's axes: R^T tau
-            tx += r[0, 0] * push[3] + r[1, 0] * push[4] + r[2, 0] * push[5]
-            ty += r[0, 1] * push[3] + r[1, 1] * push[4] + r[2, 1] * push[5]
-            tz += r[0, 2] * push[3] + r[1, 2] * push[4] + r[2, 2] * push[5]
+            tx += r[0] * push[3] + r[3] * push[4] + r[6] * push[5]
+            ty += r[1] * push[3] + r[4] * push[4] + r[7] * push[5]
+            tz += r[2] * push[3] + r[5] * push[4] + r[8] * push[5]
         if tx != 0.0 or ty != 0.0 or tz != 0.0:
             # d2(phi, theta, psi)/dt2 += E(phi, theta) J^-1 tau, E: Euler rates from body rates
             j = v.body.inertia
-            a, b, d = euler_rates(y[_PHI], y[_THETA], tx / j[0], ty / j[1], tz / j[2])
-            dy[_RATES] += a
-            dy[_RATES + 1] += b
-            dy[_RATES + 2] += d
+            a, b, d = euler_rates_at(roll_turn, pitch_turn, tx / j[0], ty / j[1], tz / j[2])
+            dy[RATES] += a
+            dy[RATES + 1] += b
+            dy[RATES + 2] += d
     else:
         dy[_PHI], dy[_THETA], dy[_PSI] = saturated(wanted, v)
-        dy[_RATES] = dy[_RATES + 1] = dy[_RATES + 2] = 0.0
+        dy[RATES] = dy[RATES + 1] = dy[RATES + 2] = 0.0
 
 
 @numba.njit(cache=True, inline="always")
-def pack_state(s, y):
-    """Write a state s (13,) with the columns of `attitude.py` as the integrated vector y (13,)."""
+def pack_state(state, i, y):
+    """Write row i of a state (n, 13) with the columns of `attitude.py` as the integrated vector y (13,)."""
     for j in range(9):
-        y[j] = s[j]
-    y[_OMEGA] = s[LAG]
-    y[_RATES], y[_RATES + 1], y[_RATES + 2] = euler_rates(s[ROLL], s[PITCH], s[WX], s[WY], s[WZ])
+        y[j] = state[i, j]
+    y[OMEGA] = state[i, LAG]
+    rates = euler_rates(state[i, ROLL], state[i, PITCH], state[i, WX], state[i, WY], state[i, WZ])
+    y[RATES], y[RATES + 1], y[RATES + 2] = rates
 
 
 @numba.njit(cache=True, inline="always")
-def unpack_state(y, s):
-    """Write an integrated vector y (13,) as a state s (13,): the inverse of `pack_state`."""
+def unpack_state(y, state, i):
+    """Write an integrated vector y (13,) as row i of a state (n, 13): the inverse of `pack_state`."""
     for j in range(9):
-        s[j] = y[j]
-    s[LAG] = y[_OMEGA]
-    s[WX], s[WY], s[WZ] = body_rates(y[_PHI], y[_THETA], y[_RATES], y[_RATES + 1], y[_RATES + 2])
+        state[i, j] = y[j]
+    state[i, LAG] = y[OMEGA]
+    rates = body_rates(y[_PHI], y[_THETA], y[RATES], y[RATES + 1], y[RATES + 2])
+    state[i, WX], state[i, WY], state[i, WZ] = rates
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def rk4(s, v, dt):
     """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
     y, z, k, total = s.y, s.stage, s.derivative, s.total
-    size = _LOAD if s.integrated else (_SIZE if s.rate_loop else _RATES)
+    size = _LOAD if s.integrated else (_SIZE if s.rate_loop else RATES)
     size = _LOADED_SIZE if s.loaded else size
     _derivative(y, s, v)
     for j in range(size):
@@ -258,15 +262,15 @@ def give_states(s, load, integral, i):
 
 
 @numba.njit(cache=True)
-def _begin(s, state, command, conditions, i, rate_loop, v):
-    """Write state (13,), command (4,) and conditions of vehicle i into a STEP, with unlimited torques.
+def _begin(s, state, commands, conditions, i, rate_loop, v):
+    """Write row i of state (n, 13), commands (n, 4) and conditions into a STEP, with unlimited torques.
 
     v: the vehicle's record.
     """
-    pack_state(state, s.y)
+    pack_state(state, i, s.y)
     take_states(s, conditions.load, conditions.integral, i, v)
     for k in range(4):
-        s.command[k] = command[k]
+        s.command[k] = commands[i, k]
     for k in range(AMBIENT_SIZE):
         s.ambient[k] = conditions.ambient[i, k]
     disturb(s, conditions.perturbation, conditions.push, i)
@@ -284,7 +288,7 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
     steps = np.zeros(1, STEP)
     for i in range(state.shape[0]):
         s, v = steps[0], conditions.vehicle[i if len(conditions.vehicle) > 1 else 0]
-        _begin(s, state[i], commands[i], conditions, i, rate_loop, v)
+        _begin(s, state, commands, conditions, i, rate_loop, v)
         for _ in range(substeps):
             rk4(s, v, dt)
         y = s.y
@@ -293,18 +297,18 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
             errors = angle_errors(roll, pitch, s.command, v, s.perturbation)
             integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
             rates = loop_rates(errors, integrals, s.command, v, s.perturbation)
-            y[_RATES], y[_RATES + 1], y[_RATES + 2] = saturated(rates, v)
-        unpack_state(y, state[i])
+            y[RATES], y[RATES + 1], y[RATES + 2] = saturated(rates, v)
+        unpack_state(y, state, i)
         give_states(s, conditions.load, conditions.integral, i)
         conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
 @numba.njit(cache=True)
-def _derivatives(state, command, conditions, rate_loop):
-    """Return dy/dt (21,) of the integrated vector of one vehicle."""
+def _derivatives(state, commands, conditions, rate_loop):
+    """Return dy/dt (21,) of the integrated vector of one vehicle in a state (1, 13) under commands (1, 4)."""
     steps = np.zeros(1, STEP)
     s, v = steps[0], conditions.vehicle[0]
-    _begin(s, state, command, conditions, 0, rate_loop, v)
+    _begin(s, state, commands, conditions, 0, rate_loop, v)
     _derivative(s.y, s, v)
     return steps[0].derivative.copy()
 
@@ -318,12 +322,13 @@ def derivative(
     `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].
     """
     conditions = Conditions(pack(vehicle), np.array([NEUTRAL]), free_air(1), load=hanging(1))
-    dy = _derivatives(np.asarray(state, float), np.asarray(command, float), conditions, bool(rate_loop))
+    given = np.asarray(state, float)[None], np.asarray(command, float)[None]
+    dy = _derivatives(*given, conditions, bool(rate_loop))
     result: dict[str, Any] = {
         "acceleration": dy[VX : VZ + 1].copy(),
         "euler_rates": dy[_PHI : _PSI + 1].copy(),
-        "lag_rate": float(dy[_OMEGA]),
+        "lag_rate": float(dy[OMEGA]),
     }
     if rate_loop:
-        result["euler_accelerations"] = dy[_RATES:_SIZE].copy()
+        result["euler_accelerations"] = dy[RATES:_SIZE].copy()
     return result

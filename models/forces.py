@@ -97,12 +97,18 @@ def lag_derivative(lag, pwm, v, p):
 
 
 @numba.njit(cache=True, inline="always")
+def lag_pole(lag, pwm, v):
+    """Return the rate [1/s] at which the lag's distance from its steady value under a held command falls."""
+    if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
+        return v.thrust.lag_rate / (1.0 + v.effects.spin_down)
+    return v.thrust.lag_rate
+
+
+@numba.njit(cache=True, inline="always")
 def lag_step(lag, pwm, dt, v):
     """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
     # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
-    rate, steady = v.thrust.lag_rate, pwm / v.thrust.lag_rate
-    if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
-        rate /= 1.0 + v.effects.spin_down
+    rate, steady = lag_pole(lag, pwm, v), pwm / v.thrust.lag_rate
     decay = math.exp(-rate * dt)
     mean = steady + (lag - steady) * (1.0 - decay) / (rate * dt)
     return steady + (lag - steady) * decay, mean
@@ -217,32 +223,33 @@ def ground_gain(height, v):
 def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
-    position (3,), attitude r (3, 3), thrust [N] of all rotors. Each rotor sees the slab along its axis with
-    the share of its disc that is over it, and the floor with the rest; heights are along the normals.
+    position (3,), attitude matrix r as nine entries, thrust [N] of all rotors. Each rotor sees the slab along
+    its axis with the share of its disc that is over it, and the floor with the rest; heights are along the
+    normals.
     """
     extra, torque_x, torque_y = 0.0, 0.0, 0.0
-    if r[2, 2] <= 0.0:
+    if r[8] <= 0.0:
         return extra, torque_x, torque_y
     si, ci = math.sin(inclination), math.cos(inclination)
     sa, ca = math.sin(azimuth), math.cos(azimuth)
-    lean_along, lean_across = ca * r[0, 2] + sa * r[1, 2], ca * r[1, 2] - sa * r[0, 2]  # of the rotor's axis
-    facing = si * lean_along + ci * r[2, 2]  # of the rotor's axis and the slab's normal
+    lean_along, lean_across = ca * r[2] + sa * r[5], ca * r[5] - sa * r[2]  # of the rotor's axis
+    facing = si * lean_along + ci * r[8]  # of the rotor's axis and the slab's normal
     radius = v.rotor.radius
     for side in range(4):
         x = v.rotor.arm if side < 2 else -v.rotor.arm
         y = v.rotor.arm if side % 2 == 0 else -v.rotor.arm
-        px = position[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * v.rotor.height
-        py = position[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * v.rotor.height
-        pz = position[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * v.rotor.height
+        px = position[0] + r[0] * x + r[1] * y + r[2] * v.rotor.height
+        py = position[1] + r[3] * x + r[4] * y + r[5] * v.rotor.height
+        pz = position[2] + r[6] * x + r[7] * y + r[8] * v.rotor.height
         share, gain = 0.0, 0.0
         if present != 0.0 and facing > 0.0:
             forward, beside = ca * px + sa * py, ca * py - sa * px  # horizontal, along the slope's direction
             normal = si * forward + ci * (pz - v.platform.surface_height)
             along = ci * forward - si * (pz - v.platform.surface_height)
             down = normal / facing  # along the rotor's axis
-            along -= down * (ci * lean_along - si * r[2, 2])
+            along -= down * (ci * lean_along - si * r[8])
             across = beside - down * lean_across
-            if normal > 0.0 and down * r[2, 2] < pz:  # the slab is below, and the floor below it
+            if normal > 0.0 and down * r[8] < pz:  # the slab is below, and the floor below it
                 share = disc_inside(v.slab_half_length - abs(along), radius)
                 share *= disc_inside(0.5 * v.platform.depth - abs(across), radius)
                 gain = share * ground_gain(normal, v)
@@ -257,43 +264,60 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 
 
 @numba.njit(cache=True, inline="always")
-def wrench(position, velocity, r, lag, pwm, ambient, v, p, out):
-    """Write force (3,) [N] and torque (x, y) [N m] in the body frame, without gravity, into `out` (5,).
+def rotors(lag, pwm, time, voltage, v, p):
+    """Return the thrust [N] of intact rotors at rest in the air, and what their drag is in proportion to.
 
-    position, velocity (3,) in the world, attitude r (3, 3), lag state and PWM, ambient (AMBIENT_SIZE,),
-    vehicle v and perturbation p (7,).
+    lag state, PWM, flight time [s], battery voltage [V], vehicle v and perturbation p (7,).
+    """
+    thrust = powered_thrust(total_thrust(lag, pwm, v, p), lag, time, voltage, v)
+    return thrust, rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE])
+
+
+@numba.njit(cache=True, inline="always")
+def in_the_air(thrust, speed, bx, by, bz, v):
+    """Return the drag x, y, z [N] and the thrust [N] of rotors, see `rotors`, at an airspeed b [m/s] in the
+    body frame.
+    """
+    # Rotor and body drag: f = K (sum of rotor speeds) b - c |b| b, b = R^T (v - wind), K diagonal
+    k, flat = v.drag.coefficients, bx * bx + by * by
+    drag = -v.effects.body_drag * math.sqrt(flat + bz * bz)
+    # F (1 - mean loss) (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
+    lift = 1.0 + v.effects.translational_lift * flat
+    thrust *= intact(v) * lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
+    return (k[0] * speed + drag) * bx, (k[1] * speed + drag) * by, (k[2] * speed + drag) * bz, thrust
+
+
+@numba.njit(cache=True, inline="always")
+def wrench(position, velocity, r, lag, pwm, ambient, v, p):
+    """Return force x, y, z [N] and torque x, y [N m] in the body frame, without gravity.
+
+    position, velocity (3,) in the world, attitude matrix r as nine entries, lag state and PWM, ambient
+    (AMBIENT_SIZE,), vehicle v and perturbation p (7,).
     """
     near = 0.0, 0.0, 0.0
     if v.effects.ground_effect != 0.0:
         near = ground_effect(position, r, 1.0, ambient[INCLINATION], ambient[PRESENT], ambient[AZIMUTH], v)
-    wrench_near(near, velocity, r, lag, pwm, ambient, v, p, out)
+    return wrench_near(near, velocity, r, lag, pwm, ambient, v, p)
 
 
 @numba.njit(cache=True, inline="always")
-def wrench_near(near, velocity, r, lag, pwm, ambient, v, p, out):
-    """Write force and torque into `out` (5,), as `wrench`.
+def wrench_near(near, velocity, r, lag, pwm, ambient, v, p):
+    """Return force and torque as `wrench`.
 
     near (3,): the ground effect's extra thrust [N] and torques [N m] at a thrust of 1 N.
     """
-    thrust = powered_thrust(total_thrust(lag, pwm, v, p), lag, ambient[TIME], ambient[VOLTAGE], v)
+    thrust, speed = rotors(lag, pwm, ambient[TIME], ambient[VOLTAGE], v, p)
     ax, ay, az = velocity[0] - v.effects.wind[0], velocity[1] - v.effects.wind[1], velocity[2]
-    bx = r[0, 0] * ax + r[1, 0] * ay + r[2, 0] * az
-    by = r[0, 1] * ax + r[1, 1] * ay + r[2, 1] * az
-    bz = r[0, 2] * ax + r[1, 2] * ay + r[2, 2] * az
-    # Rotor and body drag: f = K (sum of rotor speeds) b - c |b| b, b = R^T (v - wind), K diagonal
-    speed, k = rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE]), v.drag.coefficients
-    drag = -v.effects.body_drag * math.sqrt(bx * bx + by * by + bz * bz)
-    # F (1 - mean loss) (1 + lift (b_x^2 + b_y^2)) max(0, 1 - inflow b_z)
-    lift = 1.0 + v.effects.translational_lift * (bx * bx + by * by)
-    thrust *= intact(v) * lift * max(0.0, 1.0 - v.effects.axial_inflow * bz)
-    torque_x, torque_y = near[1] * thrust, near[2] * thrust
+    bx = r[0] * ax + r[3] * ay + r[6] * az
+    by = r[1] * ax + r[4] * ay + r[7] * az
+    bz = r[2] * ax + r[5] * ay + r[8] * az
+    fx, fy, fz, thrust = in_the_air(thrust, speed, bx, by, bz, v)
+    tx, ty = near[1] * thrust, near[2] * thrust
     thrust += near[0] * thrust
     # Thrust at (x, y) from the centre of mass, which is at c: tau = (y F, -x F)
-    out[3] = torque_x + (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
-    out[4] = torque_y - (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
-    out[0] = k[0] * speed * bx + drag * bx
-    out[1] = k[1] * speed * by + drag * by
-    out[2] = k[2] * speed * bz + drag * bz + thrust
+    tx += (v.thrust_centre[1] - v.effects.com_offset[1]) * thrust
+    ty -= (v.thrust_centre[0] - v.effects.com_offset[0]) * thrust
+    return fx, fy, fz + thrust, tx, ty
 
 
 def free_air(n: int) -> np.ndarray:

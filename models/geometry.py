@@ -16,7 +16,7 @@ import mujoco
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import rotation
+from inclined_landing.models.attitude import rotation, sine_cosine
 from inclined_landing.models.vehicle import Vehicle
 
 PARTS = ("feet", "body", "rotors")
@@ -158,30 +158,23 @@ def _platform_poses(inclination, azimuth, height, present, half, thickness, posi
         q[0] = (cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright)
 
 
-class _Frame(NamedTuple):
-    """Frame of a body of the platform; angles as (sine, cosine)."""
-
-    position: np.ndarray  # (3,) m
-    azimuth: tuple[float, float]
-    roll: tuple[float, float]
-    inclination: tuple[float, float]
-
-
 @numba.njit(cache=True, inline="always")
-def _box_distance(x, y, z, frame, centre, size):
-    """Return the signed distance [m] of a point to a box of the platform, negative inside.
+def _box_distance(dx, dy, dz, turns, centres, sizes, b):
+    """Return the signed distance [m] of a point to box b of the platform, negative inside.
 
-    frame: of its body; centre and half size (3,) [m] in it.
+    dx, dy, dz [m]: of the point from the origin of the box's body; turns: angles of the body, as (sine,
+    cosine) of azimuth, roll and inclination; centres and half sizes (4, 3) [m] of the boxes in their bodies.
     """
     # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
-    position, turn, lean, tilt = frame
-    dx, dy, dz = x - position[0], y - position[1], z - position[2]
+    turn, lean, tilt = turns
     dx, dy = turn[1] * dx + turn[0] * dy, turn[1] * dy - turn[0] * dx
     if lean[0] != 0.0:
         dy, dz = lean[1] * dy + lean[0] * dz, lean[1] * dz - lean[0] * dy
     dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
     # q = |p - centre| - size; distance = |max(q, 0)| + min(max(q_x, q_y, q_z), 0)
-    dx, dy, dz = abs(dx - centre[0]) - size[0], abs(dy - centre[1]) - size[1], abs(dz - centre[2]) - size[2]
+    dx = abs(dx - centres[b, 0]) - sizes[b, 0]
+    dy = abs(dy - centres[b, 1]) - sizes[b, 1]
+    dz = abs(dz - centres[b, 2]) - sizes[b, 2]
     outside = math.sqrt(max(dx, 0.0) ** 2 + max(dy, 0.0) ** 2 + max(dz, 0.0) ** 2)
     return outside + min(max(dx, dy, dz), 0.0)
 
@@ -192,23 +185,22 @@ _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 @numba.njit(cache=True, inline="always")
 def platform_turns(roll, inclination, azimuth):
     """Return the angles of a platform as `platform_distance` takes them, each as (sine, cosine)."""
-    lean = (math.sin(roll), math.cos(roll)) if roll != 0.0 else _UPRIGHT
-    tilt = math.sin(inclination), math.cos(inclination)
-    return (math.sin(azimuth), math.cos(azimuth)), lean, tilt
+    lean = sine_cosine(roll) if roll != 0.0 else _UPRIGHT
+    return sine_cosine(azimuth), lean, sine_cosine(inclination)
 
 
-@numba.njit(cache=True)
-def platform_distance(point, turns, position, boxes, sizes):
-    """Return the signed distance [m] of a point (3,) to a platform.
+@numba.njit(cache=True, inline="always")
+def platform_distance(x, y, z, turns, position, boxes, sizes):
+    """Return the signed distance [m] of a point to a platform.
 
     turns: from `platform_turns`; position (4, 3) from `platform_poses`.
     """
-    x, y, z = point[0], point[1], point[2]
-    turn, lean, tilt = turns
-    nearest = _box_distance(x, y, z, _Frame(position[0], turn, lean, tilt), boxes[0], sizes[0])
-    for b in range(1, len(sizes)):  # only the slab is tilted
-        base = _Frame(position[b], turn, _UPRIGHT, _UPRIGHT)
-        nearest = min(nearest, _box_distance(x, y, z, base, boxes[b], sizes[b]))
+    base = turns[0], _UPRIGHT, _UPRIGHT  # only the slab is tilted
+    dx, dy, dz = x - position[0, 0], y - position[0, 1], z - position[0, 2]
+    nearest = _box_distance(dx, dy, dz, turns, boxes, sizes, 0)
+    for b in range(1, len(sizes)):
+        dx, dy, dz = x - position[b, 0], y - position[b, 1], z - position[b, 2]
+        nearest = min(nearest, _box_distance(dx, dy, dz, base, boxes, sizes, b))
     return nearest
 
 
@@ -222,8 +214,8 @@ def _clearances(state, inclination, azimuth, position, which, fleet, out):
         r = rotation(state[i, 6], state[i, 7], state[i, 8])
         centres, radii = fleet.centres[which[i]], fleet.radii[which[i]]
         near_floor = state[i, 2] < 2.0 * fleet.reach[which[i]]
-        turn = math.sin(azimuth[i]), math.cos(azimuth[i])
-        tilt = math.sin(inclination[i]), math.cos(inclination[i])
+        slab = platform_turns(0.0, inclination[i], azimuth[i])
+        base = slab[0], _UPRIGHT, _UPRIGHT
         for k in range(centres.shape[0]):
             for a in range(3):
                 rotated[a] = state[i, a] + (
@@ -233,9 +225,10 @@ def _clearances(state, inclination, azimuth, position, which, fleet, out):
             if near_floor:
                 out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
             for b in range(sizes.shape[0]):
-                frame = _Frame(position[i, b], turn, _UPRIGHT, tilt if b == 0 else _UPRIGHT)  # only the slab
-                distance = _box_distance(rotated[0], rotated[1], rotated[2], frame, boxes[b], sizes[b])
-                distance -= radii[k]
+                dx, dy = rotated[0] - position[i, b, 0], rotated[1] - position[i, b, 1]
+                dz = rotated[2] - position[i, b, 2]
+                turns = slab if b == 0 else base
+                distance = _box_distance(dx, dy, dz, turns, boxes, sizes, b) - radii[k]
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
 

@@ -352,7 +352,7 @@ class InclinedLanding(Task):
         if self.conditions.leave_limit == math.inf:
             return np.zeros(len(context.state), bool)
         far = self.near_bounds(context, -self.conditions.leave_limit)
-        return far | context.contacts.touch[:, 2].any(axis=1)
+        return far | context.contacts.floor
 
     def score(self, flights: Sequence) -> dict[str, float]:
         """Return the shares of the flights that reach the goal box without a touch before, and at all."""

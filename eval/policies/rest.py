@@ -103,7 +103,7 @@ def fly_to_rest(
         rests = (rested_for >= hold) & ~ended
         time[rests] = tick * period
         off_centre[rests] = np.linalg.norm(surface.relative(plant.state, plant.platform)[0], axis=1)[rests]
-        ended |= rests | (tick >= last) | plant.contacts.touch[:, 2].any(axis=1)
+        ended |= rests | (tick >= last) | plant.contacts.floor
         if ended.all():
             break
     into, along = recorder.touch_speeds()
@@ -160,7 +160,7 @@ def cut_motors(
         recorder.step(np.zeros((n, 4)), flying)
         if tick % _LOOK == 0:
             at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK * STEP, 0.0)
-            flying = np.flatnonzero((at_rest_for < _STILL) & ~plant.contacts.touch[:, 2].any(axis=1))
+            flying = np.flatnonzero((at_rest_for < _STILL) & ~plant.contacts.floor)
             if not len(flying):
                 break
     return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())

@@ -31,12 +31,30 @@ class Contacts:
     @property
     def platform(self) -> np.ndarray:
         """(n,) bool: any part touches slab or base."""
-        return self.touch[:, :2].any(axis=(1, 2))
+        return _met(self.touch, 0, 2)
 
     @property
     def platform_near(self) -> np.ndarray:
         """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
-        return self.near[:, :2].any(axis=(1, 2))
+        return _met(self.near, 0, 2)
+
+    @property
+    def floor(self) -> np.ndarray:
+        """(n,) bool: any part touches the floor."""
+        return _met(self.touch, 2, 3)
+
+
+@numba.njit(cache=True)
+def _met(flags, first, last):
+    """Return (n,) bool: is a flag (n, 3, 3) of any part true for one of the surfaces first to last - 1."""
+    out = np.empty(len(flags), np.bool_)
+    for i in range(len(flags)):
+        met = False
+        for surface in range(first, last):
+            for part in range(3):
+                met |= flags[i, surface, part]
+        out[i] = met
+    return out
 
 
 @numba.njit(cache=True)

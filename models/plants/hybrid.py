@@ -2,18 +2,19 @@
 
 In the air an engine's step is the equations of `equations.py` with the rate loop, which agree with it to
 3.4e-5 m over 6 s (`landing-eval equivalence`) and cost a fraction of it. So each period is first
-flown by the equations, RK4 in the engine's time steps, and accepted if the vehicle was out of reach of slab,
-base and floor at every one of them; otherwise the engine flies it from its beginning.
+flown by the equations and accepted if the vehicle was out of reach of slab, base and floor all the time;
+otherwise the engine flies it from its beginning. The equations are solved for the whole period at once where
+`held.py` can and there is room for that, else integrated by RK4 in the engine's time steps.
 
-A vehicle is out of reach in a time step when the sphere around its shapes is farther from every surface
-than its centre can move in this step, by `_MARGIN`; slab and base count with the keep-out zone. The engine
-sees contacts at the beginning of a time step and at the three other stages of RK4, whose positions are
-within one step of the speeds of that step: the speeds at its two ends, plus their difference for what the
-acceleration does between. A moving platform is taken where it was at the period's beginning, and nearer by
-what any of its points can have moved since: at a speed that its motion never exceeds (`Speeds.most`), or,
-where that is too near, at one that it does not exceed in this period (`fastest`). So no contact that the
-engine would see is missed, and contacts, forces and the zone are always the engine's own. In the engine a
-platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
+A vehicle is out of reach in a time step, or in a period that is flown at once, when the sphere around its
+shapes is farther from every surface than its centre can move in it, by `_MARGIN`; slab and base count with
+the keep-out zone. The engine sees contacts at the beginning of a time step and at the three other stages of
+RK4, whose positions are within one step of the speeds of that step: the speeds at its two ends, plus their
+difference for what the acceleration does between. A moving platform is taken where it was at the period's
+beginning, and nearer by what any of its points can have moved since: at a speed that its motion never exceeds
+(`Speeds.most`), or, where that is too near, at one that it does not exceed in this period (`fastest`). So no
+contact that the engine would see is missed, and contacts, forces and the zone are always the engine's own. In
+the engine a platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -34,19 +35,19 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from inclined_landing.models import equations, forces, geometry
-from inclined_landing.models.attitude import PITCH, PWM, ROLL, VX, VZ, YAW, X, Y, Z, quaternion
+from inclined_landing.models import equations, forces, geometry, held
+from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
 from inclined_landing.models.plants.slung_load import write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
-# within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm.
+# within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm; in a
+# period of 20 ms at once, turned by five times that, dt^2/8 of the change, 0.6 mm.
 _MARGIN = 1e-3  # m
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
-_FIRST_RATE = 10  # entry of the integrated vector of `equations.pack_state`
 
 
 class _Period(NamedTuple):
@@ -186,7 +187,7 @@ class HybridPlant(MujocoPlant):
 functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its options by name
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _fly(ids, period, vehicles, platforms, engine, results):
     """Fly those of the vehicles `ids` by the equations that stay out of reach.
 
@@ -194,81 +195,127 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     the others are what it would have made of them, without a warm start of its solver, which had no contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    speeds, steps = period.platform_speeds, np.zeros(1, equations.STEP)
+    speeds, steps, length = (
+        period.platform_speeds,
+        np.zeros(1, equations.STEP),
+        vehicles.substeps * vehicles.timestep,
+    )
     moving, rates, integral = len(speeds.most) > 0, np.empty(6), engine.act[:, 1:]
-    poses = np.empty((len(platforms.bodies), 3))
+    poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
     for row in range(len(ids)):
         i = ids[row]
-        d, present = platforms.platform[i], platforms.present[i]
+        present = platforms.present[i]
         v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
         s = steps[0]
-        y, u, ambient, torque_limits = s.y, s.command, s.ambient, s.torque_limits
+        y, u, ambient = s.y, s.command, s.ambient
         s.rate_loop = s.limited = True
         equations.disturb(s, vehicles.perturbation, period.push, i)
         for k in range(3):
-            torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
+            s.torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
             if not vehicles.torque_limited:
-                torque_limits[k] = math.inf
+                s.torque_limits[k] = math.inf
             elif period.torque_needs_motors and not engine.ctrl[i, PWM] > 0.0:
-                torque_limits[k] = 0.0
+                s.torque_limits[k] = 0.0
         for b in range(len(poses)):
             for k in range(3):
                 poses[b, k] = platforms.position[i, platforms.bodies[b], k]
         approach, known = 0.0, True  # m that the slab can have come nearer in a time step; is it the least
         if moving:
-            poses[0, X], poses[0, Y], poses[0, Z] = d[X], d[Y], d[Z]
+            poses[0, X], poses[0, Y], poses[0, Z] = platform[i, X], platform[i, Y], platform[i, Z]
             if not present:
                 poses[0, Z] = geometry.PARKED
             approach, known = dt * speeds.most[i], False
         ambient[forces.TIME], ambient[forces.VOLTAGE] = engine.time[i], math.nan
-        ambient[forces.INCLINATION], ambient[forces.PRESENT] = d[PITCH], present
-        ambient[forces.AZIMUTH] = d[YAW]
+        ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
+        ambient[forces.AZIMUTH] = platform[i, YAW]
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height - v.effects.foot_height)
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
-        equations.pack_state(results.state[i], y)
+        equations.pack_state(state, i, y)
         equations.take_states(s, results.load, integral, i, v)
-        turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
-        out_of_reach = not (moving and present and v.effects.ground_effect != 0.0)
-        for step in range(substeps if out_of_reach else 0):
+        turns = geometry.platform_turns(platform[i, ROLL], platform[i, PITCH], platform[i, YAW])
+        out_of_reach, step = not (moving and present and v.effects.ground_effect != 0.0), 0
+        solvable = held.only_loops(s, v)
+        if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
+            # All of the period at once, where there is room for that.
+            _take_command(u, period.commands, 0, i, vehicles.command_range)
+            distance = geometry.platform_distance(y[X], y[Y], y[Z], turns, poses, boxes, sizes)
+            spare = _spare((distance - vehicles.keep_out, y[Z], radius), substeps - 1, approach)
+            vx, vy, vz = y[VX], y[VY], y[VZ]
+            if spare > length * _size(vx, vy, vz) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
+                if spare > _moved(vx, vy, vz, y, length):
+                    step = substeps
+                else:
+                    equations.pack_state(state, i, y)
+                    ambient[forces.TIME] = engine.time[i]
+        while out_of_reach and step < substeps:
             if step == 0 or not constant:
-                for k in range(4):
-                    low, high = vehicles.command_range[k, 0], vehicles.command_range[k, 1]
-                    u[k] = min(high, max(low, period.commands[step, i, k]))
+                _take_command(u, period.commands, step, i, vehicles.command_range)
             # Distance to spare > dt |v| before the step, and > dt (max(|v|, |v'|) + |v' - v|) after it.
-            platform = geometry.platform_distance(y, turns, poses, boxes, sizes)
-            clear = platform - vehicles.keep_out, y[Z], radius
-            vx, vy, vz = y[VX], y[VX + 1], y[VZ]
-            before = math.sqrt(vx * vx + vy * vy + vz * vz)
-            if not known and _spare(clear, step, approach) <= dt * before:
+            distance = geometry.platform_distance(y[X], y[Y], y[Z], turns, poses, boxes, sizes)
+            clear = distance - vehicles.keep_out, y[Z], radius
+            vx, vy, vz = y[VX], y[VY], y[VZ]
+            before = dt * _size(vx, vy, vz)
+            if not known and _spare(clear, step, approach) <= before:
                 approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
-            out_of_reach = _spare(clear, step, approach) > dt * before and _as_exact(y, dt)
-            if not out_of_reach:
+            if not (_spare(clear, step, approach) > before and _as_exact(y, dt)):
                 break
-            equations.rk4(s, v, dt)
-            after = math.sqrt(y[VX] ** 2 + y[VX + 1] ** 2 + y[VZ] ** 2)
-            change = math.sqrt((y[VX] - vx) ** 2 + (y[VX + 1] - vy) ** 2 + (y[VZ] - vz) ** 2)
-            moved = dt * (max(before, after) + change)
+            if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
+                equations.rk4(s, v, dt)
+            moved = _moved(vx, vy, vz, y, dt)
             if not known and _spare(clear, step, approach) <= moved:
                 approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
-            out_of_reach = _spare(clear, step, approach) > moved
-            if not out_of_reach:
+            if not _spare(clear, step, approach) > moved:
                 break
-        results.in_engine[i] = not (out_of_reach and _as_exact(y, dt))
-        if results.in_engine[i]:
+            step += 1
+        if step < substeps or not _as_exact(y, dt):
+            results.in_engine[i] = True
             results.for_engine[count] = i
             count += 1
             continue
         if abs(y[YAW]) > math.pi:
             y[YAW] -= 2.0 * math.pi * round(y[YAW] / (2.0 * math.pi))
-        equations.unpack_state(y, results.state[i])
+        equations.unpack_state(y, state, i)
         equations.give_states(s, results.load, integral, i)
-        results.near[i], results.touch[i], results.force[i] = False, False, 0.0
-        _write(i, results.state[i], substeps, dt, engine)
+        results.in_engine[i] = False
+        for surface in range(3):
+            for part in range(3):
+                results.near[i, surface, part] = results.touch[i, surface, part] = False
+                results.force[i, surface, part] = 0.0
+        _write(i, state, substeps, dt, engine)
         if len(results.load) > 0:
             write_load(results.load[i], engine.load_joint, engine.qpos[i], engine.qvel[i])
     return count
+
+
+@numba.njit(cache=True, inline="always")
+def _take_command(u, commands, step, i, limits):
+    """Write the command of vehicle i in a time step, of commands (substeps, n, 4), within limits (4, 2)."""
+    for k in range(4):
+        u[k] = min(limits[k, 1], max(limits[k, 0], commands[step, i, k]))
+
+
+@numba.njit(cache=True, inline="always")
+def _is_held(commands, i):
+    """Return whether the commands (substeps, n, 4) of vehicle i are the same in all time steps."""
+    for step in range(1, len(commands)):
+        for k in range(4):
+            if commands[step, i, k] != commands[0, i, k]:
+                return False
+    return True
+
+
+@numba.njit(cache=True, inline="always")
+def _size(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@numba.njit(cache=True, inline="always")
+def _moved(vx, vy, vz, y, dt):
+    """Return how far [m] a vehicle has moved in `dt` [s] at most, from its velocity before to y after."""
+    before, after = _size(vx, vy, vz), _size(y[VX], y[VY], y[VZ])
+    return dt * (max(before, after) + _size(y[VX] - vx, y[VY] - vy, y[VZ] - vz))
 
 
 @numba.njit(cache=True, inline="always")
@@ -278,38 +325,41 @@ def _spare(clear, step, approach):
     return min(platform - (step + 1) * approach, floor) - radius - _MARGIN
 
 
-@numba.njit(cache=True)
-def _write(i, s, substeps, dt, engine):
-    """Write vehicle i in a state s (13,) after some time steps of `dt` [s] into the engine's arrays."""
+@numba.njit(cache=True, inline="always")
+def _write(i, state, substeps, dt, engine):
+    """Write vehicle i as in state (n, 13), after some time steps of `dt` [s], into the engine's arrays."""
     qpos, qvel = engine.qpos, engine.qvel
-    qpos[i, 0], qpos[i, 1], qpos[i, 2] = s[X], s[Y], s[Z]
-    qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
     for k in range(3):
-        qvel[i, k], qvel[i, 3 + k] = s[VX + k], s[9 + k]
-    engine.act[i, 0] = s[12]
+        qpos[i, k], qvel[i, k], qvel[i, 3 + k] = state[i, k], state[i, VX + k], state[i, WX + k]
+    w, x, y, z = quaternion(state[i, ROLL], state[i, PITCH], state[i, YAW])
+    qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = w, x, y, z
+    engine.act[i, 0] = state[i, LAG]
     for _ in range(substeps):
-        _note(engine.history[i], engine.samples, engine.addresses, engine.ctrl[i], engine.time[i])
+        for k in range(len(engine.samples)):
+            _note(
+                i, engine.history, engine.samples[k], engine.addresses[k], engine.ctrl[i, k], engine.time[i]
+            )
         engine.time[i] += dt
-    engine.warmstart[i] = 0.0
+    for k in range(engine.warmstart.shape[1]):
+        engine.warmstart[i, k] = 0.0
 
 
 @numba.njit(cache=True, inline="always")
-def _note(history, samples, addresses, ctrl, time):
-    """Write commands ctrl (4,) at a time [s] into the engine's history (h,) of the actuators that have one.
+def _note(i, history, count, at, command, time):
+    """Write the command of an actuator at a time [s] into row i of the engine's history (n, h).
 
-    Its layout from an actuator's address on: a user's number, index of the newest sample, times, values.
+    Its layout from the actuator's address `at` on: a user's number, index of the newest sample, times, values
+    of `count` samples; none where it has no delay.
     """
-    for k in range(len(samples)):
-        count, at = samples[k], addresses[k]
-        if count > 0:
-            newest = (int(history[at + 1]) + 1) % count
-            history[at + 1] = newest
-            history[at + 2 + newest] = time
-            history[at + 2 + count + newest] = ctrl[k]
+    if count > 0:
+        newest = (int(history[i, at + 1]) + 1) % count
+        history[i, at + 1] = newest
+        history[i, at + 2 + newest] = time
+        history[i, at + 2 + count + newest] = command
 
 
 @numba.njit(cache=True, inline="always")
 def _as_exact(y, dt):
     """Return whether the equations are as exact as the engine at attitude and rates of y; False for NaN."""
-    rates = max(abs(y[_FIRST_RATE]), abs(y[_FIRST_RATE + 1]), abs(y[_FIRST_RATE + 2]))
+    rates = max(abs(y[equations.RATES]), abs(y[equations.RATES + 1]), abs(y[equations.RATES + 2]))
     return max(abs(y[ROLL]), abs(y[PITCH])) < _LARGEST_ANGLE and rates * dt < _TURN

@@ -38,8 +38,8 @@ from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
-# The engine's warnings on which it silently resets a simulation.
-_DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+# The engine's warnings on which it silently resets a simulation: first, and after the last.
+_DIVERGED = int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1
 _PUSH = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
@@ -306,7 +306,7 @@ class MujocoPlant(Plant):
     @property
     def diverged(self) -> np.ndarray:
         """(n,) bool: has the engine diverged since the vehicle's reset."""
-        return self._warning[:, _DIVERGED, 1].any(axis=1) | ~np.isfinite(self.state).all(axis=1)
+        return _diverged(self._warning, self.state)
 
     def advance(
         self, commands: np.ndarray, ids: np.ndarray | None = None, record: tuple[str, ...] = ()
@@ -411,6 +411,20 @@ class MujocoPlant(Plant):
             mass = expand("body_mass")
             mass[:, body] = self._of_model("body_mass")[:, body] * p[:, perturbation.MASS_SCALE]
             self.batch.set_const()
+
+
+@numba.njit(cache=True)
+def _diverged(warning, state):
+    """Return (n,) bool: has the engine warned, or is a number of the state not finite."""
+    out = np.empty(len(state), np.bool_)
+    for i in range(len(state)):
+        warned, sum_of_nothing = 0, 0.0
+        for k in range(_DIVERGED[0], _DIVERGED[1]):
+            warned |= warning[i, k, 1]
+        for k in range(state.shape[1]):
+            sum_of_nothing += 0.0 * state[i, k]  # NaN unless all are finite
+        out[i] = warned != 0 or sum_of_nothing != 0.0
+    return out
 
 
 @numba.njit(cache=True)

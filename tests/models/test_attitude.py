@@ -89,3 +89,10 @@ def test_positive_pitch_accelerates_forward_and_positive_roll_to_the_right(colum
     found = derivative(state, [v.hover_pwm, 0, 0, 0], v)["acceleration"][:2]
     wanted = v.environment_gravity * math.sin(0.2) * np.array(along)
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize("largest", [math.pi / 4, 4.0, 1e5])
+def test_sine_and_cosine_are_exact_to_rounding(largest):
+    angles = np.random.default_rng(0).uniform(-largest, largest, 2000)
+    found = np.array([attitude.sine_cosine(angle) for angle in angles]).T
+    np.testing.assert_allclose(found, (np.sin(angles), np.cos(angles)), rtol=0, atol=4 * ROUNDING)

@@ -322,7 +322,7 @@ def test_both_plants_see_the_same_edges_of_the_slab():
         data.act[:], data.ctrl[0] = V.hover_lag, V.hover_pwm
         mujoco.mj_forward(model, data)
         frame = data.body("crazyflie").xmat.reshape(3, 3)
-        extra, x, y = forces.ground_effect(position, frame, WEIGHT, inclination, 1.0, 0.0, v)
+        extra, x, y = forces.ground_effect(position, tuple(frame.ravel()), WEIGHT, inclination, 1.0, 0.0, v)
         assert data.actuator_force[0] == pytest.approx(WEIGHT + extra, rel=1e-9)
         # qfrc_passive of a free joint: force in the world, torque in the body's axes; no speed, no drag
         np.testing.assert_allclose(data.qfrc_passive[:6], [0, 0, 0, x, y, 0], atol=1e-12)
@@ -521,7 +521,7 @@ def gain_over(x, height=0.08, strength=5.0, fading=5.0):
     vehicle = changed("ground_effect", strength=strength, fading=fading)
     position = np.array([x, 0.0, V.platform_surface_height + height - V.rotor_height])
     v = forces.pack(vehicle)[0]
-    extra, _, torque = forces.ground_effect(position, np.eye(3), WEIGHT, 0.0, 1.0, 0.0, v)
+    extra, _, torque = forces.ground_effect(position, tuple(np.eye(3).ravel()), WEIGHT, 0.0, 1.0, 0.0, v)
     return extra / WEIGHT, torque
 
 

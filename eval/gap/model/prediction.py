@@ -22,7 +22,7 @@ import numpy as np
 
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS
 from inclined_landing.eval.gap.model.swing import Starts, pulled
-from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, euler_rates, tilted
+from inclined_landing.models.attitude import PWM, ROLL_COMMAND, YAW_RATE_COMMAND, entries, euler_rates, tilted
 from inclined_landing.models.attitude_loops import angle_steps, integrated_steps, yaw_steps
 from inclined_landing.models.delays import averages
 from inclined_landing.models.forces import (
@@ -295,7 +295,7 @@ def _ground(measured, v, near):
     for k in range(len(near)):
         inclination, present, azimuth = ambient[k, INCLINATION], ambient[k, PRESENT], ambient[k, AZIMUTH]
         near[k, 0], near[k, 1], near[k, 2] = ground_effect(
-            position[k], measured.rotation[k], 1.0, inclination, present, azimuth, v
+            position[k], entries(measured.rotation[k]), 1.0, inclination, present, azimuth, v
         )
 
 
@@ -306,15 +306,15 @@ def _accelerations(measured, v, near, turning, twist):
     near, turning: as `_ground` and `_turning` have them.
     """
     pwm = averages(measured.command[:, PWM], measured.dt, v.effects.thrust_delay + v.effects.mocap_delay)
-    out, f, lag = np.empty_like(measured.velocity), np.zeros(5), pwm[0] / v.thrust.lag_rate
+    out, lag = np.empty_like(measured.velocity), pwm[0] / v.thrust.lag_rate
     velocity, ambient = measured.velocity, measured.ambient
     for k in range(len(pwm)):
         u, r = pwm[k], measured.rotation[k]
         lag, mean = lag_step(lag, u, measured.dt, v)
-        wrench_near(near[k], velocity[k], r, mean, u, ambient[k], v, _NEUTRAL, f)
+        fx, fy, fz, tx, ty = wrench_near(near[k], velocity[k], entries(r), mean, u, ambient[k], v, _NEUTRAL)
         for i in range(3):
-            out[k, i] = (r[i, 0] * f[0] + r[i, 1] * f[1] + r[i, 2] * f[2]) / v.body.mass
-        about_x, about_y = f[3] / v.body.inertia[0], f[4] / v.body.inertia[1]
+            out[k, i] = (r[i, 0] * fx + r[i, 1] * fy + r[i, 2] * fz) / v.body.mass
+        about_x, about_y = tx / v.body.inertia[0], ty / v.body.inertia[1]
         twist[k, 0] = turning[k, 0] * about_x
         twist[k, 1] = turning[k, 1] * about_x + about_y
         twist[k, 2] = turning[k, 2] * about_x

@@ -1,0 +1,179 @@
+"""One control period under a held command, solved as far as it can be: quicker than integrating all of it.
+
+Where no torque but that of the unsaturated loops turns a vehicle, roll, pitch, yaw and the thrust's lag have
+exact solutions (`attitude_loops.py`, `forces.py`). Left is the translation, whose force then depends on time
+and velocity alone. It is integrated in steps of `_STEP` of the shortest time constant, with attitude and
+thrust exact at every stage, by Kutta's third-order method, which is Simpson's rule for what depends on time.
+From states at up to 6 m/s and 6 rad/s, under commands over the full bounds, the position is within 1e-7 m
+and the velocity within 2e-6 m/s of the equations' solution after 20 ms, with strong effects of the air within
+1e-6 m and 2e-5 m/s. RK4 in steps of 4 ms is off by 1e-8 m and 4e-7 m/s, and by 8e-5 rad/s where this is
+exact.
+"""
+
+import math
+
+import numba
+
+from inclined_landing.models.attitude import (
+    PITCH,
+    PITCH_COMMAND,
+    PWM,
+    ROLL,
+    ROLL_COMMAND,
+    VX,
+    VY,
+    VZ,
+    YAW,
+    YAW_RATE_COMMAND,
+    X,
+    Y,
+    Z,
+    rotation_entries,
+    sine_cosine,
+    small_sine_cosine,
+)
+from inclined_landing.models.attitude_loops import damping_rate, held_angle, held_step
+from inclined_landing.models.equations import OMEGA, RATES, body_torque
+from inclined_landing.models.forces import TIME, VOLTAGE, in_the_air, lag_pole, rotors
+from inclined_landing.models.perturbation import GAIN_SCALE, LAG_SCALE, MASS_SCALE, TIME_CONSTANT_SCALE
+
+_STEP = 0.6
+# Of the torque limits, what may be reached where it is looked at, twice in a step: between, the part of a
+# torque that changes as the shortest time constant strays from a straight line by (_STEP/2)^2/8 of itself.
+_UNLIMITED = 0.95
+
+
+@numba.njit(cache=True, inline="always")
+def only_loops(s, v):
+    """Return whether nothing but its attitude loops turns a vehicle with the record v, and those linearly.
+
+    s: its `equations.STEP`.
+    """
+    e, push = v.effects, s.push
+    linear = e.estimator_lean == 0.0 and e.attitude_saturation == 0.0 and not (s.integrated or s.loaded)
+    centred = e.com_offset[0] == v.thrust_centre[0] and e.com_offset[1] == v.thrust_centre[1]
+    pushed = s.pushed and (push[3] != 0.0 or push[4] != 0.0 or push[5] != 0.0)
+    return linear and centred and not pushed and e.ground_effect == 0.0
+
+
+@numba.njit(cache=True, inline="always")
+def _turned(of, angle):
+    """Return (sine, cosine) of an angle from those of one that is less by `angle` [rad], which is small."""
+    s, c = small_sine_cosine(angle)
+    return of[0] * c + of[1] * s, of[1] * c - of[0] * s
+
+
+@numba.njit(cache=True, inline="always")
+def _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness):
+    """Return dv/dt at a velocity and (sine, cosine) of the angles; thrust, speed: of `forces.rotors`."""
+    r = rotation_entries(turns[0], turns[1], turns[2])
+    # dv/dt = R f/m + push - (0, 0, g)
+    ax, ay = vx - v.effects.wind[0], vy - v.effects.wind[1]
+    bx = r[0] * ax + r[3] * ay + r[6] * vz
+    by = r[1] * ax + r[4] * ay + r[7] * vz
+    bz = r[2] * ax + r[5] * ay + r[8] * vz
+    fx, fy, fz, lift = in_the_air(thrust, speed, bx, by, bz, v)
+    fx, fy, fz = lightness * fx, lightness * fy, lightness * (fz + lift)
+    x = r[0] * fx + r[1] * fy + r[2] * fz
+    y = r[3] * fx + r[4] * fy + r[5] * fz
+    z = r[6] * fx + r[7] * fy + r[8] * fz
+    if s.pushed:
+        return x + s.push[0], y + s.push[1], z + s.push[2] - v.environment.gravity
+    return x, y, z - v.environment.gravity
+
+
+@numba.njit(cache=True, inline="always")
+def _half_step(now, turns, held):
+    """Return the loops' states and (sine, cosine) of the angles half a step later."""
+    roll, roll_rate, pitch, pitch_rate, yaw, yaw_rate, lag = now  # angles and lag off their rest, but for yaw
+    step, yaw_rest, yaw_kept, yaw_moved, h, lag_kept = held
+    new_roll, roll_rate = held_angle(roll, roll_rate, step)
+    new_pitch, pitch_rate = held_angle(pitch, pitch_rate, step)
+    yaw_turn = yaw_rest * h + (yaw_rate - yaw_rest) * yaw_moved
+    yaw_rate = yaw_rest + (yaw_rate - yaw_rest) * yaw_kept
+    turns = (
+        _turned(turns[0], new_roll - roll),
+        _turned(turns[1], new_pitch - pitch),
+        _turned(turns[2], yaw_turn),
+    )
+    return (new_roll, roll_rate, new_pitch, pitch_rate, yaw + yaw_turn, yaw_rate, lag * lag_kept), turns
+
+
+@numba.njit(cache=True, inline="always")
+def _allowed(now, turns, rests, poles, limits, v):
+    """Return whether torques, angles and rates are within (torque x, y, z, angle, rate) of `limits`."""
+    roll, roll_rate, pitch, pitch_rate, _, yaw_rate, _ = now
+    stiffness, damping = poles
+    rates = roll_rate, pitch_rate, yaw_rate
+    accelerations = (
+        -stiffness * roll - damping * roll_rate,
+        -stiffness * pitch - damping * pitch_rate,
+        v.attitude.yaw_bandwidth * (rests[2] - yaw_rate),
+    )
+    tx, ty, tz = body_torque(turns[0], turns[1], rates, accelerations, v)
+    return (
+        (abs(tx) <= limits[0] and abs(ty) <= limits[1] and abs(tz) <= limits[2])
+        and max(abs(roll + rests[0]), abs(pitch + rests[1])) < limits[3]
+        and max(abs(roll_rate), abs(pitch_rate), abs(yaw_rate)) < limits[4]
+    )
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def fly(s, v, period, largest_angle, largest_rate):
+    """Advance a STEP for which `only_loops` holds, its integrated vector and time, by `period` [s] if it may.
+
+    Returns whether that was so. It may not, and the STEP is as it was, where a torque comes near its limit,
+    roll or pitch is beyond `largest_angle` [rad] or the rate of an angle beyond `largest_rate` [rad/s].
+    """
+    y, u, p, pwm = s.y, s.command, s.perturbation, s.command[PWM]
+    tau, gain = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.attitude.gain * p[GAIN_SCALE]
+    damping, bandwidth = damping_rate(tau, v), v.attitude.yaw_bandwidth
+    steps = math.ceil(period * max(damping, bandwidth, largest_rate) / _STEP)
+    dt = period / steps
+    h, sixth = 0.5 * dt, dt / 6.0
+    poles = v.attitude.bandwidth / tau, damping
+    rests = (
+        gain * (u[ROLL_COMMAND] + v.effects.attitude_trim[0]),
+        gain * (u[PITCH_COMMAND] + v.effects.attitude_trim[1]),
+        v.attitude.yaw_gain * u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
+    )
+    steady, yaw_kept = pwm / v.thrust.lag_rate, math.exp(-bandwidth * h)
+    lag_kept = math.exp(-lag_pole(y[OMEGA], pwm, v) / p[LAG_SCALE] * h)
+    held = held_step(tau, h, v), rests[2], yaw_kept, (1.0 - yaw_kept) / bandwidth, h, lag_kept
+    tx, ty, tz = s.torque_limits[0], s.torque_limits[1], s.torque_limits[2]
+    limits = _UNLIMITED * tx, _UNLIMITED * ty, _UNLIMITED * tz, largest_angle, largest_rate
+    roll, pitch, yaw, lag = y[ROLL] - rests[0], y[PITCH] - rests[1], y[YAW], y[OMEGA] - steady
+    now = roll, y[RATES], pitch, y[RATES + 1], yaw, y[RATES + 2], lag
+    turns = sine_cosine(y[ROLL]), sine_cosine(y[PITCH]), sine_cosine(y[YAW])
+    if not _allowed(now, turns, rests, poles, limits, v):
+        return False
+    lightness, time, voltage = 1.0 / (v.body.mass * p[MASS_SCALE]), s.ambient[TIME], s.ambient[VOLTAGE]
+    thrust, speed = rotors(now[6] + steady, pwm, time, voltage, v, p)
+    px, py, pz, vx, vy, vz = y[X], y[Y], y[Z], y[VX], y[VY], y[VZ]
+    for _ in range(steps):
+        # k1 = f(0, v), k2 = f(dt/2, v + dt/2 k1), k3 = f(dt, v + dt (2 k2 - k1))
+        ax, ay, az = _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness)
+        now, turns = _half_step(now, turns, held)
+        thrust, speed = rotors(now[6] + steady, pwm, time + h, voltage, v, p)
+        bx, by, bz = _acceleration(
+            vx + h * ax, vy + h * ay, vz + h * az, turns, thrust, speed, s, v, lightness
+        )
+        now, turns = _half_step(now, turns, held)
+        if not _allowed(now, turns, rests, poles, limits, v):
+            return False
+        time += dt
+        thrust, speed = rotors(now[6] + steady, pwm, time, voltage, v, p)
+        wx, wy, wz = vx + dt * (2.0 * bx - ax), vy + dt * (2.0 * by - ay), vz + dt * (2.0 * bz - az)
+        cx, cy, cz = _acceleration(wx, wy, wz, turns, thrust, speed, s, v, lightness)
+        # x <- x + dt v + dt^2/6 (k1 + 2 k2), v <- v + dt/6 (k1 + 4 k2 + k3)
+        px += dt * (vx + sixth * (ax + 2.0 * bx))
+        py += dt * (vy + sixth * (ay + 2.0 * by))
+        pz += dt * (vz + sixth * (az + 2.0 * bz))
+        vx += sixth * (ax + 4.0 * bx + cx)
+        vy += sixth * (ay + 4.0 * by + cy)
+        vz += sixth * (az + 4.0 * bz + cz)
+    y[X], y[Y], y[Z], y[VX], y[VY], y[VZ] = px, py, pz, vx, vy, vz
+    y[ROLL], y[PITCH], y[YAW], y[OMEGA] = now[0] + rests[0], now[2] + rests[1], now[4], now[6] + steady
+    y[RATES], y[RATES + 1], y[RATES + 2] = now[1], now[3], now[5]
+    s.ambient[TIME] = time
+    return True
