@@ -1,7 +1,8 @@
 """Tasks, environments and rendering.
 
-After `import inclined_landing` Gymnasium knows every task under the name of its class (`ids.py`); an id that
-begins with a package, as in `inclined_landing:InclinedLanding-v0`, has Gymnasium import that first:
+`import inclined_landing` registers every task with Gymnasium under the name of its class (`ids.py`). With an
+id that begins with a package, as in `inclined_landing:InclinedLanding-v0`, Gymnasium imports that package
+first:
 
     gymnasium.make("InclinedLanding-v0")
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64)

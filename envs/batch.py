@@ -1,6 +1,6 @@
 """`BatchEnv`: n episodes of one task in one plant, stepped by one call.
 
-The Gymnasium and Stable-Baselines3 faces are thin shells over this class.
+The Gymnasium and Stable-Baselines3 environments are thin wrappers around this class.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _START = ("state", "inclination", "present", "goal_size")  # what is recorded of
 def as_floats(value, what: str) -> np.ndarray:
     """Return `value` as an array of floats; raise UserError, naming it as `what`, when it is not numeric.
 
-    Complex numbers, texts and dates are none, though NumPy would make floats of them.
+    Complex numbers, texts and dates are rejected, although NumPy would convert them to floats.
     """
     try:
         array = np.asarray(value)
@@ -36,7 +36,7 @@ def as_floats(value, what: str) -> np.ndarray:
             return array.astype(float, copy=False)
     except Exception:  # whatever the conversion of another library's array raises
         pass
-    remedy = "; of a tensor give tensor.detach().cpu().float()" if hasattr(value, "detach") else ""
+    remedy = "; convert a tensor with tensor.detach().cpu().float()" if hasattr(value, "detach") else ""
     raise UserError(f"{what} must be an array of real numbers{remedy}")
 
 
@@ -47,14 +47,16 @@ def reset_option(options, name: str, known: tuple[str, ...]):
         raise UserError(f"the options of reset must be a dictionary, not {shown(repr(options), 40)}")
     for key in options:
         if key not in known:
-            raise UserError(f"reset has no option {shown(repr(key), 40)}; it has {' and '.join(known)}")
+            raise UserError(
+                f"unknown option {shown(repr(key), 40)} of reset; choose from {' and '.join(known)}"
+            )
     return options.get(name)
 
 
 def check_seed(seed) -> None:
     """Raise UserError unless `seed` is a non-negative integer or None."""
     if seed is not None and not (is_whole(seed) and seed >= 0):
-        raise UserError(f"a seed must be a whole number from 0 on, not {shown(repr(seed), 40)}")
+        raise UserError(f"a seed must be a non-negative integer, not {shown(repr(seed), 40)}")
 
 
 def is_whole(value) -> bool:
@@ -75,21 +77,23 @@ class Step:
 
 
 class BatchEnv:
-    """n vehicles of a plant on a task. Nothing is reset by itself: call `reset(ids)`.
+    """n vehicles of a plant on a task. Nothing is reset automatically: call `reset(ids)`.
 
     Per-vehicle records of the running episodes: `length`, `total` (sum of rewards), `contact_steps`
     (steps in contact with the platform or within the plant's keep-out zone), `touched`
-    (did any part touch the platform so far), `held_steps` (steps in a row up to now that the task counts as
-    held).
+    (has any part touched the platform so far), `held_steps` (consecutive steps up to now that the task counts
+    as held).
 
     nominal: share of the random episodes that have the plant's own vehicle; the others have one of its pool,
-        drawn anew and hovering at first. None: the vehicles stay what the plant assigned.
+        drawn for every episode and hovering at first. None: the vehicles stay what the plant assigned.
     """
 
     def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
         if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
             objects = shown(f"{task!r} and {plant!r}", 80)
-            raise UserError(f"BatchEnv takes a Task and a Plant, of make_task and make_plant, not {objects}")
+            raise UserError(
+                f"BatchEnv takes a Task and a Plant, as make_task and make_plant return, not {objects}"
+            )
         self.task, self.n = task, plant.n
         self.plant: Any = plant  # a Plant of one of the kinds in PLANTS, or what stands for one
         self.nominal = nominal
@@ -260,7 +264,7 @@ class BatchEnv:
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if len(todo):
                 start.put(todo, self.task.sample(rng, len(todo)))
-        raise UserError("the task's starts leave no room for the largest vehicle of the plant")
+        raise UserError("no start of the task has room for the largest vehicle of the plant")
 
     def _draw_vehicles(self, ids: np.ndarray, rng: np.random.Generator) -> None:
         if self.nominal is None or not self.plant.pool:
@@ -272,13 +276,13 @@ class BatchEnv:
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Step:
         """Apply actions (n, a), clipped to [-1, 1], for one control period.
 
-        active: (n,) bool, vehicles that somebody looks at; the plant may let the others stand still.
+        active: (n,) bool, vehicles whose result is used; the plant may skip the others.
         Raises UserError when an action has the wrong shape or is not finite.
         """
         if active is not None:
             active = np.asarray(active)
             if active.shape != (self.n,) or active.dtype.kind not in "biu":
-                raise UserError(f"active must be {self.n} times True or False")
+                raise UserError(f"active must hold {self.n} truth values")
         self.act(actions)
         self.plant.step(self.commands, active)
         return self.outcome()

@@ -78,7 +78,7 @@ class Flight(Track):
 
 
 class Actor(Protocol):
-    """A policy, or what is flown in place of one."""
+    """A policy, or an object with the same interface."""
 
     @property
     def task(self) -> Task: ...
@@ -95,8 +95,8 @@ def record_flights(
     plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
     steps: fly at most this many control steps (default: the task's limit).
     Raises UserError when the number of states is not the plant's, and FloatingPointError when the engine
-    diverges. Only of vehicles that are drawn from a pool it does not: far outside the arena, drawn effects of
-    the air may add thrust without end, and such a flight ends there, without success.
+    diverges. Flights of vehicles from a pool that diverge far outside the arena, where
+    drawn effects of the air may add thrust without limit, end there without success instead.
     """
     start = states if isinstance(states, Start) else None
     states = np.atleast_2d(np.asarray(states, float)) if start is None else start.state

@@ -3,7 +3,7 @@
     gymnasium.make("InclinedLanding-v0", inclination=0.3, render_mode="rgb_array")
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64, plant="hybrid")
 
-Both are thin shells over `BatchEnv`; the reward terms stand in `info["reward_terms"]` and sum to the
+Both are thin wrappers around `BatchEnv`; the reward terms are in `info["reward_terms"]` and sum to the
 reward. Options of both, which are the keyword arguments of `gymnasium.make` and `make_vec`:
 
 | option | default | meaning |
@@ -13,29 +13,29 @@ reward. Options of both, which are the keyword arguments of `gymnasium.make` and
 | `vehicle` | shipped | a `Vehicle`, the path of a vehicle file, or the name of a shipped vehicle |
 | others | | arguments of the task: `inclination` [rad], `pwm_centre`, `history`, `observe_vehicle` ... |
 
-and of the single environment, which alone renders:
+and of the single environment, the only one that renders:
 
 | option | default | meaning |
 |---|---|---|
 | `render_mode` | None | "rgb_array": `render` gives pictures; "human": MuJoCo's viewer, in real time |
-| `width`, `height` | 640, 480 | of the picture, pixels |
-| `camera` | "arena" | where to look from; this one has the whole arena in its picture |
-| `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL only where it runs on hardware |
+| `width`, `height` | 640, 480 | size of the picture in pixels |
+| `camera` | "arena" | viewpoint; "arena" shows the whole arena |
+| `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL if it runs on hardware |
 
 and of the vector environment:
 
 | option | default | meaning |
 |---|---|---|
-| `num_envs` | 1 | how many vehicles |
-| `autoreset_mode` | "SameStep" | when a new episode begins; or "NextStep", "Disabled" (Gymnasium) |
-| `max_episode_steps` | None | truncate episodes after so many steps, if the task does not before |
+| `num_envs` | 1 | number of vehicles |
+| `autoreset_mode` | "SameStep" | start of a new episode; also "NextStep", "Disabled" (Gymnasium) |
+| `max_episode_steps` | None | truncate episodes after this number of steps, unless the task ends them first |
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). With `reset(seed=[...])` every
-vehicle of the vector environment has a seed of its own, and starts as a single environment with that seed.
-What is not of these names, types and sizes is a UserError, a ValueError with one sentence.
+vehicle of the vector environment has its own seed, and starts like a single environment with that seed. Other
+names, types and sizes raise a UserError, which is a ValueError with one sentence.
 
-`copy.deepcopy` and pickle give an environment that goes on alike; it opens a window of its own. A process
-forked from one that used an environment can go on with it, but for windows and OpenGL (`render_backend`).
+`copy.deepcopy` and pickle return an environment that continues identically, with its own window. A forked
+process can continue to use an environment of its parent, except for windows and OpenGL (`render_backend`).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _seeds(seed, n: int) -> list[int | None] | None:
 class TaskEnv(gym.Env):
     """Gymnasium environment of one vehicle on one task.
 
-    Its `metadata` has the render modes that this machine has: "human" only where there is a display.
+    Its `metadata` lists the render modes of this machine: "human" only if there is a display.
     """
 
     metadata = _METADATA
@@ -155,7 +155,7 @@ class TaskEnv(gym.Env):
 
     def render(self) -> np.ndarray | None:
         """Return the present scene as (height, width, 3) uint8; None without a render mode and in "human"
-        mode, whose window follows every step by itself.
+        mode, whose window follows every step automatically.
         """
         if self.render_mode != "rgb_array":
             return None
@@ -185,7 +185,7 @@ class TaskEnv(gym.Env):
         self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._platform, seconds=seconds)
 
     def __getstate__(self) -> dict:
-        """Return what a copy has in common with this environment: not what draws it."""
+        """Return the state that a copy shares with this environment, without its renderer."""
         return self.__dict__ | {"_renderer": None, "_window": None}
 
     def close(self) -> None:
@@ -224,12 +224,12 @@ class TaskVectorEnv(VectorEnv):
         self.metadata = self.metadata | {"autoreset_mode": self._autoreset}
         if render_mode is not None:
             raise UserError(
-                "the vector environment does not render; record a single one, or make_vec with "
+                "the vector environment does not render; record a single one, or use make_vec with "
                 "vectorization_mode='sync'"
             )
         if not (max_episode_steps is None or (is_whole(max_episode_steps) and max_episode_steps > 0)):
             steps = shown(repr(max_episode_steps), 40)
-            raise UserError(f"max_episode_steps must be a whole number from 1 on, not {steps}")
+            raise UserError(f"max_episode_steps must be a positive integer, not {steps}")
         self.max_episode_steps = max_episode_steps
         self.batch = make_batch(
             self.task_name,
@@ -251,7 +251,7 @@ class TaskVectorEnv(VectorEnv):
     def reset(self, *, seed=None, options: dict | None = None):
         """Return (observations, info); `options["reset_mask"]` (n,) resets some vehicles only.
 
-        seed: of all vehicles, or n of them, of which a None leaves a vehicle's random numbers as they are.
+        seed: one for all vehicles, or n, where None leaves the random numbers of a vehicle unchanged.
         """
         state, mask = (reset_option(options, name, _RESET) for name in _RESET)
         each = _seeds(seed, self.num_envs)
@@ -260,7 +260,7 @@ class TaskVectorEnv(VectorEnv):
         if mask is not None:
             mask = np.asarray(mask)
             if mask.shape != (self.num_envs,) or mask.dtype != bool:
-                raise UserError(f"reset_mask must be {self.num_envs} times True or False")
+                raise UserError(f"reset_mask must hold {self.num_envs} truth values")
             ids = ids[mask]
         super().reset(seed=None if one is None else int(one))
         if one is not None:
@@ -273,11 +273,11 @@ class TaskVectorEnv(VectorEnv):
         return self.batch.observe(), {}
 
     def step(self, actions):
-        """Step all vehicles; finished episodes restart at once, in the next step, or not by themselves.
+        """Step all vehicles; finished episodes restart at once, in the next step, or on request.
 
         At once: `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the
-        episodes that ended. In the next step: it only resets them, with reward 0. Raises UserError for a step
-        of vehicles that ended and nobody reset.
+        episodes that ended. In the next step: it only resets them, with reward 0. Raises UserError for a
+        step of vehicles whose episode ended without a reset.
         """
         env = self.batch
         waiting = self._ended.copy()

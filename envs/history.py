@@ -19,7 +19,7 @@ def input_names(task: Task) -> tuple[str, ...]:
     """Return the names of a policy's inputs, o + K (o + a): x ... pitch, x[-1] ... pitch command[-1], x[-2]
     ...
 
-    And those of its vehicle, where it is told them.
+    With `observe_vehicle`, the names of the vehicle's parameters follow.
     """
     step = (*task.observation_names, *(f"{name} command" for name in task.action_names))
     past = (f"{name}[-{k}]" for k in range(1, task.history + 1) for name in step)
@@ -71,7 +71,7 @@ class History:
         """Return the observation (k, o) of the vehicles `ids` with their history appended: (k, o + K (o +
         a)).
 
-        And, where the task tells it, their vehicles' numbers: vehicle (k, 6), or those of the task's own.
+        With `observe_vehicle` their vehicles' parameters follow: vehicle (k, 6), by default the task's own.
         """
         parts = [observation]
         if self.steps.shape[1]:

@@ -1,4 +1,4 @@
-"""What every set-point flight to a hand-over point needs besides its policy, simulated or real."""
+"""Integral offset of set-point flights to a hand-over point, simulated or real."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Trim:
     """Integral offset of the targets of n vehicles, `offset` (n, 3) [m].
 
     A set-point policy flies with the thrust that it was trained for; a vehicle with less of it sinks below
-    its target. By how much is learnt near the target, as an integral controller does.
+    its target. The offset is learned near the target, as by an integral controller.
     """
 
     def __init__(self, n: int):

@@ -1,7 +1,7 @@
 """The tasks' names and Gymnasium ids, known in every process that imports both packages, in either order.
 
 Neither Gymnasium nor a task is imported here: `import inclined_landing`, and `import mujoco`, which loads the
-plugins, cost nothing. A Gymnasium that comes later gets the ids at its own import.
+plugins, cost nothing. If Gymnasium is imported later, the ids are registered then.
 """
 
 from __future__ import annotations

@@ -31,12 +31,10 @@ def make_batch(
 
     task: by name, also of one imported with `import_task`; options: of its class, such as `inclination` or
     `pwm_centre`. plant, plant_options: the physics, {"integrator": "implicitfast"} for example. vehicle: one,
-    or the path of a file; by default the shipped one. Raises UserError for what is none of these.
+    or the path of a file; by default the shipped one. Raises UserError for anything else.
     """
     if not (is_whole(n) and 1 <= n <= MOST_VEHICLES):
-        raise UserError(
-            f"num_envs must be a whole number from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}"
-        )
+        raise UserError(f"num_envs must be an integer from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}")
     vehicle = as_vehicle(vehicle)
     check_plant(plant)
     plant_options = {} if plant_options is None else plant_options
@@ -58,9 +56,9 @@ def make_for(
         env, policy = inclined_landing.make_for("landing", render_mode="rgb_array")
         envs, policy = inclined_landing.make_for("runs/landing-0/final.zip", num_envs=64, plant="hybrid")
 
-    policy: a file, or a shipped one by name. num_envs: a vector environment of as many vehicles. vehicle: as
-    for `make_batch`. options: of the environment, and of the task where they differ from training's, such as
-    `inclination` [rad]. Raises UserError for what is none of these.
+    policy: a file, or the name of a shipped one. num_envs: makes a vector environment of this size. vehicle:
+    as for `make_batch`. options: of the environment, and of the task where they differ from training's, such
+    as `inclination` [rad]. Raises UserError for anything else.
     """
     import gymnasium
 

@@ -2,7 +2,7 @@
 
 A mission has up to four legs, each flown by a policy for its own task:
 
-1. climb: a vehicle that begins well below the hand-over point goes up where it is, so that its way leads
+1. climb: a vehicle that begins well below the hand-over point climbs vertically, so that its path leads
    over the platform (set-point policy);
 2. approach: to the hand-over point, in the plane y = 0, until the vehicle has been near it and slow for a
    short time (set-point policy);
@@ -10,7 +10,7 @@ A mission has up to four legs, each flown by a policy for its own task:
 4. touchdown: until the vehicle rests on its feet with motors at idle, by the touchdown policy's own command.
 
 Policies for planar tasks command no roll: there the set-point policy's holds y (`Setpoint.across`). The
-heading is held in all legs. What a policy commands by itself, it commands alone.
+heading is held in all legs. Commands that a policy has are not changed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 class MissionPlan:
     """Policies of a mission, and the conditions of the hand-over to the landing policy.
 
-    Raises UserError for policies that do not go together and for a point too close to the platform.
+    Raises UserError for incompatible policies and for a point too close to the platform.
     """
 
     setpoint: Policy
@@ -76,14 +76,16 @@ class MissionPlan:
             if not isinstance(task, kind) or boxless:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
             if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
-                raise UserError(f"the {leg} policy {policy.name} is for another vehicle than the last one")
+                raise UserError(
+                    f"the {leg} policy {policy.name} is for another vehicle than the previous one"
+                )
         first, last = slope_normal(self.landing.task), slope_normal(self.task)
         if not np.allclose(first, last, atol=1e-6):
             slopes = (math.degrees(math.acos(facing[2])) for facing in (first, last))
             text = "landing policy for one of {:.1f} deg, touchdown policy for {:.1f} deg".format(*slopes)
             raise UserError(f"the policies are for different slopes: {text}")
         if abs(last[1]) > 1e-6:
-            raise UserError("missions are flown to slopes along x: leave the azimuth of the tasks out")
+            raise UserError("missions need slopes along x; omit the azimuth of the tasks")
         v, (x, z) = self.vehicle, self.hand_over
         top = v.platform_surface_height + v.slab_half_length * abs(math.sin(self.task.inclination))
         low, high = (v.arena_x[0] + CLEAR, top + CLEAR), (v.arena_x[1] - CLEAR, v.arena_z[1] - CLEAR)
@@ -197,7 +199,7 @@ class Mission(Track):
         return f"{self.end} in the {self.legs[-1].name} after {self.t[-1]:.2f} s"
 
     def find_leg(self, name: str) -> Leg | None:
-        """Return the leg of this name, None where it was not flown."""
+        """Return the leg of this name; None if it was not flown."""
         return next((leg for leg in self.legs if leg.name == name), None)
 
 
@@ -219,8 +221,8 @@ def fly_missions(
 ) -> list[Mission]:
     """Fly a mission from hover at each of starts (n, 3) [m], all at once in MuJoCo (RK4, 4 ms); return them.
 
-    A mission does not depend on how many others are flown. ended: told after every control step how many
-    missions are over. Raises UserError for a start where none can begin.
+    A mission does not depend on the number of others. ended: called after every control step with the number
+    of finished missions. Raises UserError for a start where no mission can begin.
     """
     starts = np.atleast_2d(np.asarray(starts, float))
     plan.check_starts(starts)

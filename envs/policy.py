@@ -83,14 +83,14 @@ class Policy:
             sizes.append(bias.size)
         layers = len(self.weights)
         if not fits or not 0 < layers == len(self.biases):
-            raise UserError(f"policy {self.path} has layers that do not fit together")
+            raise UserError(f"policy {self.path} has layers of incompatible sizes")
         if layers > _DEEPEST or max(sizes) > _WIDEST:
             raise UserError(
                 f"policy {self.path} has {layers} layers of up to {max(sizes)} numbers; at most {_DEEPEST} "
                 f"of {_WIDEST} are evaluated"
             )
         if not (np.isfinite(self.scale).all() and (self.scale > 0).all()):
-            raise UserError(f"policy {self.path} divides observations by a scale that is not positive")
+            raise UserError(f"policy {self.path} scales observations by a number that is not positive")
         for array in (self.centre, *self.weights, *self.biases):
             if not (np.abs(array) <= LARGEST_WEIGHT).all():  # NaN neither
                 raise UserError(f"policy {self.path} has weights that are NaN or beyond {LARGEST_WEIGHT:g}")
@@ -124,7 +124,7 @@ class Policy:
         """Return the policy for its task's vehicle alone: vehicle parameters become biases of the first
         layer.
 
-        Itself where it is told nothing and its PWM at action 0 is a number.
+        Returns the policy itself if it observes no parameters and its PWM at action 0 is a number.
         """
         task = self.task
         if not (task.observe_vehicle or task.per_vehicle_hover):
@@ -177,7 +177,7 @@ def _forward(rows, network):
 
 
 def write_metadata(path: str | Path, metadata: dict) -> None:
-    """Write `metadata` into the SB3 zip at `path`, replacing earlier ones; whole or not at all.
+    """Write `metadata` into the SB3 zip at `path`, replacing earlier ones, atomically.
 
     metadata must name the task in "task" and its options in "task_options".
     """
@@ -200,11 +200,11 @@ def write_metadata(path: str | Path, metadata: dict) -> None:
 def locate(name: str | Path) -> Path:
     """Return the path of a policy: a shipped one by name (see SHIPPED), a file, or the final one of a run."""
     if not isinstance(name, (str, os.PathLike)):
-        raise UserError(f"a policy is a path or the name of a shipped one, not {shown(repr(name), 40)}")
+        raise UserError(f"a policy must be a path or the name of a shipped one, not {shown(repr(name), 40)}")
     if str(name) in SHIPPED:
         path = _FOLDER / f"{name}.zip"
         if not path.is_file():
-            raise UserError(f"no {name} policy is shipped with this installation ({path} is missing)")
+            raise UserError(f"the shipped policy {name} is missing in this installation ({path})")
         return path
     path = Path(name)
     if os.path.isdir(path):
@@ -230,9 +230,9 @@ def load_policy(
         the policy's task as it is); needed when the file has none. By name, and by default, the task is
         built from the metadata.
     vehicle, inclination, azimuth [rad]: of the task that is built, where they differ from the training's.
-        What PWM an action commands stays what it was in training, or, with `pwm_centre="own"`, is about the
+        The PWM of an action stays that of the training or, with `pwm_centre="own"`, is about the
         hover of each vehicle.
-    Raises UserError when the file is not such a policy or does not fit the task: a task object must have the
+    Raises UserError when the file is not a policy or does not fit the task: a task object must have the
     metadata's PWM, options of slopes, dimensions and angles, and its one inclination, or the one given.
     """
     if not (task is None or isinstance(task, (str, Task))):
@@ -249,9 +249,7 @@ def load_policy(
     if wanted and trained and wanted != trained:
         raise UserError(f"policy {path} was trained for the task {trained}, not for {wanted}")
     if not (wanted or trained):
-        raise UserError(
-            f"policy {path} does not say which task it was trained for; name the task ({' or '.join(TASKS)})"
-        )
+        raise UserError(f"policy {path} does not state its task; name it ({' or '.join(TASKS)})")
     if trained and task is None and not known(trained):
         raise _unknown_task(metadata, path)
     if task is None or isinstance(task, str):
@@ -312,7 +310,7 @@ def tensors(path: str | Path) -> dict[str, np.ndarray]:
 def _action_map(options: dict) -> tuple[float | str, float]:
     """Return PWM at action 0 and span from the metadata's options. Names refer to the shipped vehicle.
 
-    But "own" is a word for every vehicle.
+    "own" stays as it is for every vehicle.
     """
     shipped, centre = load_vehicle(), options.get("pwm_centre", "hover")
     if centre != OWN:
@@ -323,7 +321,7 @@ def _action_map(options: dict) -> tuple[float | str, float]:
 def _check_training_options(task: Task, metadata: dict, inclination, path) -> None:
     """Raise UserError where a task differs from training in what the policy cannot observe, or in history.
 
-    It says all that differs, as arguments to type.
+    The message lists all differences as arguments to type.
     """
     options = metadata.get("task_options", {})
     trained: dict[str, Any] = {
@@ -347,9 +345,9 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
             ", ".join(f"{name}={shown(_typed(of[name]), 40)}" for name in wrong) for of in (trained, here)
         )
         raise UserError(
-            f"policy {path} was trained with {wanted}, and the {task.name} task here has {found}; give it "
-            "these, or take make_for(POLICY)"
-            + (", or say inclination too if that is meant" if "inclination" in wrong else "")
+            f"policy {path} was trained with {wanted}, and the {task.name} task here has {found}; use "
+            "these options, or make_for(POLICY)"
+            + (", or give inclination as well if that is intended" if "inclination" in wrong else "")
         )
 
 
@@ -379,7 +377,7 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
 
 
 class _Metadata(Struct):
-    """What is read of the metadata; other entries say where a policy comes from."""
+    """The metadata that is read; other entries record the origin of a policy."""
 
     task: _Word | None = None
     task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}

@@ -1,13 +1,13 @@
-"""Vehicles of which every episode may have another: a file of ranges, and the pool that is drawn from it.
+"""Randomised vehicles: a file of ranges, and the pool of vehicles that is drawn from it.
 
-A file of ranges is TOML. Every range is [lowest, highest], equal ones fix the number:
+A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the number:
 
-    nominal = 0.1               # share of episodes with the vehicle file as it is; 0 where it is not said
-    probability = 0.5           # that a vehicle has an effect; 1 where it is not said
+    nominal = 0.1               # share of episodes with the unchanged vehicle file (default: 0)
+    probability = 0.5           # probability that a vehicle has an effect (default: 1)
 
     [effects.thrust_scale]      # an effect of the library by name, with its parameters; others are neutral
     scale = [0.8, 1.1]
-    probability = 1             # of this one
+    probability = 1             # probability of this effect
 
     [effects.wind]
     x = [-1, 1]
@@ -18,23 +18,23 @@ A file of ranges is TOML. Every range is [lowest, highest], equal ones fix the n
     inertia = [[1.5e-5, 1.8e-5], [1.5e-5, 1.8e-5], [2.6e-5, 3.2e-5]]
 
 Entries are set first and effects applied on top, in their order. Every number of a pool is spread evenly over
-its range, independent of the others. What all vehicles of a plant have in common has no range: commands,
-arena, and the platform but for its surface_height (the effects platform_height and platform_tilt move it).
+its range, independent of the others. Entries that all vehicles of a plant share have no range: commands,
+arena, and the platform except for its surface_height (the effects platform_height and platform_tilt move it).
 
-Mass, inertia, arms, thrust and loops of real vehicles go together, and independent ranges would hold vehicles
-that cannot be. So a file may name vehicles instead, files or shipped ones; what lies between two neighbours
-is then the range:
+Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
+impossible vehicles. A file may therefore name vehicles instead, files or shipped ones, and draw between
+neighbours:
 
     vehicles = ["crazyflie-2.0", "crazyflie-2.1", "hummingbird"]
 
-Drawn vehicles are spread evenly over the whole row and half a place beyond both ends, which is the end
-itself: so all named vehicles have the same share of what is drawn. Between two neighbours all numbers of the
-tables body, thrust, motor, rotor, drag and attitude go the same share of the way, geometrically where both
-ends have the same sign: so power laws, ratios and thrust to weight lie between too. Entries and effects are
+Drawn vehicles are spread evenly over the whole row and half a place beyond each end, which gives the end
+itself, so that all named vehicles have the same share. Between two neighbours all numbers of the tables body,
+thrust, motor, rotor, drag and attitude are interpolated by the same share, geometrically if both ends have
+the same sign, so that power laws, ratios and thrust to weight are interpolated too. Entries and effects are
 set on top.
 
-`landing-train --randomise FILE` reads it. `robust` is shipped, the whole library of effects, a little farther
-than a real vehicle may well have them; and `vehicles`, quadrotors from 28 g to 0.5 kg.
+`landing-train --randomise FILE` reads it. Two files are shipped: `robust` has the whole library of effects,
+slightly beyond their plausible sizes; `vehicles` has quadrotors from 28 g to 0.5 kg.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Ranges:
     vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
     def draw(self, vehicle: Vehicle, seed: int, count: int = POOL) -> list[Vehicle]:
-        """Draw `count` vehicles from a seed; raises UserError where one of them cannot be."""
+        """Draw `count` vehicles from a seed; raises UserError if one of them is impossible."""
         rng = np.random.default_rng([_STREAM, seed])
 
         def spread(low: float, high: float) -> np.ndarray:
@@ -113,7 +113,7 @@ class Ranges:
             try:
                 check_vehicle(member)
             except UserError as error:
-                raise UserError(f"{self.what} gives vehicles that cannot be: {error}") from error
+                raise UserError(f"{self.what} contains impossible vehicles: {error}") from error
             drawn.append(member)
         return drawn
 
@@ -152,7 +152,7 @@ def locate(name: str | Path) -> Path:
 def read_ranges(name: str | Path) -> Ranges:
     """Read the ranges in a file, or in a shipped one by name.
 
-    Raises UserError for what is none, or cannot differ from vehicle to vehicle.
+    Raises UserError for a malformed file, or for entries that cannot vary between vehicles.
     """
     what = f"randomise file {name}"
     data = storage.read_toml(locate(name), "randomise file")
@@ -181,7 +181,7 @@ def read_ranges(name: str | Path) -> Ranges:
                 other = "an effect with parameters, like [effects.thrust_scale], or " * (table == "effects")
                 raise UserError(f"{what}: {shown(label, 60)} is not {other}an entry of the vehicle file")
             if table in _COMMON and label != _EXCEPT:
-                raise UserError(f"{what}: {label} cannot differ from vehicle to vehicle")
+                raise UserError(f"{what}: {label} cannot vary between vehicles")
             fields[entries[label].field] = _of_entry(entries[label], value, what)
     if not (fields or effects or vehicles):
         raise UserError(f"{what} has no range, like [effects.thrust_scale] with scale = [0.8, 1.1]")
@@ -195,7 +195,7 @@ def _of_effect(name: str, ranges: dict, what: str) -> dict[str, Range]:
     for key in ranges:
         if key not in known:
             raise UserError(
-                f"{what}: effect {name} has no parameter {shown(key, 40)}; it has {', '.join(known)}"
+                f"{what}: effect {name} has no parameter {shown(key, 40)}; choose from {', '.join(known)}"
             )
     if not ranges:
         raise UserError(f"{what}: effect {name} has no range; its parameters are {', '.join(known)}")
@@ -218,5 +218,5 @@ def _range(value: object, limits: Range, label: str, what: str) -> Range:
     number = Annotated[float, Meta(ge=limits[0], le=limits[1])]
     low, high = schema.parse(value, tuple[number, number], f"{what}: ", label)  # type: ignore[valid-type]
     if low > high:
-        raise UserError(f"{what}: {label} begins at {low:g} and ends below it, at {high:g}")
+        raise UserError(f"{what}: {label} has its lower end {low:g} above its upper end {high:g}")
     return low, high

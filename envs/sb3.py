@@ -47,8 +47,8 @@ def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model with the metadata for `load_policy`.
 
     It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the statistics of a
-    `VecNormalize` around them go along. Raises UserError, and writes nothing, for other environments and for
-    wrappers that may change what the policy observes or commands.
+    `VecNormalize` around them are saved as well. Raises UserError, and writes nothing, for other environments
+    and for wrappers that may change what the policy observes or commands.
     """
     if not isinstance(model, BaseAlgorithm):
         raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
@@ -59,8 +59,8 @@ def save_policy(model, path: str | Path) -> None:
         isinstance(m, ScaledObservation) for m in model.policy.modules()
     ):
         raise UserError(
-            "VecNormalize and ScaledObservation both scale the observations: train with "
-            "VecNormalize(..., norm_obs=False), or without ScaledObservation"
+            "VecNormalize and ScaledObservation both scale the observations; use "
+            "VecNormalize(..., norm_obs=False), or no ScaledObservation"
         )
     path = Path(path) if Path(path).suffix else Path(f"{path}.zip")
     storage.check_file(path)
@@ -82,7 +82,7 @@ def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
     """Return the task of a model's environments, and what `VecNormalize` around them adds to the metadata."""
     env = model.get_env()
     if env is None:
-        raise UserError("the model has no environment: load it with the one that it was trained on, env=...")
+        raise UserError("the model has no environment; load it with env= the one it was trained on")
     normalisation: dict[str, dict | None] = {}
     while isinstance(env, VecEnvWrapper):
         if type(env) is VecNormalize and not normalisation.get(NORMALISATION):
@@ -108,7 +108,7 @@ def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
         for one in others
     ):
         raise UserError(
-            "the model's environments have different options, and a policy file holds those of one"
+            "the model's environments have different options, but a policy file can only store one set"
         )
     spaces = observation_space(task), action_space(task)
     if (env.observation_space, env.action_space) != spaces:
@@ -235,7 +235,7 @@ class BatchVecEnv(VecEnv):
         """Do nothing: the plant's threads end with the object."""
 
     def get_images(self) -> list[None]:
-        """Return no pictures: `gymnasium.make` gives single environments that have some."""
+        """Return no pictures; single environments of `gymnasium.make` render."""
         return [None] * self.num_envs
 
     def get_attr(self, attr_name, indices=None):
@@ -253,11 +253,14 @@ class BatchVecEnv(VecEnv):
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
         """Call a method for all vehicles together; raise UserError for some of them.
 
-        `reset` and `step`, whose results are of the whole batch, are to be called themselves.
+        `reset` and `step`, whose results are for the whole batch, must be called directly.
         """
         self._check_all(method_name, indices)
         if method_name in ("reset", "step"):
-            raise UserError(f"call {method_name} itself, not by env_method: it is for all vehicles together")
+            raise UserError(
+                f"call {method_name} directly, not through env_method, because it is for all vehicles "
+                "together"
+            )
         value = getattr(self, method_name)(*method_args, **method_kwargs)
         return [value] * len(self._indices(indices))
 
@@ -266,7 +269,7 @@ class BatchVecEnv(VecEnv):
 
     def _check_all(self, name: str, indices) -> None:
         if set(self._indices(indices)) != set(range(self.num_envs)):
-            raise UserError(f"{shown(name, 40)} is of all vehicles of the batch: leave indices out")
+            raise UserError(f"{shown(name, 40)} belongs to all vehicles of the batch; omit indices")
 
     def _indices(self, indices) -> list[int]:
         every = range(self.num_envs)

@@ -1,4 +1,4 @@
-"""Spaces of a task, shared by the Gymnasium and Stable-Baselines3 faces."""
+"""Spaces of a task, shared by the Gymnasium and Stable-Baselines3 environments."""
 
 import numpy as np
 from gymnasium.spaces import Box

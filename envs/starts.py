@@ -1,10 +1,10 @@
-"""The starts that landing policies are judged from; training never uses them.
+"""The starts of the evaluation of landing policies; training never uses them.
 
 `starts/landing_grid.csv` is the frozen set: a grid over the upper half of the arena without the
 starts whose shapes lie closer than 5 cm to the platform. `make_grid` says how it was made.
 
 `over_slopes` is the frozen set for policies that observe the slope: random starts, as many for every cell of
-the angles, from a seed that stands here.
+the angles, from a fixed seed.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Sl
 
     In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
     azimuth with 15 each. Angles are uniform within their cells, starts within the upper half of the arena.
-    A task in space with one slope has that alone. every: each k-th start only. Raises UserError for a task
-    that does not observe the slope.
+    A task in space with a single slope has only that one. every: each k-th start only. Raises UserError for a
+    task that does not observe the slope.
     """
     if not isinstance(task, SlopeLanding):
-        raise UserError(f"the {task.name} task of this policy has one slope, and does not observe it")
+        raise UserError(f"the {task.name} task of this policy has one slope and does not observe it")
     steepest = task.steepest if steepest is None else steepest
     rng = np.random.default_rng(_SLOPES_SEED)
     if steepest is None:

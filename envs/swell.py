@@ -1,6 +1,6 @@
 """Moving platforms, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
 
-Ships and cars are no part of it: the benchmark's motions have spectra of their own
+Ships and cars are not included: the motions of the benchmark have their own spectra
 (`eval/policies/moving/scenarios`).
 """
 
@@ -25,7 +25,7 @@ STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incli
 
 def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarray) -> Motion:
     """Return motions of k platforms: travel at 0 to fastest [m/s], and waves of `swell` times the sizes
-    above, but roll and pitch together never by more than room (k,) [rad].
+    above, but roll and pitch together by at most room (k,) [rad].
     """
     k = len(room)
     # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.

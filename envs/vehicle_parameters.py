@@ -11,7 +11,7 @@ Six numbers in SI units after the observation and its history, constant during a
 | drag rate | 1/s | 0.2 | sideways in hover: linear drag over mass |
 | reach | m | 0.056 | outermost point of a rotor along x and y |
 
-They are those of the vehicle file: effects hidden from it are not in them.
+They are those of the vehicle file, without effects that it does not contain.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Reader of a policy file: metadata, header, tensors, without torch and without running anything from it.
 
 Stable-Baselines3 keeps the network as a zip that torch writes: `data.pkl`, a pickle that says how tensors
-lie in storages, and one member for each storage. Of the pickle only the few instructions and names are let
-pass that torch writes for a table of dense float tensors, and nothing is imported for them. Sizes are
-compared with what the zip says before anything is read, so that no file takes more memory than `LARGEST`.
+lie in storages, and one member for each storage. Only the few pickle instructions and names
+that torch writes for a table of dense float tensors are accepted, and nothing is imported for them. Sizes are
+checked against the zip before anything is read, so that no file takes more memory than `LARGEST`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _DAMAGED = (
 
 
 class PolicyFile(NamedTuple):
-    """What a policy file holds, unchecked but for the tensors, which are finite."""
+    """The content of a policy file, unchecked except that tensors are finite."""
 
     metadata: dict
     header: dict
@@ -52,7 +52,7 @@ class PolicyFile(NamedTuple):
 
 
 def read_file(path: Path) -> PolicyFile:
-    """Return the content of a policy file; raises UserError where it is none or damaged."""
+    """Return the content of a policy file; raises UserError for a damaged or foreign file."""
     with open_policy(path) as archive:
         metadata, header = _read_table(archive, METADATA, path), _read_table(archive, _HEADER, path)
         content = read_member(archive, _NETWORK, f"policy {path}")
@@ -69,7 +69,7 @@ def read_metadata(path: Path) -> dict:
 
 
 def open_policy(path: Path) -> zipfile.ZipFile:
-    """Return the zip of a policy file; raises UserError where it is none."""
+    """Return the zip of a policy file; raises UserError for anything else."""
     archive = open_zip(storage.read_bytes(path, "policy", LARGEST), f"policy {path}")
     missing = {_HEADER, _NETWORK} - set(archive.namelist())
     if missing:
@@ -99,12 +99,12 @@ def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except _DAMAGED as error:
-        raise UserError(f"{what} is not a zip file, or a damaged one") from error
+        raise UserError(f"{what} is not a zip file, or is damaged") from error
     members = archive.infolist()
     names = [member.filename for member in members]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise UserError(f"{what}: {shown(twice, 60)} is in it twice")
+        raise UserError(f"{what}: {shown(twice, 60)} appears twice")
     if sum(member.compress_size for member in members) > len(content):
         raise UserError(f"{what} is damaged: its members overlap")
     return archive
@@ -117,9 +117,9 @@ def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = L
     if member.flag_bits & 1:
         raise UserError(f"{label} is encrypted")
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise UserError(f"{label} is compressed in a way that Stable-Baselines3 does not use")
+        raise UserError(f"{label} uses a compression that Stable-Baselines3 does not write")
     if member.file_size > largest:
-        raise UserError(f"{label} has {member.file_size} bytes; at most {largest} are read")
+        raise UserError(f"{label} has {member.file_size} bytes; the limit is {largest}")
     try:
         with archive.open(member) as file:
             content = file.read(member.file_size + 1)
@@ -192,7 +192,7 @@ class _Unpickler(pickle.Unpickler):
                 raise UserError(f"{what} holds more than tensors: {opcode.name.lower()} in its pickle")
 
     def find_class(self, module: str, name: str) -> object:
-        """Return what stands for one of the few names that torch writes."""
+        """Return the replacement of one of the few names that torch writes."""
         if (module, name) not in _STAND_INS:
             named = shown(f"{module}.{name}", 60)
             raise UserError(f"{self._what} holds {named}, where only dense tensors of floats are read")
@@ -202,7 +202,7 @@ class _Unpickler(pickle.Unpickler):
         """Return the storage that a tensor refers to."""
         word, kind, key, _place, count = reference
         if word != "storage" or kind not in _FLOATS or type(key) is not str or type(count) is not int:
-            raise ValueError("no storage of floats")
+            raise ValueError("not a storage of floats")
         return _Storage(kind, key, count)
 
 
@@ -228,7 +228,7 @@ def _table(content: bytes, what: str) -> dict:
     except UserError:
         raise
     except Exception as error:  # whatever bytes that make no sense raise
-        raise UserError(f"{what} is damaged: its pickle makes no sense") from error
+        raise UserError(f"{what} is damaged: its pickle is inconsistent") from error
     if not isinstance(found, dict):
         raise UserError(f"{what} is not a table of tensors")
     return dict(dict.items(found))
@@ -258,12 +258,12 @@ def _array(tensor: _Tensor, numbers: np.ndarray, label: str) -> np.ndarray:
         and all(type(k) is int and 0 <= k <= LARGEST for k in (*size, *stride, offset))
     )
     if not valid:
-        raise UserError(f"{label} has a shape that is none")
+        raise UserError(f"{label} has an invalid shape")
     if 0 in size:
         raise UserError(f"{label} is empty")
     last = offset + sum((n - 1) * k for n, k in zip(size, stride))
     if math.prod(size) > len(numbers) or last >= len(numbers):
-        raise UserError(f"{label} reaches beyond its numbers")
+        raise UserError(f"{label} exceeds its storage")
     view = np.lib.stride_tricks.as_strided(
         numbers[offset:], size, [numbers.itemsize * k for k in stride], writeable=False
     )
@@ -295,7 +295,7 @@ def read_network(file: PolicyFile, path: Path) -> dict[str, Any]:
 
 
 def _check_header(header: dict, metadata: dict, path: Path) -> None:
-    """Raise UserError where a policy computes what the tensors do not say, by SB3's header."""
+    """Raise UserError if SB3's header describes a computation that the tensors do not contain."""
 
     def entry(name: str) -> dict:
         value = header.get(name)
@@ -305,7 +305,7 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
     on_policy = "gae_lambda" in header
     if on_policy and header.get("_last_original_obs") is not None and NORMALISATION not in metadata:
         raise UserError(
-            f"policy {path} was trained behind VecNormalize, whose statistics are not in the file: load the "
+            f"policy {path} was trained with VecNormalize, whose statistics are not in the file; load the "
             "model with env=VecNormalize.load(statistics, env), and save it with save_policy(model, path)"
         )
     module = entry("policy_class").get("__module__")
@@ -327,7 +327,7 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
         bounds = str(entry("action_space").get(end, "")).strip("[]").split()
         if not all(re.fullmatch(one, bound) for bound in bounds):
             raise UserError(
-                f"policy {path} was trained on actions that are not from -1 to 1; train on those of the task"
+                f"policy {path} was trained with actions outside [-1, 1]; use the actions of the task"
             )
 
 
@@ -340,7 +340,9 @@ def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
     if statistics is None:
         return {}
     if limit < np.inf:
-        raise UserError(f"policy {path} scales its observations twice, by VecNormalize and by its extractor")
+        raise UserError(
+            f"policy {path} scales its observations twice, with VecNormalize and with its extractor"
+        )
     try:
         centre, scale = (np.array(statistics[name], float) for name in ("centre", "scale"))
         limit = np.inf if statistics["limit"] is None else float(statistics["limit"])

@@ -4,7 +4,7 @@
     frame = renderer.render(data, trail=states, ghosts=[goal], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
-own renderer. "auto" takes OpenGL where it runs on hardware, rays otherwise.
+own renderer. "auto" uses OpenGL if it runs on hardware, rays otherwise.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def check_picture_options(width: int, height: int, camera: str | View, backend: 
     for size in (width, height):
         if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
             raise UserError(
-                f"a picture has 16 to 4096 pixels a side, not {shown(f'{width!r} x {height!r}', 40)}"
+                "width and height of a picture must be 16 to 4096 pixels, not "
+                f"{shown(f'{width!r} x {height!r}', 40)}"
             )
     if not isinstance(camera, View) and not (isinstance(camera, str) and camera in CAMERAS):
         raise UserError(f"unknown camera {shown(repr(camera), 40)}; choose from {', '.join(CAMERAS)}")

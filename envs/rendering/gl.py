@@ -2,8 +2,8 @@
 
 Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. So the
 libraries are looked for with ctypes first; nothing here runs at import and no environment variable
-of MuJoCo is set. In a forked process whose parent has used OpenGL the next call would wait for ever: there
-it is refused.
+of MuJoCo is set. In a forked process whose parent has used OpenGL the next call would hang; it is
+refused there.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _REMEDY = (
     "PYOPENGL_PLATFORM, or use backend='ray'"
 )
 _LOST = (
-    "OpenGL does not survive a fork, and this process was forked from one that had used it: start it with "
-    "'spawn', or use backend='ray'"
+    "OpenGL does not work in a process forked from one that has used it; start the process with 'spawn', or "
+    "use backend='ray'"
 )
 _EGL_PLATFORM_DEVICE, _EGL_EXTENSIONS = 0x313F, 0x3055
 _MAX_GEOMS = 20000
@@ -124,7 +124,7 @@ def _context(width: int, height: int):
         raise UserError(_LOST)
     found = probe()
     if not found.kind:
-        raise UserError(f"no OpenGL rendering here, {found.missing} is missing: {_REMEDY}.")
+        raise UserError(f"no OpenGL rendering, because {found.missing} is missing: {_REMEDY}.")
     try:
         if found.kind == "egl":
             from mujoco.egl import GLContext
@@ -152,7 +152,7 @@ class GLRenderer(SceneRenderer):
         scale: float | None = None,
     ):
         if isinstance(camera, View):
-            raise UserError("only backend='ray' draws a free View; name a camera of the scene")
+            raise UserError("a free View needs backend='ray'; otherwise name a camera of the scene")
         self._mjr = None
         self._gl: Any = _context(width, height)
         super().__init__(vehicle, width, height, camera, scale)

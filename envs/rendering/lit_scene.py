@@ -1,4 +1,4 @@
-"""The landing scene as rays see it: first hits, sunlight, and the light that surfaces send back.
+"""The landing scene for ray casting: first hits, sunlight, and light reflected by surfaces.
 
 Rays of one cast share their origin, so parallel rays (sunlight, orthographic cameras) start from a point
 10 km away.
@@ -149,7 +149,7 @@ class LitScene:
         return colour
 
     def _corner_shade(self, points: np.ndarray) -> np.ndarray:
-        """Return the ambient occlusion (n,) of the floor (n, 3) beside the wall and the base."""
+        """Return the ambient occlusion (n,) of the floor (n, 3) next to the wall and the base."""
         away = np.minimum(points[:, 1] - self.model.geom_pos[self.wall][1], 0.0)
         shade = 0.12 * np.exp(away / 0.4)
         if self.base is not None:

@@ -1,4 +1,4 @@
-"""What is drawn over a picture: polylines and arrows with depth test, the caption bar."""
+"""Overlays of a picture: polylines and arrows with depth test, and the caption bar."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What both renderers share: the drawn model, rebuilt when the platform's pose changes."""
+"""Base of both renderers: the drawn model, rebuilt when the platform's pose changes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class SceneRenderer(abc.ABC):
         scale: float | None = None,
     ):
         if not (16 <= width <= 4096 and 16 <= height <= 4096):
-            raise UserError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
+            raise UserError(
+                f"width and height of a picture must be 16 to 4096 pixels, not {width} x {height}"
+            )
         self.vehicle = vehicle or load_vehicle()
         self.width, self.height, self.camera = int(width), int(height), camera
         self.scale = scenery.default_vehicle_scale(camera) if scale is None else float(scale)
@@ -90,7 +92,7 @@ class SceneRenderer(abc.ABC):
 
     def _pose(self, scene, inclination: float | None) -> Pose:
         if self.closed:
-            raise UserError("this renderer was closed")
+            raise UserError("this renderer has been closed")
         pose = as_pose(scene, self.vehicle, inclination)
         self.set_platform(pose)
         return pose
@@ -138,7 +140,7 @@ class SceneRenderer(abc.ABC):
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Free the renderer's resources; it draws no more."""
+        """Free the resources; the renderer cannot be used afterwards."""
 
     def __enter__(self):
         return self

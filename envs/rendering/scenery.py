@@ -1,4 +1,4 @@
-"""The scene as it is drawn: pure MjSpec transformations of the scene that is simulated."""
+"""The drawn scene: pure MjSpec transformations of the simulated scene."""
 
 from __future__ import annotations
 

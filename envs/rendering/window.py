@@ -1,8 +1,8 @@
 """MuJoCo's viewer as a window that shows one vehicle while it flies.
 
 Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is
-missing becomes a sentence. The window has a thread of its own: mouse and menus work between two moments. It
-stays with the process that opened it: one forked from that shows nothing.
+missing becomes a sentence. The window has its own thread, so that mouse and menus work between two moments.
+It belongs to the process that opened it; a forked process shows nothing.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from inclined_landing.models.scene import build_spec
 from inclined_landing.models.vehicle import Vehicle
 
 REMEDY = (
-    "without one, `landing-eval replay` writes a page for any browser, `landing-eval video` a film, and "
-    "environments have render_mode='rgb_array'"
+    "without a display use `landing-eval replay` (a page for the browser), `landing-eval video`, or "
+    "render_mode='rgb_array'"
 )
 _SHADOWS = 2048  # pixels; the scene's 8192 are for stills, and slow without a graphics card
 _EYE, _TARGET = (-1.9, -3.4, 2.1), (0.0, 0.0, 1.35)  # m, where one looks from and to at first
 
 
 def headless() -> bool:
-    """Return whether there is no display, as the environment variables of Linux tell."""
+    """Return whether there is no display, according to the environment variables of Linux."""
     return sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_display() -> None:
     """Raise UserError, with the remedy, where no window with OpenGL can be opened."""
     if headless():
-        raise UserError(f"a window needs a display, and there is none here; {REMEDY}")
+        raise UserError(f"a window needs a display, and there is none; {REMEDY}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # glfw tells its errors as warnings
         try:

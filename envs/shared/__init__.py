@@ -1,1 +1,1 @@
-"""What `landing-train` and `landing-eval` share: command lines, options, run folders, tables, the pool."""
+"""Shared by `landing-train` and `landing-eval`: command lines, options, run folders, tables, the pool."""

@@ -1,4 +1,4 @@
-"""Types of single options, with their limits, and how options are called in sentences."""
+"""Types of single options with their limits, and the names of options in sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calls side by side: in threads of this process, or as tasks of a Ray cluster."""
+"""Parallel calls: in threads of this process, or as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def check(on: str, address: str | None, option: str) -> None:
         raise UserError(f"{option} must be {' or '.join(PLACES)}, not {shown(repr(on), 40)}")
     if on == "local":
         if address is not None:
-            raise UserError(f"--address belongs to {option} ray")
+            raise UserError(f"--address needs {option} ray")
         return
     _prepare(address)
     import_ray(f"{option} ray")
@@ -51,9 +51,9 @@ def completed(
 ) -> Generator[tuple[Item, Any]]:
     """Yield every item with what `function(*shared, item)` returns, as the calls finish.
 
-    at_once: calls side by side on this machine. On Ray everything has to be picklable, `shared` is sent to a
-    machine once, each call takes one core, and one whose process or machine is lost is made again on another:
-    it has to bear that.
+    at_once: number of parallel calls on this machine. On Ray everything has to be picklable, `shared` is sent
+    to a machine once, each call takes one core, and a call whose process or machine is lost is repeated on
+    another, which must be harmless.
     """
     threads = contextlib.nullcontext(ThreadPoolExecutor(at_once))
     with threads if on == "local" else _connected(address) as pool:
@@ -68,7 +68,7 @@ def completed(
 
 
 def _prepare(address: str | None) -> None:
-    """Set what Ray reads when it is imported, where it is not set."""
+    """Set the environment variables that Ray reads at import, unless they are set."""
     if address is None:
         wanted = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # nothing listens but on the loopback
     else:  # the patience for the first word of a cluster; Ray's own is a quarter of an hour
@@ -114,7 +114,7 @@ class _Cluster(Executor):
 
 @contextlib.contextmanager
 def _connected(address: str | None) -> Iterator[_Cluster]:
-    """Yield the cluster at the address HOST:PORT; without one, Ray is started for this machine alone.
+    """Yield the cluster at the address HOST:PORT; without one, Ray is started for this machine only.
 
     Raises UserError where it cannot be reached, and for calls that it could not carry out. Calls under way
     end with the context.
@@ -126,7 +126,7 @@ def _connected(address: str | None) -> Iterator[_Cluster]:
             ray.init(address or "local", **quiet)
     except (OSError, ValueError, RuntimeError, ImportError) as error:
         where = f"at {shown(address)}" if address else "on this machine"
-        hint = "; is this machine one of its nodes, with its token?" if address else ""
+        hint = "; is this machine a node of the cluster, with its token?" if address else ""
         raise UserError(f"Ray cannot be reached {where}: {shown(error, 150)}{hint}") from error
     try:
         yield _Cluster(ray)
@@ -141,7 +141,7 @@ def _connected(address: str | None) -> Iterator[_Cluster]:
 
 @contextlib.contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Keep the answer to SIGTERM, which Ray replaces."""
+    """Keep the handler of SIGTERM, which Ray replaces."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
@@ -156,7 +156,7 @@ def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
     for name, version in runs.packages().items():
         if version != versions[name]:
             raise UserError(
-                f"{node} has {name} {version}, and this machine {versions[name]}: the machines of a cluster "
+                f"{node} has {name} {version}, and this machine {versions[name]}; all machines of a cluster "
                 "need the same packages"
             )
     return function(*arguments)

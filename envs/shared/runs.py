@@ -25,7 +25,7 @@ _PACKAGES = (
 def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None = None) -> Path:
     """Create the run folder `path` (default: `runs/<name>-<date>-<time>`) and return it.
 
-    resumable: a file name; an existing folder that holds this file is returned as it is.
+    resumable: a file name; an existing folder with this file is returned unchanged.
     Raises UserError when the folder exists and is not empty, or cannot be created.
     """
     if path is None:
@@ -94,7 +94,7 @@ def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iter
     try:
         while not _locked(handle):
             if time.monotonic() >= until:
-                raise UserError(f"another process works in the run folder {folder}; wait for its end")
+                raise UserError(f"another process is using the run folder {folder}; wait until it ends")
             time.sleep(0.2)
         yield handle
     finally:
@@ -115,9 +115,9 @@ def _locked(handle: int) -> bool:
 def staged_run(path: str | Path) -> Iterator[Path]:
     """Yield a folder to write a run into; when everything is written, it becomes `path`.
 
-    An empty folder that is there already, perhaps a mounted one or the one that the shell is in, stays and
-    gets the files. On any error, an interruption included, nothing of the run stays. Raises UserError where
-    `new_run` does and when the disk is full.
+    An existing empty folder, which may be a mount or the current folder of the shell, is kept and receives
+    the files. After any error, including an interruption, nothing of the run remains. Raises UserError as
+    `new_run` does, and when the disk is full.
     """
     check_new_run(path)
     path = Path(path)
@@ -188,7 +188,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def cpu_name() -> str:
-    """Return the processor's name, as well as the system tells it."""
+    """Return the name of the processor, if the system provides it."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines():
             if line.startswith("model name"):

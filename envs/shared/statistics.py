@@ -1,4 +1,4 @@
-"""Numbers with their uncertainty."""
+"""Estimates with their uncertainty."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def mean(values: npt.ArrayLike) -> dict[str, Any]:
 def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
     """Return the mean with its 95 % bootstrap interval, percentiles of 10 000 draws, for more than one value.
 
-    It never leaves the range of the values, and of three or four it is rather narrow.
+    It never exceeds the range of the values, and for three or four values it is rather narrow.
     """
     values = np.asarray(values, float)
     result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}
@@ -57,7 +57,7 @@ def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with three digits, as a person writes it: 0.42, 1.3e-6, 34 100."""
+    """Return a number with three digits for people: 0.42, 1.3e-6, 34 100."""
     if value is None or not math.isfinite(value):
         return "–"
     size = abs(value)

@@ -1,4 +1,4 @@
-"""Answers in the terminal, of one look in all commands: tables, and sentences on what came out."""
+"""Terminal output with one look for all commands: tables, and sentences on the results."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PAD = 3  # columns of a table around a cell
 
 
 def printer(console: Console | None = None) -> Console:
-    """Return a console that prints text as it is; into a pipe or a file as wide as COLUMNS says, or 120."""
+    """Return a console that prints text unchanged; in a pipe or a file it is COLUMNS wide, or 120."""
     console = console or Console(markup=False, highlight=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _PIPED_WIDTH
@@ -39,7 +39,7 @@ def new_table(title: str | None, *columns: str, labels: int = 1) -> Table:
 def show_table(table: Table, console: Console | None = None) -> None:
     """Print a table of `new_table` without wrapping its numbers.
 
-    Columns of numbers for which the screen has no room follow below, beside the same labels.
+    Columns of numbers that do not fit the screen follow below, next to the same labels.
     """
     console = printer(console)
     labels = [k for k, column in enumerate(table.columns) if column.justify == "left"]

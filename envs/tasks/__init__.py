@@ -66,7 +66,7 @@ __all__ = [
 
 
 def known(name) -> bool:
-    """Is there a task of this name, or has one been imported by this name or path."""
+    """Return whether there is a task of this name, or one has been imported by this name or path."""
     return isinstance(name, str) and (name in TASKS or name in _OWN)
 
 
@@ -78,7 +78,7 @@ def task_class(name: str) -> type[Task]:
 
 
 def import_task(path: str) -> type[Task]:
-    """Import a task of one's own, `module:Class` or `file.py:Class`; it is then known like any other.
+    """Import a custom task, `module:Class` or `file.py:Class`; it is then known like any other.
 
     As with modules, a second import of the same path is the first.
     """
@@ -86,7 +86,9 @@ def import_task(path: str) -> type[Task]:
         return _OWN[path]
     kind = import_class(path)
     if kind.name in TASKS:
-        raise UserError(f"task {shown(path, 60)} is called {kind.name}, as one of this package; rename it")
+        raise UserError(
+            f"task {shown(path, 60)} has the name {kind.name} of a task of this package; rename it"
+        )
     _OWN[path] = _OWN[kind.name] = kind
     return kind
 
@@ -98,7 +100,7 @@ def make_task(name: str, vehicle=None, **options) -> Task:
     for key in options:
         if key not in known:
             wrong = shown(repr(key), 40)
-            raise UserError(f"the task {name} has no option {wrong}; it has {', '.join(known)}")
+            raise UserError(f"the task {name} has no option {wrong}; choose from {', '.join(known)}")
     try:
         task = class_for(kind, options)(vehicle, **options)
     except TypeError as error:
@@ -109,7 +111,7 @@ def make_task(name: str, vehicle=None, **options) -> Task:
 
 
 def class_for(kind: type[Task], options: Mapping[str, Any]) -> type[Task]:
-    """Return the class of a task with these options; one of a person's own is as it was named."""
+    """Return the class of a task with these options; a custom class is returned unchanged."""
     if kind not in FURTHER:
         return kind
     on_slopes, in_space, over_moving = FURTHER[kind]

@@ -1,9 +1,9 @@
-"""What a task is: observation, action map, starts, reward, and everything that others ask about it.
+"""The interface of tasks: observation, action map, starts, reward, and what evaluation needs.
 
 A task holds no vehicle state and steps nothing. `BatchEnv` owns the plant and the episodes and asks
 the task; every function here takes and returns arrays whose first axis is the vehicle.
 
-A new task is a class derived from `Task`: in a file beside this one with its entry in `TASK_CLASSES`
+A new task is a class derived from `Task`: in a file next to this one with its entry in `TASK_CLASSES`
 (`envs/ids.py`), or anywhere and named as `module:Class` or `file.py:Class` (`envs.tasks.own`). It must have
 `name`, the names and scale of its observations, `action_names`, `sample` and `evaluate`; everything else has
 a default: it can then be trained, evaluated, filmed and pictured.
@@ -176,7 +176,7 @@ class Task(abc.ABC):
         self._resolve(pwm_span=self.pwm_span)
 
     def _resolve(self, **values: Any) -> None:
-        """Set options that were left to the vehicle, and note what policy files carry."""
+        """Set options that default to the vehicle, and record what policy files store."""
         self.settings = dataclasses.replace(self.settings, **values)
         self.options = self.settings.recorded()
 
@@ -194,11 +194,11 @@ class Task(abc.ABC):
 
     @property
     def plant_options(self) -> dict[str, Any]:
-        """Options that a plant of this task needs, whoever makes it."""
+        """Options that every plant of this task needs."""
         return {}
 
     def prepare(self, plant) -> None:  # noqa: B027 (many have nothing to set up)
-        """Set a plant up for this task; raises UserError for one that cannot serve it."""
+        """Set up a plant for this task; raises UserError for an unsuitable one."""
 
     def start(self, state: np.ndarray) -> Start:
         """Return starts from given states (k, 13)."""
@@ -221,7 +221,7 @@ class Task(abc.ABC):
 
     @property
     def per_vehicle_hover(self) -> bool:
-        """Is action 0 the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
+        """Return whether action 0 is the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
         return self.settings.pwm_centre == OWN
 
     def commands(self, actions: np.ndarray, pwm_centre: np.ndarray | None = None) -> np.ndarray:
@@ -239,7 +239,7 @@ class Task(abc.ABC):
     def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over platforms (n, 12).
 
-        Here they are so already; some tasks have attitude actions along other axes.
+        By default they already are; some tasks have attitude actions along other axes.
         """
         return commands
 
@@ -351,7 +351,7 @@ class Task(abc.ABC):
         return point
 
     def check_start(self, point: tuple[float, ...]) -> None:  # noqa: B027 (or to check)
-        """Raise UserError where the start `point` [m] is not free."""
+        """Raise UserError if the start `point` [m] is occupied."""
 
     def start_words(self, state: np.ndarray) -> str:
         """Return the position of a state (13,) as starts are written."""
@@ -367,8 +367,8 @@ class Task(abc.ABC):
 def resolve_pwm_centre(centre, vehicle: Vehicle) -> float:
     """Return the PWM at action 0 for a number, "paper" (42 000), "hover" or "own".
 
-    "hover" is that of the vehicle that a policy is trained for (`forces.settled_hover`), whatever vehicle
-    it is flown on later; "own" is that of each vehicle that it is flown on.
+    "hover" is that of the vehicle that a policy is trained for (`forces.settled_hover`), also on another
+    vehicle; "own" is that of each vehicle that it flies.
     """
     if isinstance(centre, str) and centre == "paper":
         return vehicle.command_pwm_centre
@@ -394,7 +394,7 @@ def resolve_pwm_span(span, vehicle: Vehicle) -> float:
 
 
 def limited(vehicle: Vehicle, angle_limit: float | None) -> Vehicle:
-    """Return the vehicle with roll and pitch commands up to angle_limit [rad]; None: as it is."""
+    """Return the vehicle with roll and pitch commands up to angle_limit [rad]; None: unchanged."""
     if angle_limit is None:
         return vehicle
     low, high = next(c.range[0] for c in constants() if c.field == "command_angle_limit")

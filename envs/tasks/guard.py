@@ -1,7 +1,7 @@
-"""Checks of a task of one's own: of its class when it is imported, and of one step when it is made.
+"""Checks of custom tasks: of the class when it is imported, and of one step when it is made.
 
-The package's own tasks have tests instead. What their code raises later is put into words where a command
-line ends (`envs.tasks.own.blame`); a reward that is not finite `BatchEnv` refuses.
+The package's own tasks have tests instead. Later exceptions of their code become sentences at the end of a
+command (`envs.tasks.own.blame`); `BatchEnv` refuses rewards that are not finite.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _NEEDED = ("name", "observation_names", "observation_scale", "action_names")
 
 
 class TaskError(UserError):
-    """The code of a task of one's own is wrong."""
+    """The code of a custom task is wrong."""
 
 
 def check_class(kind: type[Task], what: str) -> None:
-    """Raise TaskError for a class that lacks what every task must have. what: how the sentence calls it."""
+    """Raise TaskError for a class that lacks a required attribute. what: its name in the sentence."""
     lacking = sorted(getattr(kind, "__abstractmethods__", ()))
     if lacking := lacking or [name for name in _NEEDED if not hasattr(kind, name)]:
         raise TaskError(f"{what} lacks {' and '.join(lacking)}")
@@ -55,7 +55,7 @@ def check_step(task: Task) -> None:
         raise TaskError(f"{what}: sample returned {shown(repr(start), 40)}, not a Start")
     state = _numbers(start.state, (n, STATE_SIZE), f"{what}: sample's states")
     if (np.abs(state) > FARTHEST).any():
-        raise TaskError(f"{what}: sample's states are beyond {FARTHEST:g}")
+        raise TaskError(f"{what}: states of sample are beyond {FARTHEST:g}")
     for name in ("inclination", "present"):
         _numbers(getattr(start, name), (n,), f"{what}: sample's {name}")
     nowhere = np.zeros((n, 3, 3), bool)
@@ -72,7 +72,7 @@ def check_step(task: Task) -> None:
         _numbers(term, (n,), f"{what}: evaluate's term {shown(name, 40)}")
     for name in ("success", "terminated", "cut", *(["holding"] if found.holding is not None else [])):
         if _numbers(getattr(found, name), (n,), f"{what}: evaluate's {name}").dtype != bool:
-            raise TaskError(f"{what}: evaluate's {name} must be of true and false")
+            raise TaskError(f"{what}: evaluate's {name} must hold truth values")
 
 
 def _numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
@@ -81,9 +81,9 @@ def _numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
         array = np.asarray(value)
         wrong = array.dtype.kind not in "fiub" or not np.isfinite(array).all()
     except ValueError:  # rows of several lengths
-        raise TaskError(f"{what} is no array") from None
+        raise TaskError(f"{what} is not an array") from None
     if array.shape != shape:
         raise TaskError(f"{what} must have shape {shape}, not {array.shape}")
     if wrong:
-        raise TaskError(f"{what} must be of finite numbers")
+        raise TaskError(f"{what} must hold finite numbers")
     return array

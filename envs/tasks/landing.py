@@ -18,9 +18,9 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 | 1 | pitch | 30 deg times a | `pitch` |
 
 The centre is the hover of the vehicle with its effects on the thrust, a number, the paper's 42000
-(`pwm_centre="paper"`), or the hover of whatever vehicle is flown (`pwm_centre="own"`); the span is 16500
-as in the paper, or `pwm_span`. A policy knows neither: `load_policy(POLICY, task)` refuses one that was
-trained with others.
+(`pwm_centre="paper"`), or the hover of the flown vehicle (`pwm_centre="own"`); the span is 16500 as in the
+paper, or `pwm_span`. A policy observes neither: `load_policy(POLICY, task)` refuses one that was trained with
+other values.
 
 Goal s_g = [0, 1.25, 0, 0, inclination]; goal box |s - s_g| < [d, d, min(10d, 1.5), min(10d, 1.5),
 0.25d] with d from 0.25 (easiest) to 0.10 (the task).
@@ -31,7 +31,7 @@ Reward per step: 0 in the goal box; otherwise -1 (`time`), a further -1 near the
 An episode ends in the goal box, or is truncated after 300 steps. The goal box is not yet a landing:
 its centre hovers 9 cm above the slope, and entries into it may be moving.
 
-Options make other tasks of it, whose manuals follow: any slope with `steepest` (`slopes.py`), in space with
+Options change the task, as described below: any slope with `steepest` (`slopes.py`), in space with
 `dimensions=3` (`space.py`), over moving platforms with `fastest` (`moving.py`).
 """
 
@@ -79,7 +79,7 @@ PAPER_RESULTS = (
 
 @dataclasses.dataclass(frozen=True)
 class LandingConditions:
-    """Under which conditions episodes begin. The defaults are the task; a curriculum passes easier ones.
+    """Conditions under which episodes begin. The defaults are the task; a curriculum passes easier ones.
 
     The last five fields are training aids: the task itself never uses them.
     """
@@ -192,8 +192,8 @@ class InclinedLanding(Task):
         )
         if asked != (self.is_planar, self.observes_slope, self.platform_moves):
             raise UserError(
-                f"{type(self).__name__} is of other options; make_task({self.name!r}, ...) takes the class "
-                "for them, from which one of your own is derived"
+                f"{type(self).__name__} has other options; make_task({self.name!r}, ...) selects the "
+                "class for these, from which a custom task is derived"
             )
         usual = self._usual_inclination()
         self.inclination = v.check_inclination(
@@ -260,7 +260,7 @@ class InclinedLanding(Task):
         return self._place(rng, start)
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
-        """Draw what differs from platform to platform: here nothing."""
+        """Draw what varies between platforms: here nothing."""
 
     def _place(self, rng: np.random.Generator, start: Start) -> Start:
         """Draw the places of the starts, clear of the platform."""
@@ -293,11 +293,11 @@ class InclinedLanding(Task):
         return distance[:, :2].min(axis=(1, 2))
 
     def at_standstill(self, start: Start) -> Start:
-        """Return the starts relative to platforms in their usual place: here as they are."""
+        """Return the starts relative to platforms in their usual place: here unchanged."""
         return start
 
     def check_start(self, point: tuple[float, ...]) -> None:
-        """Raise UserError where a vehicle there would touch the platform or be in the hollow under it."""
+        """Raise UserError if a vehicle there would touch the platform or be under it."""
         state = self.states_at([point])
         inside = in_platform(state[0, : Z + 1], self.inclination, self.azimuth, self.vehicle)
         if inside or self.start_clearance(self.start(state))[0] <= 0.0:
@@ -337,7 +337,7 @@ class InclinedLanding(Task):
         return self.end_in_training(context, Evaluation(terms, goal))
 
     def end_in_training(self, context: StepContext, evaluation: Evaluation) -> Evaluation:
-        """Return an evaluation with the ends that training alone has, of `LandingConditions`."""
+        """Return an evaluation with the ends that only training has, of `LandingConditions`."""
         c, goal = self.conditions, evaluation.success
         outside, stuck = self.has_left(context) & ~goal, np.zeros_like(goal)
         if c.contact_limit:

@@ -1,11 +1,11 @@
 """Moving platforms: the landing in space with `fastest` [m/s].
 
-Every platform travels steadily, in any direction, at up to this speed, and with `swell` it heaves, rolls and
-pitches too (`envs.swell`). The vehicle starts at rest in the room. Everything is observed and judged relative
-to the platform: velocities are against its centre, and six more observations are the platform's velocity and
-rates, along the axes of the heading frame. The arena is carried along with the platform's centre, and wider
-by the way of half a second at `fastest`, so that there is room to catch up. Given starts have platforms that
-stand still.
+Every platform travels at a constant velocity in any direction, at up to this speed, and with `swell` it also
+heaves, rolls and pitches (`envs.swell`). The vehicle starts at rest in the room. Observations and success are
+relative to the platform: velocities are relative to its centre, and six more observations are the platform's
+velocity and rates along the axes of the heading frame. The arena moves with the platform's centre, and is
+wider by half a second of travel at `fastest`, so that there is room to catch up. Given starts have platforms
+at rest.
 """
 
 from __future__ import annotations

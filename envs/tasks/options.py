@@ -1,4 +1,4 @@
-"""Options of tasks as records: the one source of each option's name, type, default and limits.
+"""Options of tasks as records: the only source of each option's name, type, default and limits.
 
 The record of a task is its class's `options_type`, a frozen dataclass derived from `TaskOptions`. The
 constructor takes its fields as keyword arguments, and a policy file carries them as `task_options`.
@@ -21,7 +21,7 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 def option(default: Any, *, recorded: bool = False, trained_with: bool = False) -> Any:
-    """Return a field of a record that is more than its type and default.
+    """Return a field of a record with metadata beyond its type and default.
 
     recorded: policy files carry it even at its default. trained_with: a policy is refused for a task with
     another value.
@@ -39,7 +39,7 @@ class Record:
         schema.check(self)
 
     def recorded(self) -> dict[str, Any]:
-        """Return what a policy file carries of them: what is not at its default, and some always."""
+        """Return what a policy file stores of them: values that are not the default, and some always."""
         fields = {field.name: field for field in dataclasses.fields(self)}
         values = {name: getattr(self, name) for name in fields}
         return {
@@ -54,16 +54,16 @@ class TaskOptions(Record):
     """Options that every task has."""
 
     angle_limit: float | None = option(None, trained_with=True)
-    """Of roll and pitch commands [rad], where it differs from the vehicle file's."""
+    """Limit of roll and pitch commands [rad] (default: that of the vehicle file)."""
     pwm_centre: float | str = option("hover", recorded=True)
-    """PWM at action 0: a number, hover (of the vehicle with its effects), own (of each vehicle that is drawn,
-    or flown later) or paper (42 000)."""
+    """PWM at action 0: a number, hover (that of the vehicle with its effects), own (that of each drawn or
+    flown vehicle) or paper (42 000)."""
     pwm_span: Annotated[float, Meta(ge=1, le=65_535)] | None = option(None, recorded=True)
-    """PWM from action 0 to action 1; None: the vehicle file's."""
+    """PWM from action 0 to action 1 (default: that of the vehicle file)."""
     history: Annotated[int, Meta(ge=0, le=LONGEST_HISTORY)] = 0
-    """Past steps, observation and action each, that the policy is given besides the observation."""
+    """Number of past steps, each an observation and an action, in the policy's input."""
     observe_vehicle: bool = False
-    """Is the policy given six numbers of each vehicle."""
+    """Whether the policy observes six parameters of its vehicle."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 Each episode's inclination is drawn uniformly from -steepest to steepest; `inclination` is then that of given
 starts. Everything is observed from the centre of the surface, along level axes with the surface's heading
-(`models.surface.heading_frame`): a slope looks the same whichever way it faces.
+(`models.surface.heading_frame`), so that a slope looks the same in every direction that it faces.
 
 | in the plane | in space | quantity | unit |
 |---|---|---|---|
@@ -14,7 +14,7 @@ starts. Everything is observed from the centre of the surface, along level axes 
 The goal lies 0.10 m over the surface along its normal, as 0.10 m straight above would leave 6.4 cm over a
 slope of 50 deg. In space the goal box bounds y, vy and roll too, with the half widths of x, vx and pitch,
 about the attitude of a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg:
-`angle_limit` [rad] takes the place of the vehicle's.
+`angle_limit` [rad] replaces that of the vehicle.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PLANAR = [SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope p
 
 @numba.njit(cache=True)
 def _in_goal(state, platform, goal_size, is_planar, out):
-    """In the plane y, vy and roll are not bounded: no policy there can answer what pushes sideways."""
+    """In the plane y, vy and roll are not bounded: policies there cannot counteract sideways forces."""
     seen = np.empty(surface.HEADING_SIZE)
     for i in range(len(state)):
         s, d = state[i], platform[i]
@@ -113,7 +113,7 @@ class SlopeLanding(InclinedLanding):
     def observe(self, context: StepContext) -> np.ndarray:
         """Return observations (n, o), float32; the platforms of the moment are needed."""
         if context.platform is None:
-            raise UserError(f"this {self.name} task observes the slope; give observe the platform")
+            raise UserError(f"this {self.name} task observes the slope; pass the platform to observe")
         seen = surface.heading_frame(context.state, context.platform)[:, self.columns]
         return seen.astype(np.float32)
 

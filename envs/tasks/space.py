@@ -6,7 +6,7 @@ the plane, with the columns of space.
 
 The actions are thrust, roll and pitch. Roll and pitch are those of a vehicle that has the surface's heading
 and the same thrust axis; `body_commands` turns them by the vehicle's own heading. So `random_yaw`, which
-draws the heading of each start, asks for nothing new. Starts come from the upper half of the arena in all
+draws the heading of each start, needs no other policy. Starts come from the upper half of the arena in all
 three directions, and its bounds in y count too.
 """
 

@@ -1,7 +1,7 @@
 """`InclinedTouchdown`: come to rest on the slope, on the feet, motors at idle, by the policy's own command.
 
-Nothing outside ends the flight: there is no goal box and nobody who cuts the motors in it. The contact
-is real, so that only the MuJoCo plant can judge this task.
+There is no goal box in which the motors are cut; the policy itself has to stop them. The contact is
+simulated, so that this task needs the MuJoCo plant.
 
 Observation, float32, unbounded: that of `InclinedLanding`; index 5 only with `observe_contact=True`:
 
@@ -19,7 +19,7 @@ Action, float32, from -1 to 1; roll and yaw-rate commands are zero:
 | 0 | thrust | as in `InclinedLanding`, but a <= -0.9 is PWM 0: motors at idle | `thrust` |
 | 1 | pitch | 30 deg times a | `pitch` |
 
-Motors at idle make no attitude torque either.
+Motors at idle produce no attitude torque.
 
 A moment is *held* when feet and nothing else touch the slab, nothing touches the base, the vehicle is
 slower than 0.05 m/s and turns slower than 1 rad/s, both against the slab where it stands, and the motors
@@ -27,8 +27,8 @@ are at idle by command. Success is 0.3 s (15 steps) held without a break.
 
 Reward per step: 0 while held; otherwise -1 (`time`), a further -1 near the bounds of the arena
 (`bounds`), a further -6 when body or rotors touch the slab or anything touches the base (`obstacle`);
-and at any time -0.5 for each weight that the force on the feet exceeds two weights by (`impact`), which
-asks for a soft touchdown.
+and at any time -0.5 for each weight by which the force on the feet exceeds two weights (`impact`), which
+rewards a soft touchdown.
 
 An episode ends with success, or is truncated after 300 steps.
 """
@@ -75,7 +75,7 @@ HELD = (1.04, 1.5)  # least of both ends of that spread, in the friction that ho
 
 @dataclasses.dataclass(frozen=True)
 class TouchdownConditions(LandingConditions):
-    """Under which conditions episodes begin. The defaults are the task; the rest are training aids.
+    """Conditions under which episodes begin. The defaults are the task; other values are training aids.
 
     contact_limit ends episodes on the wrong parts. With an `out_of_bounds_penalty`, about the return of
     staying there, episodes that it or leave_limit ends are terminated; without one they are truncated.
@@ -157,11 +157,13 @@ class InclinedTouchdown(InclinedLanding):
     def prepare(self, plant) -> None:
         """Set a plant up for this task; raises UserError for one without contact."""
         if plant.kind == "analytic":
-            raise UserError("the touchdown task needs the MuJoCo plant: in the analytic one nothing is felt")
+            raise UserError(
+                "the touchdown task needs the MuJoCo plant; the analytic plant does not simulate contact"
+            )
         plant.torque_needs_motors = True
 
     def sample(self, rng: np.random.Generator, k: int) -> Start:
-        """Return k starts: as in the landing task, but for the conditions' shares of others."""
+        """Return k starts as in the landing task, with the conditions' shares of other ones."""
         c = self.conditions
         start = super().sample(rng, k)
         if c.around_edge > 0.0:
@@ -185,7 +187,7 @@ class InclinedTouchdown(InclinedLanding):
         """Return 1 and 0; raises UserError where the PWM of an action differs, as idle is an action here."""
         if (other.pwm_centre, other.pwm_span) != (self.pwm_centre, self.pwm_span):
             raise UserError(
-                f"the {self.name} task goes on only from policies of its own pwm_centre and pwm_span"
+                f"the {self.name} task can only continue policies with its pwm_centre and pwm_span"
             )
         return 1.0, 0.0
 
@@ -195,7 +197,7 @@ class InclinedTouchdown(InclinedLanding):
         if not self.observe_contact:
             return observation
         if context.contacts is None:
-            raise UserError("this touchdown task observes the feet's contact; give it to observe")
+            raise UserError("this touchdown task observes the contact of the feet; pass it to observe")
         return np.column_stack([observation, context.contacts.touch[:, 0, 0].astype(np.float32)])
 
     def evaluate(self, context: StepContext) -> Evaluation:
@@ -214,7 +216,7 @@ class InclinedTouchdown(InclinedLanding):
         return self.end_in_training(context, Evaluation(terms, success, holding=holding))
 
     def end_in_training(self, context: StepContext, evaluation: Evaluation) -> Evaluation:
-        """Return an evaluation with the ends that training alone has, of `TouchdownConditions`."""
+        """Return an evaluation with the ends that only training has, of `TouchdownConditions`."""
         c, success = self.conditions, evaluation.success
         over = self.has_left(context)
         if c.contact_limit:

@@ -29,7 +29,7 @@ _ALONG_SLAB = (-1.0, 2.5)
 
 
 def around_edge(task: InclinedLanding, rng: np.random.Generator, start: Start) -> np.ndarray:
-    """Return states (k, 13) at rest around the raised edge, which the way to the slope leads over.
+    """Return states (k, 13) at rest around the raised edge, which has to be passed on the way to the slope.
 
     Half of them lie in the lowest quarter of the start box.
     """

@@ -149,7 +149,7 @@ def test_options_reach_task_plant_and_vehicle(tmp_path):
     with pytest.raises(UserError, match="unknown plant"):
         InclinedLandingEnv(plant="gazebo")
     with pytest.raises(
-        UserError, match="setpoint has no option 'inclination'; it has angle_limit, pwm_centre"
+        UserError, match="setpoint has no option 'inclination'; choose from angle_limit, pwm_centre"
     ):
         SetpointEnv(inclination=0.1)
 
@@ -162,10 +162,10 @@ WRONG_OPTIONS = [
     (InclinedLandingEnv, {"plant": ["mujoco"]}, "unknown plant"),
     (InclinedLandingEnv, {"inclination": "steep"}, "inclination must be a number, not 'steep'"),
     (InclinedLandingEnv, {"colour": "red"}, "the task landing has no option 'colour'"),
-    (InclinedLandingEnv, PICTURE | {"width": 1e9}, "16 to 4096 pixels a side"),
-    (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be a whole number from 1 to 100000, not 0"),
-    (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be a whole number"),
-    (InclinedLandingVectorEnv, {"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1"),
+    (InclinedLandingEnv, PICTURE | {"width": 1e9}, "must be 16 to 4096 pixels"),
+    (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be an integer from 1 to 100000, not 0"),
+    (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be an integer"),
+    (InclinedLandingVectorEnv, {"max_episode_steps": 0}, "max_episode_steps must be a positive integer"),
 ]
 
 
@@ -182,15 +182,15 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         (single, {"options": {"state": state[:12]}}, r"\(1, 13\), not \(1, 12\)"),
         (single, {"options": {"state": "somewhere"}}, "start state must be an array of real numbers"),
         (single, {"options": {"state": state + 0j}}, "start state must be an array of real numbers"),
-        (single, {"options": {"start": state}}, "reset has no option 'start'; it has state"),
+        (single, {"options": {"start": state}}, "unknown option 'start' of reset; choose from state"),
         (single, {"options": [state]}, "options of reset must be a dictionary"),
-        (single, {"seed": -1}, "a seed must be a whole number from 0 on, not -1"),
-        (single, {"seed": 0.5}, "a seed must be a whole number"),
+        (single, {"seed": -1}, "a seed must be a non-negative integer, not -1"),
+        (single, {"seed": 0.5}, "a seed must be a non-negative integer"),
         (vector, {"seed": [1, 2]}, "3 vehicles need one seed or 3, not 2"),
-        (vector, {"seed": [1, 2, -3]}, "a seed must be a whole number from 0 on, not -3"),
+        (vector, {"seed": [1, 2, -3]}, "a seed must be a non-negative integer, not -3"),
         (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
-        (vector, {"options": {"reset_mask": [True]}}, "reset_mask must be 3 times True or False"),
-        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must be 3 times True or False"),
+        (vector, {"options": {"reset_mask": [True]}}, "reset_mask must hold 3 truth values"),
+        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must hold 3 truth values"),
     ):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
@@ -217,7 +217,7 @@ def test_tensors_are_actions_but_for_those_with_a_gradient(task):
     ):
         env.reset()
         env.step(action)
-        with pytest.raises(UserError, match=r"real numbers; of a tensor give tensor\.detach\(\)"):
+        with pytest.raises(UserError, match=r"real numbers; convert a tensor with tensor\.detach\(\)"):
             env.step(action.clone().requires_grad_())
 
 
@@ -365,10 +365,10 @@ def test_vecenv_attributes():
         lambda: env.set_attr("reward_scale", 7.0, [0]),
         lambda: env.env_method("set_conditions", None, indices=[1, 2]),
     ):
-        with pytest.raises(UserError, match="leave indices out"):
+        with pytest.raises(UserError, match="omit indices"):
             act()
     for act in (lambda: env.get_attr("reward_scale", 3), lambda: env.env_method("reset")):
-        with pytest.raises(UserError, match=r"numbers of vehicles below 3|call reset itself"):
+        with pytest.raises(UserError, match=r"numbers of vehicles below 3|call reset directly"):
             act()
     env.env_method("seed", 1, indices=range(3))
     assert env.get_attr("num_envs") == [3, 3, 3] and len(env.get_attr("env", [0, 2])) == 2

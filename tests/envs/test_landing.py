@@ -180,7 +180,7 @@ def test_action_map_span():
     ({"pwm_span": 0}, "pwm_span must be a PWM from 1 to 60000, not 0"),
     ({"inclination": 1.0}, "outside the supported range"),
     ({"inclination": math.nan}, "inclination must be a number, not nan"),
-    ({"slope": 1.0}, "the task landing has no option 'slope'; it has angle_limit"),
+    ({"slope": 1.0}, "the task landing has no option 'slope'; choose from angle_limit"),
 ])  # fmt: skip
 def test_wrong_options_are_refused(options, sentence):
     with pytest.raises(UserError, match=sentence):

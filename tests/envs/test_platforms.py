@@ -101,7 +101,7 @@ def test_pictures_of_the_flight_and_of_the_engine_are_the_same(flight, plant):
 
 
 def test_pages_and_figures_for_standing_platforms_say_so(flight):
-    with pytest.raises(UserError, match="stand still"):
+    with pytest.raises(UserError, match="cannot show moving platforms"):
         from_flight(flight, "x", "mujoco")
-    with pytest.raises(UserError, match="stands still"):
+    with pytest.raises(UserError, match="cannot show a moving platform"):
         trajectory_figure(flight)

@@ -108,7 +108,7 @@ def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
 
 def test_a_plain_sb3_file_needs_the_task(tmp_path):
     path = saved(tmp_path / "p.zip", model(), metadata=None)
-    with pytest.raises(UserError, match="does not say which task"):
+    with pytest.raises(UserError, match="does not state its task"):
         policy.load_policy(path)
     assert policy.load_policy(path, "landing").metadata == {}
     task = make_task("landing", pwm_centre="hover")
@@ -129,7 +129,7 @@ def test_a_policy_fits_the_default_environment_and_refuses_another_action_map_or
             policy.load_policy("landing-nominal", make_task("landing", **options))
     sloped = make_task("landing", inclination=-0.2)
     with pytest.raises(
-        UserError, match=r"inclination=-0\.44\d+, and .* inclination=-0\.2; .*say inclination too"
+        UserError, match=r"inclination=-0\.44\d+, and .* inclination=-0\.2; .*give inclination as well"
     ):
         policy.load_policy("landing-nominal", sloped)
     assert policy.load_policy("landing-nominal", sloped, inclination=-0.2).task is sloped
@@ -205,7 +205,7 @@ def damaged_metadata(path):
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
         (damaged, "policy.pth in it is not a zip file"),
-        (huge_stride, "tensor log_std has a shape that is none"),
+        (huge_stride, "tensor log_std has an invalid shape"),
         (discrete_actions, "not a PPO, SAC or TD3 policy"),
         (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
         (damaged_metadata, "inclined_landing.json in it is not JSON"),
@@ -321,7 +321,7 @@ def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
     env.save(tmp_path / "statistics.pkl")
     save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
     for name in ("plain.zip", "bare.zip"):
-        with pytest.raises(UserError, match=r"behind VecNormalize.*VecNormalize\.load"):
+        with pytest.raises(UserError, match=r"with VecNormalize.*VecNormalize\.load"):
             load_policy(tmp_path / name, "landing")
     again = VecNormalize.load(tmp_path / "statistics.pkl", vehicles())
     save_policy(PPO.load(tmp_path / "plain.zip", env=again), tmp_path / "mine.zip")
@@ -432,7 +432,7 @@ def more_tensors():
         (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled"),
         (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "of a class in .*test_policy"),
         (lambda: model(activation_fn=Tanh), "activation .*test_policy.Tanh"),
-        (action_bounds, "actions that are not from -1 to 1"),
+        (action_bounds, "was trained with actions outside"),
         (several_observations, "observes a .*Dict"),
         (more_tensors, "lstm_actor"),
     ],

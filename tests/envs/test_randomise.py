@@ -69,21 +69,21 @@ def test_a_file_of_ranges(tmp_path):
     ("nominal = 0.5", "has no range"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
     ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; choose from 43 names, such as thrust_"),
-    ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; it has scale"),
+    ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),
     ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),
     ("[effects]\nthrust = [1, 2]", "effects.thrust is not an effect with parameters, .* or an entry"),
     ("[body]\nweight = [1, 2]", "body.weight is not an entry of the vehicle file"),
     ("[effects.mass]\nscale = 1.2", "mass.scale must be a list of 2, each a number from 0.6 to 1.8, not 1.2"),
     ("[effects.mass]\nscale = [0, 1]", r"scale\[0\] must be a number from 0.6 to 1.8, not 0"),
     ("[effects.thrust_delay]\ndelay = [0, inf]", "must be a number from 0 to 0.15, not inf"),
-    ("[effects.mass]\nscale = [1.1, 0.9]", "effects.mass.scale begins at 1.1 and ends below it, at 0.9"),
+    ("[effects.mass]\nscale = [1.1, 0.9]", "mass.scale has its lower end 1.1 above its upper"),
     ("[effects.mass]\nscale = [1, 1]\nprobability = 2", "mass.probability must be a number from 0 to 1"),
     ("nominal = [1]\n[effects.mass]\nscale = [1, 1]", r"nominal must be a number from 0 to 1, not \[1\]"),
     ("[body]\nmass = [nan, 1]", r"body.mass\[0\] must be a number from 0.001 to 20, not nan"),
     ("[body]\ninertia = [1e-5, 2e-5]", "body.inertia must be 3 ranges"),
-    ("[command]\npwm_centre = [1, 2]", "command.pwm_centre cannot differ from vehicle to vehicle"),
-    ("[rotor]\narm = [0.03, 0.04]", "rotor.arm cannot differ from vehicle to vehicle"),
-    ("[platform]\nwidth = [0.7, 0.8]", "platform.width cannot differ from vehicle to vehicle"),
+    ("[command]\npwm_centre = [1, 2]", "command.pwm_centre cannot vary between vehicles"),
+    ("[rotor]\narm = [0.03, 0.04]", "rotor.arm cannot vary between vehicles"),
+    ("[platform]\nwidth = [0.7, 0.8]", "platform.width cannot vary between vehicles"),
     ("[effects.mass]\nscale = [", "is not TOML"),
 ])  # fmt: skip
 def test_wrong_files_are_refused(text, sentence, tmp_path):
@@ -216,7 +216,7 @@ def test_every_entry_is_taken_or_cannot_differ(tmp_path):
         try:
             pool = written(tmp_path, text).draw(V, 0, 2)
         except UserError as error:
-            assert "cannot differ from vehicle to vehicle" in str(error)
+            assert "cannot vary between vehicles" in str(error)
             continue
         taken.add(entry.section)
         assert pool == [V, V]

@@ -148,7 +148,7 @@ def test_frozen_starts_over_slopes_never_change():
         assert hashlib.sha256(text.encode()).hexdigest()[:16] == digest
         low, high = (found.inclinations[found.cell[0] + k] for k in (0, 1))
         assert ((found.start.inclination >= low) & (found.start.inclination <= high)).all()
-    with pytest.raises(UserError, match="has one slope, and does not observe it"):
+    with pytest.raises(UserError, match="has one slope and does not observe it"):
         starts.over_slopes(make_task("landing"))
 
 

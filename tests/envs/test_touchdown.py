@@ -148,7 +148,7 @@ def test_contact_can_be_observed():
     assert env.reset(state=resting()).shape == (1, 6)
     assert env.step(IDLE[None]).observation[0, 5] == 1.0
     assert make_task("touchdown").observe(StepContext(resting())).shape == (1, 5)
-    with pytest.raises(UserError, match="observes the feet's contact"):
+    with pytest.raises(UserError, match="observes the contact of the feet"):
         task.observe(StepContext(resting()))
 
 

@@ -279,7 +279,7 @@ def test_no_two_processes_do_the_same_job(place):
     job.log.parent.mkdir(parents=True)
     with runs.locked(job.folder, job.log) as log:
         other = os.dup(log)  # as the program that was begun has it
-    with pytest.raises(UserError, match=r"another process works in the run folder \S+a-5; wait"):
+    with pytest.raises(UserError, match=r"another process is using the run folder \S+a-5; wait"):
         jobs.work(1, 0.1, None, job)
     assert not calls() and not job.record.exists()
     timer = threading.Timer(0.3, os.close, [other])

@@ -70,7 +70,7 @@ def test_the_law_comes_in_uphill():
         ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
         (
             {"task": "touchdown", "nominal": True, "pwm_centre": "paper"},
-            "only from policies of its own pwm_centre and pwm_span",
+            "can only continue policies with its pwm_centre",
         ),
     ],
 )
