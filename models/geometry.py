@@ -16,7 +16,7 @@ import mujoco
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import rotation, sine_cosine
+from inclined_landing.models.attitude import rotation_entries, sine_cosine
 from inclined_landing.models.vehicle import Vehicle
 
 PARTS = ("feet", "body", "rotors")
@@ -204,48 +204,50 @@ def platform_distance(x, y, z, turns, position, boxes, sizes):
     return nearest
 
 
-@numba.njit(cache=True)
-def _clearances(state, inclination, azimuth, position, which, fleet, out):
+@numba.njit(cache=True, error_model="numpy")
+def _clearances(state, inclination, azimuth, position, which, fleet, within, out):
     """Write the smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
     boxes, sizes = fleet.box_centres, fleet.box_sizes
-    rotated = np.empty(3)
     for i in range(state.shape[0]):
+        member, x, y, z = which[i], state[i, 0], state[i, 1], state[i, 2]
         out[i, :, :] = np.inf
-        r = rotation(state[i, 6], state[i, 7], state[i, 8])
-        centres, radii = fleet.centres[which[i]], fleet.radii[which[i]]
-        near_floor = state[i, 2] < 2.0 * fleet.reach[which[i]]
+        near_floor = z < 2.0 * fleet.reach[member]
         slab = platform_turns(0.0, inclination[i], azimuth[i])
         base = slab[0], _UPRIGHT, _UPRIGHT
-        for k in range(centres.shape[0]):
-            for a in range(3):
-                rotated[a] = state[i, a] + (
-                    r[a, 0] * centres[k, 0] + r[a, 1] * centres[k, 1] + r[a, 2] * centres[k, 2]
-                )
-            part = fleet.parts[k]
+        if not near_floor:
+            nearest = platform_distance(x, y, z, slab, position[i], boxes, sizes)
+            if nearest - fleet.reach[member] > within:
+                continue
+        r = rotation_entries(sine_cosine(state[i, 6]), sine_cosine(state[i, 7]), sine_cosine(state[i, 8]))
+        for k in range(fleet.centres.shape[1]):
+            cx, cy, cz = fleet.centres[member, k, 0], fleet.centres[member, k, 1], fleet.centres[member, k, 2]
+            px = x + (r[0] * cx + r[1] * cy + r[2] * cz)
+            py = y + (r[3] * cx + r[4] * cy + r[5] * cz)
+            pz = z + (r[6] * cx + r[7] * cy + r[8] * cz)
+            part, radius = fleet.parts[k], fleet.radii[member, k]
             if near_floor:
-                out[i, 2, part] = min(out[i, 2, part], rotated[2] - radii[k])
+                out[i, 2, part] = min(out[i, 2, part], pz - radius)
             for b in range(sizes.shape[0]):
-                dx, dy = rotated[0] - position[i, b, 0], rotated[1] - position[i, b, 1]
-                dz = rotated[2] - position[i, b, 2]
+                dx, dy, dz = px - position[i, b, 0], py - position[i, b, 1], pz - position[i, b, 2]
                 turns = slab if b == 0 else base
-                distance = _box_distance(dx, dy, dz, turns, boxes, sizes, b) - radii[k]
+                distance = _box_distance(dx, dy, dz, turns, boxes, sizes, b) - radius
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
 
 
 def clearances(
-    state, inclination, position, shapes: Shapes | Fleet, out=None, azimuth=0.0, which=None
+    state, inclination, position, shapes: Shapes | Fleet, out=None, azimuth=0.0, which=None, within=math.inf
 ) -> np.ndarray:
     """Return the signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
     `platform_poses`; which (n,): the member of a fleet that each is. Negative where shapes overlap. The
-    floor's entry is inf for vehicles well above it.
+    floor's entry is inf for vehicles well above it, and all entries may be inf where all are beyond `within`.
     """
     fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes
     which = np.zeros(len(state), int) if which is None else np.asarray(which)
     angles = np.empty((2, len(state)))
     angles[0], angles[1] = inclination, azimuth
     out = np.empty((len(state), 3, 3)) if out is None else out
-    _clearances(state, *angles, position, which, fleet, out)
+    _clearances(state, *angles, position, which, fleet, float(within), out)
     return out

@@ -90,7 +90,8 @@ class AnalyticPlant(Plant):
             self.disturbance.step()
         self.delays.push_state(self.state)
         where = self.inclination, self._position, self.fleet
-        geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size)
+        within = float(self.keep_out)
+        geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size, within)
         np.less(self._distance, self.keep_out, out=self.contacts.near)
         np.less(self._distance, 0.0, out=self.contacts.touch)
 
