@@ -1,4 +1,4 @@
-"""Restitution and contact time: what a user sets, as the parameters of MuJoCo's contact spring.
+"""Restitution and contact time, and the parameters of MuJoCo's contact spring that give them.
 
 MuJoCo's contact is a damped spring on accelerations that pushes and never pulls. While the vehicle
 overlaps a surface, its height over the first touch follows
@@ -15,16 +15,16 @@ Measured by drop tests of this vehicle on four feet, RK4 at 4 ms, eight phases o
 - restitutions from 0.1 are met within 0.02 on average (0.04 at the shortest contact time), with a scatter
   of 0.02 to 0.05 by the phase of the touch, half of it at 2 ms;
 - the contact time is met within 1 ms;
-- below 0.1 the vehicle stays down or leaves with a few cm/s: its weight holds it.
+- below 0.1 the vehicle stays down or leaves at a few cm/s, because of its weight.
 
 Slower drops rebound less and faster ones more (set 0.3: 0.25 at 0.5 m/s, 0.33 at 2 m/s; set 0.6: 0.58 and
 0.61), because the weight acts on them for the same time. The feet sink in by up to speed times contact
 time / pi; at 10 mm, half the slab's thickness, the engine may push them out at its underside.
 
-Springy contact has its price. Friction answers within 1 / damping (5 ms for the default, 16 ms at 0.5), so
-that short touches slide more. From 0.3 on a resting vehicle may tremble, with up to 6 mm/s and 0.2 rad/s,
-and creep down the slope by millimetres per second. Beyond 0.6 tilted touches often end with more energy
-than they began with, at any step: this is why the range ends there (at 0.6 it is one in a hundred).
+Springy contact has side effects. Friction acts within 1 / damping (5 ms for the default, 16 ms at 0.5), so
+that short touches slide more. From 0.3 upwards a resting vehicle may tremble, with up to 6 mm/s and 0.2
+rad/s, and creep down the slope by millimetres per second. Beyond 0.6 tilted touches often end with more
+energy than they began with, at any step: this is why the range ends there (at 0.6 it is one in a hundred).
 """
 
 from __future__ import annotations

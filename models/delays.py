@@ -1,5 +1,4 @@
-"""Delayed commands, and delayed or tilted measurements, of n vehicles: plain histories, saved with the
-plant's state.
+"""Delayed commands, and delayed or tilted measurements, of n vehicles, saved with the plant's state.
 
 A command is held for one control period. What acts during a substep is its exact average over the
 substep, shifted by the delay: it changes smoothly with the delay.
@@ -18,7 +17,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 
 class Delays:
-    """The histories that the vehicles' delays need, and nothing for those that are 0.
+    """The histories that the vehicles' delays need; none for delays of 0.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
     period: of the commands [s].
@@ -55,17 +54,17 @@ class Delays:
             getattr(self, name)[ids] = values[choice]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Everything that a replay needs."""
+        """Return everything that a replay needs."""
         return {"past_commands": self.commands, "past_states": self.states, "fresh": self.fresh}
 
     def reset(self, ids, state: np.ndarray) -> None:
-        """Forget the past of the vehicles `ids`, now in `state` (k, 13)."""
+        """Reset the histories of the vehicles `ids`, now in `state` (k, 13)."""
         self.fresh[ids] = True
         if self.of_measurement:
             self.states[ids] = np.asarray(state)[..., None, :]
 
     def push_commands(self, commands: np.ndarray, ids=slice(None)) -> None:
-        """Note the commands (n, 4) of the control period that begins for the vehicles `ids`."""
+        """Record the commands (n, 4) of the control period that begins for the vehicles `ids`."""
         if self.of_commands:
             self.commands[ids, 1:] = self.commands[ids, :-1]
             self.commands[ids, 0] = commands[ids]
@@ -73,7 +72,7 @@ class Delays:
         self.fresh[ids] = False
 
     def push_state(self, state: np.ndarray, ids=slice(None)) -> None:
-        """Note the state (n, 13) at the end of a control period of the vehicles `ids`."""
+        """Record the state (n, 13) at the end of a control period of the vehicles `ids`."""
         if self.of_measurement:
             self.states[ids, 1:] = self.states[ids, :-1]
             self.states[ids, 0] = state[ids]

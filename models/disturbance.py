@@ -4,7 +4,7 @@ Each world axis has an acceleration and each body axis an angular acceleration t
 Ornstein-Uhlenbeck process: Gaussian, of a standard deviation and a correlation time, both entries of the
 vehicle file's table `[disturbance]` (`landing-eval gap` estimates them from flights). The steps are exact for
 any control period; a value is held for one period, and the axes of an angular one are those of the body at
-the period's beginning. Both plants meet the same numbers under the same seed.
+the period's beginning. Both plants get the same numbers with the same seed.
 """
 
 from __future__ import annotations
@@ -73,13 +73,13 @@ class Disturbance:
         return {"disturbance": self.now, "disturbance_stream": self._stream}
 
     def resume(self) -> None:
-        """Go on from the stream that `arrays` holds."""
+        """Continue with the random stream of `arrays`."""
         state = self._bits.state
         state["state"]["state"] = self._stream.copy()
         self._bits.state = state
 
     def reset(self, ids) -> None:
-        """Begin anew, anywhere in the stationary distribution, for the vehicles `ids`."""
+        """Restart from the stationary distribution for the vehicles `ids`."""
         self.now[ids] = self._own(self._size, ids) * self._random.standard_normal(self.now[ids].shape)
 
     def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
@@ -91,7 +91,7 @@ class Disturbance:
         return self.held
 
     def step(self, ids=slice(None)) -> None:
-        """One control period on, for the vehicles `ids`."""
+        """Advance the vehicles `ids` by one control period."""
         now = self.now[ids]
         keep, fresh = self._own(self._keep, ids), self._own(self._fresh, ids)
         self.now[ids] = keep * now + fresh * self._random.standard_normal(now.shape)

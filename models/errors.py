@@ -1,4 +1,4 @@
-"""Sentences for the user: the one exception that means "the input was wrong", and what is not installed."""
+"""Sentences for the user: the exception for wrong input, and messages for missing packages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class UserError(ValueError):
     """Wrong input. The message says what was wrong, where, and what would be right.
 
     The command lines print the message and exit with code 2; a library user sees a ValueError. The
-    sentence stays one printable line whatever names it repeats.
+    message stays one printable line, whatever names it contains.
     """
 
     def __init__(self, sentence: str):
@@ -49,7 +49,7 @@ def optional() -> Iterator[None]:
 
 
 def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
-    """The sentence for a package that is not there, with the remedy; extra: what else installs it."""
+    """Return the sentence for a missing package with its remedy; extra: the extra that installs it."""
     package = (error.name or "").partition(".")[0]
     if package in ("", "inclined_landing"):
         return str(error)
@@ -58,7 +58,7 @@ def not_installed(error: ModuleNotFoundError, extra: str = "eval") -> str:
 
 
 def choices(names: Iterable[str], wanted: str) -> str:
-    """What may be named, as the end of a sentence: all, or of many those nearest to `wanted`."""
+    """Return the possible names as the end of a sentence: all, or the nearest to `wanted` of many."""
     names = list(names)
     every = f"choose from {', '.join(names)}"
     if len(every) <= LONGEST_LIST:
@@ -78,7 +78,7 @@ def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:
 
 
 def shown(name: object, longest: int = 80) -> str:
-    r"""A name (path, column, entry) as words can hold it: one line, nothing that turns or hides text.
+    r"""Return a name (path, column, entry) for a sentence: one line, nothing that reorders or hides text.
 
     Control characters, marks of direction and bytes that are no UTF-8 are escaped, as \n, \u202e and
     \xff; of more than `longest` characters the middle is left out.

@@ -1,4 +1,4 @@
-"""Force and torque of the rotors and the air on a vehicle, compiled: what an effect on them is a term of.
+"""Force and torque of the rotors and the air on a vehicle, compiled.
 
 Every effect of the vehicle (`effects_...`; see `effects/`) is a factor of 1 or a summand of 0 while it is
 neutral, and so changes no bit. The thrust's lag is here too.

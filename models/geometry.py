@@ -1,7 +1,7 @@
 """The vehicle's collision shapes against the platform's, without an engine.
 
-The shapes are read from the compiled MuJoCo scene, so that the analytic plant and the start filters
-see what the engine sees. A vehicle is a set of spheres (foot capsules as their end points, rotor
+The shapes are read from the compiled MuJoCo scene, so that the analytic plant and the start filters use the
+shapes of the engine. A vehicle is a set of spheres (foot capsules as their end points, rotor
 discs and the body box as points on their outline), the platform a set of boxes.
 """
 
@@ -117,7 +117,7 @@ def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
         angle = np.arange(_RIM_POINTS) * (2 * np.pi / _RIM_POINTS)
         rim = size[0] - size[1]  # the sphere of radius size[1] ends where the disc ends
         return np.stack([rim * np.cos(angle), rim * np.sin(angle), 0 * angle], axis=1), size[1]
-    raise ValueError(f"no outline for a collision geom of type {kind}")
+    raise ValueError(f"collision geoms of type {kind} are not supported")
 
 
 def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, azimuth=0.0):

@@ -1,7 +1,7 @@
-"""What is done as modules of other packages are imported, where an installation lacks what they ask for.
+"""Import hooks for installations that lack what other packages need.
 
-MuJoCo goes on without an OpenGL that does not load, and numba keeps compiled functions in the temporary
-folder where neither the package nor a home can be written. Nothing of either is imported here.
+MuJoCo continues without an OpenGL that does not load, and numba caches compiled functions in the temporary
+folder if neither the package nor the home folder can be written. Neither is imported here.
 """
 
 from __future__ import annotations

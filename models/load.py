@@ -1,7 +1,7 @@
 """A slung load: a point mass on a massless string that hangs from the vehicle's centre of mass.
 
 The string counts as a rod that turns freely: it neither stretches nor goes slack, and the load meets nothing
-and feels no air. At the centre of mass it gives no torque.
+and has no drag. At the centre of mass it gives no torque.
 
 Symbols of the comments: q unit vector from the vehicle to the load, q' its rate [1/s], f force on the vehicle
 but for its weight, a_f = f/m, m and m_l masses of vehicle and load, L the string's length, T its tension.

@@ -1,4 +1,4 @@
-"""How platforms move: steady travel and a sum of waves, in closed form.
+"""Motion of platforms: constant velocity and a sum of waves, in closed form.
 
 A platform's place is that of its platform at rest (`Plant.set_platform`) plus, at a time t [s],
 
@@ -71,7 +71,7 @@ class Motion:
 
     @classmethod
     def unchecked(cls, *arrays: np.ndarray) -> Motion:
-        """Return the motion of `arrays`, which are in the order of the fields, right, and nobody else's."""
+        """Return the motion of `arrays`, which are in the order of the fields, valid, and not shared."""
         motion = cls.__new__(cls)
         motion.velocity, motion.amplitude, motion.frequency, motion.phase = arrays
         return motion

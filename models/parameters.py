@@ -1,7 +1,7 @@
-"""Reader of `crazyflie.toml`, the one source of every physical constant.
+"""Reader of `crazyflie.toml`, the only source of every physical constant.
 
 `load_vehicle()` gives the values as a frozen :class:`Vehicle`; `constants()` gives range, unit, source
-and uncertainty beside each value. Vehicle files and vehicles made in Python are held to the ranges of the
+and uncertainty of each value. Vehicle files and vehicles made in Python are held to the ranges of the
 shipped file and to what values must agree on (`plausible.py`).
 """
 
@@ -56,7 +56,7 @@ class Constant:
 
     @property
     def label(self) -> str:
-        """Return how sentences call it: as it stands in the file."""
+        """Return the name in sentences, as in the file."""
         return f"{self.section}.{self.name}"
 
     @property
@@ -105,7 +105,7 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     missing = [c for c in shipped.values() if c.label not in found and not {c.section, c.label} & _LATER]
     if missing and based_on is None:
         raise UserError(
-            f"{what} lacks entries: {_first([c.label for c in missing])}; one that holds only what differs "
+            f"{what} lacks entries: {_first([c.label for c in missing])}; a file with differences only "
             f'begins with {_BASED_ON} = "{_BASE}"'
         )
     return [
@@ -134,7 +134,7 @@ def _constant(entry: Entry, like: Constant, what: str) -> Constant:
     if entry.unit != like.unit:
         raise UserError(f"{what} must be in {like.unit!r}, not in {shown(repr(entry.unit), 40)}")
     if entry.range is not None and _tuples(entry.range) not in (like.range, like.range[0]):
-        raise UserError(f"{what} has a range of its own; leave it out, {_SHIPPED} has the ranges")
+        raise UserError(f"{what} must not have a range; the ranges are those of {_SHIPPED}")
     uncertainty = entry.uncertainty
     if isinstance(uncertainty, tuple) and _shape(uncertainty) != _shape(value):
         raise UserError(f"{what}: its uncertainty must be a text, one number or {_shape(value)}")
@@ -222,7 +222,7 @@ def write_vehicle(
     heading: str = "",
     brief: bool = False,
 ) -> None:
-    """Write `vehicle` as a file that `load_vehicle` reads back exactly, whole or not at all.
+    """Write `vehicle` atomically as a file that `load_vehicle` reads back exactly.
 
     The file has no ranges: they are not the vehicle's.
     sources, uncertainties: of the fields (`body_mass`) that differ from the vehicle file `base`
@@ -269,6 +269,6 @@ def _tuples(value: Any) -> Any:
 
 
 def _first(names: list[str]) -> str:
-    """Return names as sentences can hold them: the first three and how many more."""
+    """Return names for a sentence: the first three and the number of others."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(shown(name, 60) for name in names[:3]) + more

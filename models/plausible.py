@@ -1,8 +1,8 @@
-"""What the values of a vehicle must agree on; the range of each one is in `crazyflie.toml`.
+"""Consistency of the values of a vehicle; the range of each one is in `crazyflie.toml`.
 
 `contradictions` gives a sentence for each pair that does not fit. All limits leave room for every
-quadrotor of 5 g to 5 kg and for what fits of the effects try on top of it; what is refused is a slip, or
-cannot be integrated.
+quadrotor of 5 g to 5 kg and for the values that fits of effects try on top; a refused value is a typing error
+or cannot be integrated.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def misplaced(v: Vehicle) -> Iterator[str]:
 def _body(v: Vehicle) -> Iterator[str]:
     a, b, c = sorted(v.body_inertia)
     if a + b < c * (1 - 1e-9):
-        yield f"body.inertia is that of no body: {c:g} kg m2 is more than the sum of the other two, {a + b:g}"
+        yield f"body.inertia is impossible: {c:g} kg m2 is more than the sum of the other two, {a + b:g}"
     distance = math.sqrt(2.0) * v.rotor_arm
     for moment in (a, c):
         radius = math.sqrt(moment / v.body_mass)
@@ -95,7 +95,7 @@ def _thrust(v: Vehicle) -> Iterator[str]:
         )
         return
     if v.hover_pwm < 1.0:
-        yield f"the thrust carries the weight at {v.hover_pwm:.3g} PWM; at least 1 PWM makes sense"
+        yield f"the thrust carries the weight at {v.hover_pwm:.3g} PWM; it must be at least 1 PWM"
     if weight <= v.motor_count * v.motor_pwm_to_force[2]:
         yield "motor.pwm_to_force carries the weight at PWM 0; its last number is too large"
     if abs(v.effects_thrust_bias) > _BIAS * weight:
@@ -122,7 +122,7 @@ def _thrust(v: Vehicle) -> Iterator[str]:
 def _commands(v: Vehicle) -> Iterator[str]:
     low, high = v.command_pwm_range
     if low >= high:
-        yield f"command.pwm_range must rise, not go from {low:g} to {high:g} PWM"
+        yield f"command.pwm_range must be increasing, not {low:g} to {high:g} PWM"
     elif not low <= v.command_pwm_centre <= high:
         yield (
             f"command.pwm_centre of {v.command_pwm_centre:g} PWM is outside command.pwm_range, "

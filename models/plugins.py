@@ -22,7 +22,7 @@ _handle: ctypes.CDLL | None = None
 
 @dataclasses.dataclass(frozen=True)
 class PluginStatus:
-    """What :func:`loaded` found."""
+    """The result of :func:`loaded`."""
 
     names: tuple[str, ...]  # plugins of this package that MuJoCo knows
     library: Path | None  # the shared library, None when it was not built

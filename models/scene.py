@@ -1,8 +1,8 @@
 """The MuJoCo scene: shapes from `mjcf/`, numbers from the vehicle file.
 
-The XML files are the shipped vehicle. `build_spec` makes them any other through MjSpec: every number that
-a vehicle file has is set, and everything that stands at a motor is moved there. The result compiles in
-plain MuJoCo wherever this package is installed (its plugins load with `import mujoco`).
+The XML files are the shipped vehicle. `build_spec` changes them to any other through MjSpec: every number of
+the vehicle file is set, and everything at a motor is moved with it. The result compiles in plain MuJoCo
+wherever this package is installed (its plugins load with `import mujoco`).
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
 
 
 def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
-    """Move what stands at a motor to where the vehicle file has it, from where it is drawn.
+    """Move everything at a motor to the position in the vehicle file.
 
     Everything there follows the arm, what turns and the motor also the height; blades and discs are as
     large as the rotors, the board's arms as long as the vehicle's.
@@ -194,7 +194,7 @@ def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
 
 
 def _hang_load(spec: mujoco.MjSpec, v: Vehicle, visuals: bool) -> None:
-    """Hang a body for the slung load below the centre of mass, on a ball joint; it meets nothing."""
+    """Hang a body for the slung load below the centre of mass, on a ball joint, without contacts."""
     mass, length = max(v.effects_load_mass, _NO_LOAD), v.effects_load_length
     body = spec.body("crazyflie").add_body(name="load")
     body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_BALL)
@@ -225,7 +225,7 @@ def _hang_load(spec: mujoco.MjSpec, v: Vehicle, visuals: bool) -> None:
 
 
 def _add_numbers(spec: mujoco.MjSpec, v: Vehicle) -> None:
-    """The attributes of the plugins as custom numerics too, which may differ in a batch as text may not."""
+    """Add the attributes of the plugins as custom numerics, which unlike text may differ within a batch."""
     for plugin in spec.plugins:
         values = [getattr(v, field) for field in plugins.fields()[plugin.name].values()]
         numbers = [float(x) for value in values for x in (value if isinstance(value, tuple) else (value,))]

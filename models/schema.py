@@ -1,9 +1,9 @@
-"""Types and limits of what people write, in files and on command lines, with errors of one sentence.
+"""Types and limits of input in files and on command lines, with errors of one sentence.
 
 A limit is written once, in the type: `Annotated[float, Meta(ge=0, le=1)]`. A file's layout is a
 `msgspec.Struct`, which `parse` makes of its data; the options of a command, a task or a plant are the
 annotations of a function or a dataclass, which `check` compares with their values. Rules between entries are
-their reader's.
+in their reader.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def parse(data: Any, kind: type[T], where: str = "", name: str = "") -> T:
-    """Return `data` as a `kind`: whole numbers become floats where asked for, no other type another one.
+    """Return `data` as a `kind`: whole numbers become floats where needed; no other type is converted.
 
     name: of the entry that `data` is, unless it is a whole file. Raises UserError, `where` before its
     sentence, for entries that are missing, unknown, of another type or out of range.

@@ -1,4 +1,4 @@
-"""Files read within limits, and written whole or not at all."""
+"""Files read within limits, and written atomically."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def as_path(path: object, what: str) -> Path:
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
     """Return the content of a file of at most `largest` bytes.
 
-    what: how sentences call it, as in "vehicle file". Raises UserError for a file that is missing,
+    what: its name in sentences, as in "vehicle file". Raises UserError for a file that is missing,
     unreadable or too large, and for pipes and devices, which have no end.
     """
     name = shown(as_path(path, what), 240)
@@ -42,7 +42,7 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
         if not stat.S_ISREG(kind.st_mode):
             raise UserError(f"{what} {name} is {_kind(kind.st_mode)}, not a file")
         if kind.st_size > largest:
-            raise UserError(f"{what} {name} has {kind.st_size} bytes; at most {largest} are read")
+            raise UserError(f"{what} {name} has {kind.st_size} bytes; the limit is {largest}")
         with open(path, "rb") as file:
             return file.read(largest)
     except FileNotFoundError as error:
@@ -73,10 +73,10 @@ def read_text(path: str | Path, what: str, largest: int = LARGEST) -> str:
 
 
 def read_toml(path: str | Path, what: str) -> dict:
-    """Return the tables of a TOML file; raises UserError where it cannot be read or is none."""
+    """Return the tables of a TOML file; raises UserError if it cannot be read or is not TOML."""
     text = read_text(path, what)
     if sum(line.count(".") ** 2 for line in text.splitlines()) > _DOTS:
-        raise UserError(f"{what} {path} is not read: it has lines with thousands of dots")
+        raise UserError(f"{what} {path} is refused because of lines with thousands of dots")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # bad syntax, or a number of thousands of digits
@@ -84,12 +84,12 @@ def read_toml(path: str | Path, what: str) -> dict:
 
 
 def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
-    """Return the value in a JSON file; raises UserError where it cannot be read or is none."""
+    """Return the value in a JSON file; raises UserError if it cannot be read or is not JSON."""
     return parse_json(read_text(path, what, largest), f"{what} {path}")
 
 
 def parse_json(text: str | bytes, what: str) -> Any:
-    """Return the value in a JSON text; raises UserError, beginning with `what`, where it is none."""
+    """Return the value in a JSON text; raises UserError, beginning with `what`, if it is not JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -106,9 +106,9 @@ def _lower(error: Exception) -> str:
 
 @contextlib.contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, with the same suffix, renamed to `path` on success.
+    """Yield a temporary path next to `path`, with the same suffix, renamed to `path` on success.
 
-    On any error the temporary file is removed and `path` stays as it was. OSErrors (a full disk, a
+    On any error the temporary file is removed and `path` is unchanged. OSErrors (a full disk, a
     folder that cannot be written) become UserErrors.
     """
     with scratch(path) as part:
@@ -121,7 +121,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, with the same suffix, whose file is removed at the end."""
+    """Yield a temporary path next to `path`, with the same suffix, whose file is removed at the end."""
     path = as_path(path, "output")
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
@@ -199,13 +199,13 @@ def _check_name(path: Path) -> None:
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write `data` to `path`, whole or not at all."""
+    """Write `data` to `path` atomically."""
     with atomic(path) as part:
         part.write_bytes(data)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    r"""Write UTF-8 text to `path`, whole or not at all.
+    r"""Write UTF-8 text to `path` atomically.
 
     Bytes of file names that are no UTF-8 become \udcff: JSON's own way to write what Python holds.
     """
@@ -213,7 +213,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_json(path: str | Path, value: object) -> None:
-    """Write `value` as JSON to `path`, whole or not at all."""
+    """Write `value` as JSON to `path` atomically."""
     write_text(path, to_json(value) + "\n")
 
 

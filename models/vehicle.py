@@ -1,4 +1,4 @@
-"""`Vehicle`: the constants of one vehicle and its arena, and what follows from them."""
+"""`Vehicle`: the constants of one vehicle and its arena, and derived quantities."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Vehicle:
     def changed(self, **fields: object) -> Vehicle:
         """Return a variant with other values of some fields: `dataclasses.replace`, ten times as fast."""
         if unknown := fields.keys() - self.__dict__.keys():
-            raise TypeError(f"a vehicle has no {', '.join(sorted(unknown))}")
+            raise TypeError(f"a vehicle has no entry {', '.join(sorted(unknown))}")
         variant = object.__new__(type(self))
         variant.__dict__.update(self.__dict__, **fields)
         return variant

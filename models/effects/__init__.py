@@ -5,8 +5,9 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
 
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
-The terms are those of `forces.py`, `attitude_loops.py` and the plugins' attributes (`plugin/README.md`). All
-that the gap workflow knows of an effect is in its entry. docs/guides/extend.md says how one is added.
+The terms are those of `forces.py`, `attitude_loops.py` and the plugins' attributes (`plugin/README.md`).
+Everything that the gap workflow knows of an effect is in its entry. docs/guides/extend.md says how one is
+added.
 """
 
 from collections.abc import Mapping
@@ -41,7 +42,9 @@ def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehic
         known = [p.name for p in LIBRARY[name].parameters]
         for parameter in values:
             if parameter not in known:
-                raise UserError(f"effect {name} has no parameter {parameter!r}; it has {', '.join(known)}")
+                raise UserError(
+                    f"effect {name} has no parameter {parameter!r}; choose from {', '.join(known)}"
+                )
         vehicle = LIBRARY[name].apply(vehicle, values)
     return vehicle
 

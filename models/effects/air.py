@@ -29,15 +29,16 @@ EFFECTS = (
     Effect(
         name="rotor_drag",
         description="The rotors' drag, proportional to rotor speed and air speed, is stronger or weaker than "
-        "modelled. Across the rotors it comes from flapping blades and their own drag, along their axis from "
-        "the inflow: two causes, two coefficients.",
+        "modelled. Across the rotors it comes from flapping blades and their own drag, along their axis "
+        "from the inflow; hence the two coefficients.",
         formula="F_a = diag(lateral, lateral, axial) diag(drag) w_sum v_body",
-        source="Foerster 2015; fitted flights of similar vehicles show 1.3 to 1.6 times as much, with guards "
-        "or markers in the wind several times",
+        source="Foerster 2015; fitted flights of similar vehicles show 1.3 to 1.6 times as much, with "
+        "guards or markers in the flow several times",
         parameters=(_drag("lateral", (0, 1)), _drag("axial", (2,))),
         regimes=("lateral", "climb"),
         confused_with=("body_drag", "wind", "translational_lift", "axial_inflow"),
-        remedy="Accept the corrected coefficients; a flight at high speed tells it from quadratic body drag.",
+        remedy="Accept the corrected coefficients; a flight at high speed distinguishes it from quadratic "
+        "body drag.",
         channels=("translation",),
         apply=_rotor_drag,
         forms=("translation speed", "translation late"),
@@ -62,16 +63,17 @@ EFFECTS = (
         ),
         regimes=("lateral", "climb"),
         confused_with=("rotor_drag", "wind"),
-        remedy="Remove what stands in the wind, or accept the term. A slow and a fast flight over the same "
-        "way tell it from rotor drag.",
+        remedy="Remove parts that stand in the flow, or accept the term. A slow and a fast flight along the "
+        "same path distinguish it from rotor drag.",
         channels=("translation",),
         apply=added("effects_body_drag", "coefficient"),
         says="the body has a quadratic drag of {coefficient}",
     ),
     Effect(
         name="wind",
-        description="The air moves over the ground with a constant horizontal velocity: ventilation, an open "
-        "door, the wake of other vehicles. All drag sees the velocity relative to the air.",
+        description="The air moves over the ground with a constant horizontal velocity, for example from "
+        "ventilation, an open door or the wake of other vehicles. All drag depends on the velocity relative "
+        "to the air.",
         formula="v_air = v - (x, y, 0)",
         source="definition",
         parameters=(
@@ -81,11 +83,11 @@ EFFECTS = (
         regimes=("hover", "lateral", "climb"),
         confused_with=("attitude_trim", "com_offset"),
         remedy="Switch off the ventilation and close the doors. Hovering at two headings a quarter turn "
-        "apart tells it from a trim, which turns with the vehicle.",
+        "apart distinguishes it from a trim, which turns with the vehicle.",
         channels=("translation",),
         apply=added("effects_wind", "x", "y"),
         says="the air moves with {x} along x and {y} along y",
-        product="the push of the air; the speed of the wind follows from the drag",
+        product="the force of the wind; its speed follows from the drag",
         of_the_place=True,
     ),
     Effect(
@@ -98,15 +100,15 @@ EFFECTS = (
         ),
         regimes=("lateral",),
         confused_with=("rotor_drag", "body_drag", "axial_inflow"),
-        remedy="Expect to gain height in fast flight and give less thrust there.",
+        remedy="Expect a climb in fast flight, and command less thrust there.",
         channels=("translation",),
         apply=added("effects_translational_lift", "coefficient"),
         says="fast flight through the air adds thrust ({coefficient})",
     ),
     Effect(
         name="axial_inflow",
-        description="Climbing, the rotors meet the air head on and give less thrust; sinking, they give "
-        "more. It damps vertical motion.",
+        description="The rotors give less thrust in a climb and more in a descent, which damps vertical "
+        "motion.",
         formula="F_t times max(0, 1 - coefficient v_axial), v_axial the air speed along body z",
         source="blade element theory: inflow reduces the blades' angle of attack",
         parameters=(
@@ -114,17 +116,17 @@ EFFECTS = (
         ),
         regimes=("climb", "hover"),
         confused_with=("rotor_drag", "motor_lag", "translational_lift"),
-        remedy="Give more thrust in climbs and less in descents than the hover thrust suggests.",
+        remedy="Command more thrust in climbs and less in descents than the hover thrust suggests.",
         channels=("translation",),
         apply=added("effects_axial_inflow", "coefficient"),
-        says="climbing costs thrust and sinking adds it ({coefficient})",
+        says="thrust decreases in climbs and increases in descents ({coefficient})",
     ),
     Effect(
         name="ground_effect",
-        description="Near a surface each rotor gives more thrust, by its own distance along the surface's "
-        "normal. Near a slope the rotors uphill gain more, which turns the vehicle away from it. A disc "
-        "partly over the slab's edge gains its share there, the rest from the floor. The fading is by "
-        "how much sooner the gain ends than the law, 1 over a range; strength counts at four radii.",
+        description="Near a surface each rotor gives more thrust, depending on its own distance along the "
+        "surface's normal. Near a slope the uphill rotors gain more, which turns the vehicle away from it. "
+        "A disc partly over the slab's edge gains its share there, the rest from the floor. The fading is "
+        "the inverse range of an exponential decay on top of the law; the strength refers to four radii.",
         formula="F_i times (1 + strength (r/(4 h_i))^2 exp((4 r - h_i) fading)), r/(4 h_i) at most 1/2",
         source="Cheeseman and Bennett 1955 (strength 1, one rotor, no fading); several times that with four, "
         "Sanchez-Cuevas et al. 2017; an exponential end, He et al. 2019; 4 to 9 % below 7 cm in the "
@@ -145,7 +147,7 @@ EFFECTS = (
         regimes=("near_surface", "touchdown"),
         confused_with=("thrust_scale", "thrust_bias", "platform_height"),
         remedy="Reduce the thrust during the last 10 cm, or approach faster. Flights near to and far from "
-        "surfaces tell it from a thrust scale.",
+        "surfaces distinguish it from a thrust scale.",
         channels=("translation", "attitude"),
         apply=_ground_effect,
         says="near a surface the rotors give more thrust (strength {strength}, fading {fading})",

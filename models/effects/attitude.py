@@ -70,7 +70,7 @@ EFFECTS = (
         remedy="Check units and signs of the commands, then calibrate: multiply the commands by 1/scale.",
         channels=("attitude",),
         apply=scaled("attitude_gain"),
-        says="the vehicle tilts {scale} times as far as modelled",
+        says="the steady tilt is {scale} times the modelled one",
     ),
     Effect(
         name="attitude_time_constant",
@@ -103,8 +103,8 @@ EFFECTS = (
     Effect(
         name="second_order_attitude",
         description="The rate loop under the attitude loop is slower than modelled: the angles start later "
-        "and swing further, and arrive after the same mean delay. A negative lag is a quicker one.",
-        formula="1/bandwidth + rate_lag, at least 2 ms in all, in place of 1/bandwidth in "
+        "and overshoot more, but have the same mean delay. A negative lag is a faster loop.",
+        formula="1/bandwidth + rate_lag, at least 2 ms in total, instead of 1/bandwidth in "
         "d2(angle)/dt2 = bandwidth (wanted rate - rate); the term with the rate stays as it is",
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
@@ -128,7 +128,7 @@ EFFECTS = (
         is_lag=True,
         forms=("attitude late",),
         form=0.2,
-        says="the rate loop lags {rate_lag} more than modelled",
+        says="the rate loop lags by {rate_lag} more than modelled",
     ),
     Effect(
         name="attitude_integral",
@@ -162,14 +162,14 @@ EFFECTS = (
         channels=("attitude",),
         apply=added("effects_attitude_integral", "rate"),
         identified=False,
-        says="the attitude loops integrate the angle error at {rate} more than modelled",
+        says="the integral gain of the attitude loops is {rate} higher than modelled",
     ),
     Effect(
         name="attitude_saturation",
-        description="The roll and pitch loops ask for no rate beyond a largest: large steps of the command "
-        "are followed at that rate, small ones as modelled.",
+        description="The roll and pitch loops limit the angular rate: large steps of the command are "
+        "followed at that rate, small ones as modelled.",
         formula="|d(angle)/dt that is wanted| up to 1/(saturation + inverse)",
-        source="rate limits of flight controllers; motors that have no more to give act the same way",
+        source="rate limits of flight controllers; saturated motors act the same way",
         parameters=(
             Parameter(
                 "inverse",
@@ -190,13 +190,13 @@ EFFECTS = (
         ),
         regimes=("attitude_step",),
         confused_with=("attitude_time_constant", "second_order_attitude", "attitude_delay"),
-        remedy="Raise the controller's rate limit, or command smaller steps; a small and a large step tell "
-        "it from a slow loop.",
+        remedy="Raise the controller's rate limit, or command smaller steps; a small and a large step "
+        "distinguish it from a slow loop.",
         channels=("attitude",),
         apply=added("effects_attitude_saturation", "inverse"),
         is_lag=True,
         identified=False,
-        says="the attitude loops limit the rate that they ask for; the inverse of the limit is {inverse}",
+        says="the attitude loops limit the angular rate; the inverse of the limit is {inverse}",
     ),
     Effect(
         name="attitude_trim",
@@ -211,29 +211,30 @@ EFFECTS = (
         "system, or enter the trim in the Crazyflie client.",
         channels=("attitude",),
         apply=added("effects_attitude_trim", "roll", "pitch"),
-        says="commanded level, the vehicle holds {roll} of roll and {pitch} of pitch",
+        says="under level commands the vehicle holds {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="mocap_tilt",
-        description="The measured attitude is tilted against the rotors: the rigid body of the motion "
-        "capture, or the onboard estimate, was set to level on a vehicle that was not. The flight itself is "
-        "unchanged, but thrust seems to point elsewhere.",
+        description="The measured attitude is tilted relative to the rotors: the rigid body of the motion "
+        "capture, or the onboard estimate, was levelled on a vehicle that was not level. The flight itself "
+        "is unchanged, but the thrust appears to point elsewhere.",
         formula="measured R = R Rx(roll) Ry(pitch)",
         source="the utias_fmpc flights hover with 0.05 rad of measured roll",
         parameters=_angles(0.03, "effects_mocap_tilt", "measured {}, tilt"),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "attitude_trim"),
         remedy="Redefine the rigid body with the vehicle on a level table, or turn the measured attitude "
-        "back. To tell it from wind, hover while the vehicle yaws: a tilt turns with it, wind does not.",
+        "back. To distinguish it from wind, hover while the vehicle yaws: a tilt turns with it, wind does "
+        "not.",
         channels=("translation", "attitude"),
         apply=added("effects_mocap_tilt", "roll", "pitch"),
-        says="the measured attitude is turned against the rotors by {roll} of roll and {pitch} of pitch",
+        says="the measured attitude is tilted relative to the rotors by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="level_calibration",
-        description="The attitude estimate that the onboard control and the log share is tilted: the sensors "
-        "were set to level on a vehicle that was not. What is logged follows the commands, as it should, but "
-        "the rotors point elsewhere.",
+        description="The attitude estimate that the onboard control and the log share is tilted: the "
+        "sensors were levelled on a vehicle that was not level. The logged attitude follows the commands, "
+        "but the rotors point elsewhere.",
         formula="measured R = R Rx(roll) Ry(pitch), command - (roll, pitch)/gain: to first order "
         "the loops hold the measured angles",
         source="accelerometer of the Crazyflie: levelled at start-up to about 1 deg",
@@ -243,33 +244,35 @@ EFFECTS = (
         ),
         regimes=("hover", "lateral", "climb"),
         confused_with=("wind", "mocap_tilt", "attitude_trim"),
-        remedy="Calibrate the accelerometer on a level table. To tell it from wind, hover while the vehicle "
+        remedy="Calibrate the accelerometer on a level table. To distinguish it from wind, hover while the "
+        "vehicle "
         "yaws: a tilt turns with it, wind does not. The logged angles match the commands here, and not with "
         "a tilt of the motion capture or a trim alone.",
         channels=("translation", "attitude"),
         apply=_level,
-        says="the attitude estimate that flies and logs is tilted by {roll} of roll and {pitch} of pitch",
+        says="the attitude estimate of control and log is tilted by {roll} of roll and {pitch} of pitch",
     ),
     Effect(
         name="estimator_lean",
-        description="The onboard estimate knows no drag: it takes what drag slows for less tilt, and the "
-        "control that holds the estimate lets the vehicle lean into its motion. Drag seems smaller by it.",
+        description="The onboard estimate ignores drag: it interprets the deceleration as less tilt, and "
+        "the control, which holds the estimate, lets the vehicle lean into its motion. Drag appears smaller "
+        "than it is.",
         formula="roll and pitch held by the loops: roll + lean v_left, pitch - lean v_forward",
         source="nanobench: estimated less measured pitch -0.021 v_forward, roll +0.024 v_left; at most "
         "drag/(mass g), 0.04 rad s/m there",
         parameters=(Parameter("lean", unit="rad s/m", bounds=(-0.1, 0.1), plausible=0.02, negligible=0.004),),
         regimes=("lateral",),
         confused_with=("rotor_drag", "attitude_gain", "body_drag"),
-        remedy="Log the onboard estimate beside the motion capture: their difference grows with the speed. "
+        remedy="Log the onboard estimate and the motion capture: their difference grows with the speed. "
         "Trust the orientation of the motion capture more in the estimator, or give it a drag term.",
         channels=("attitude",),
         apply=added("effects_estimator_lean", "lean"),
-        says="the vehicle leans into its motion by {lean} that its own estimate does not show",
+        says="the vehicle leans into its motion by {lean} more than its own estimate shows",
     ),
     Effect(
         name="yaw_loop",
-        description="The yaw rate is another share of the commanded one, or follows it at another speed: "
-        "gains of the firmware's rate controller, another inertia, weak yaw authority.",
+        description="The gain or the time constant of the yaw rate differs from the model: gains of the "
+        "firmware's rate controller, another inertia, weak yaw authority.",
         formula="d(yaw rate)/dt = bandwidth/time_constant (gain yaw_gain command + drift - yaw rate)",
         source="the firmware's yaw rate controller; yaw is driven by the rotors' reaction torque only",
         parameters=(
@@ -297,7 +300,7 @@ EFFECTS = (
         regimes=("lateral", "hover"),
         confused_with=("yaw_drift", "attitude_delay"),
         remedy="Use the yaw controller gains the model was identified with, or accept the new constants. A "
-        "drift shows while no yaw rate is commanded, a gain does not.",
+        "drift is visible while no yaw rate is commanded, a gain is not.",
         channels=("yaw",),
         apply=_yaw_loop,
         is_lag=True,

@@ -54,9 +54,9 @@ def _voltage(vehicle, values):
 EFFECTS = (
     Effect(
         name="battery_sag",
-        description="The battery's voltage sags under load: the harder the motors run, the less thrust a "
-        "PWM gives. The load is the lagged PWM, so that no voltage needs to be logged. The reference is the "
-        "load at which the modelled thrust is right.",
+        description="The battery's voltage sags under load: the higher the load, the less thrust a PWM "
+        "gives. The load is the lagged PWM, so that no voltage needs to be logged. The reference is the "
+        "load at which the modelled thrust is correct.",
         formula="F_t times (1 - sag (load/reference - 1)),  load = lag_rate Omega",
         source="internal resistance of a one-cell lithium-polymer battery; 0.1 to 0.2 V per 10 000 PWM in "
         "the nanobench flights",
@@ -86,12 +86,12 @@ EFFECTS = (
         channels=("translation",),
         apply=lambda vehicle, values: with_sag(vehicle, values.get("sag", 0.0), values.get("reference")),
         of_the_drive=True,
-        says="the thrust sags under load (sag {sag}, right at a load of {reference})",
+        says="the thrust sags under load (sag {sag}, zero at a load of {reference})",
     ),
     Effect(
         name="battery_voltage",
         description="The thrust follows the measured battery voltage. The reference is the voltage at which "
-        "the modelled thrust is right. In simulation the voltage is the vehicle file's: open - drop load - "
+        "the modelled thrust is correct. In simulation the voltage is the vehicle file's: open - drop load - "
         "discharge t.",
         formula="F_t times (1 + sensitivity (V - reference))",
         source="brushed motors: speed proportional to duty times voltage, so that thrust goes with voltage "
@@ -116,7 +116,7 @@ EFFECTS = (
         channels=("translation",),
         apply=_voltage,
         of_the_drive=True,
-        says="the thrust follows the battery voltage by {sensitivity} (right at {reference})",
+        says="the thrust changes with the battery voltage by {sensitivity} (modelled thrust at {reference})",
         requires={"voltage": 0.02},
     ),
 )

@@ -17,29 +17,29 @@ EFFECTS = (
     Effect(
         name="mass",
         description="The vehicle is heavier or lighter than modelled: decks, markers, another battery. The "
-        "inertia is left as it is.",
+        "inertia is unchanged.",
         formula="m = scale body_mass",
         source="bookkeeping; decks weigh 1 to 4 g, 3 to 12 % of the vehicle",
         parameters=(Parameter("scale", neutral=1.0, bounds=(0.6, 1.8), plausible=1.08, negligible=0.005),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "thrust_bias", "battery_sag", "slung_load"),
-        remedy="Weigh the vehicle as it flies and write the mass into the vehicle file. In free flight only "
-        "thrust over mass can be seen, so that no flight tells mass from thrust.",
+        remedy="Weigh the vehicle with everything it carries, and write the mass into the vehicle file. "
+        "Free flight shows only thrust over mass, so that no flight distinguishes mass from thrust.",
         channels=("translation",),
         apply=scaled("body_mass"),
         says="the vehicle has {scale} times the modelled mass",
-        product="the change of thrust over mass; which of the two has changed, a balance tells",
+        product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
         told_by="Weigh the vehicle: in free flight only the ratio of thrust to mass shows.",
     ),
     Effect(
         name="slung_load",
         description="A load hangs on a string from the vehicle's centre of mass and swings. The string stays "
-        "taut, and the air does not touch it. Where flights do not make the load swing against the vehicle, "
-        "it is mass, and its string of any length.",
+        "taut, and the air does not touch it. If flights do not make the load swing, it acts as mass, and "
+        "the length of the string has no effect.",
         formula="T = m m_l/(m + m_l) (L |q'|^2 - q . f/m) on the vehicle along q, "
         "q'' = (q (q . f) - f)/(m L) - |q'|^2 q; q: direction from vehicle to load, f: force on the vehicle "
-        "but for its weight",
+        "without its weight",
         source="Sreenath, Lee and Kumar 2013; crazyflie-data-collection, data 2024: 4.7 g on 0.52 m",
         parameters=(
             Parameter(
@@ -64,8 +64,8 @@ EFFECTS = (
         ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("mass", "thrust_scale", "thrust_bias", "battery_sag"),
-        remedy="Take the load off, or write its mass and the string's length into the vehicle file. Quick "
-        "turns, after which it swings at about sqrt(g/L), tell it from a mass.",
+        remedy="Remove the load, or write its mass and the string's length into the vehicle file. Quick "
+        "turns, after which it swings at about sqrt(g/L), distinguish it from a mass.",
         channels=("translation",),
         apply=_slung_load,
         says="a load of {mass} swings on a string of {length}",
@@ -79,10 +79,10 @@ EFFECTS = (
     ),
     Effect(
         name="com_offset",
-        description="The centre of mass sits beside the line of the thrust, by the offset in the body frame: "
-        "a battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, "
-        "so that flights show the offset over the loop's stiffness: its size is as right as the model's "
-        "inertia, bandwidth and time constant.",
+        description="The centre of mass is off the line of the thrust by an offset in the body frame: a "
+        "battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, so that "
+        "flights show the offset over the loop's stiffness: its size is as accurate as the model's inertia, "
+        "bandwidth and time constant.",
         formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
         source="rigid-body mechanics",
         parameters=(
@@ -115,9 +115,9 @@ EFFECTS = (
             "weak_rotor_4",
         ),
         remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
-        "changing thrust tell it from a trim, which does not grow with the thrust.",
+        "changing thrust distinguish it from a trim, which does not grow with the thrust.",
         channels=("attitude", "requests"),
         apply=added("effects_com_offset", "x", "y"),
-        says="the centre of mass sits {x} forward and {y} left of the middle of the rotors",
+        says="the centre of mass is {x} forward and {y} left of the middle of the rotors",
     ),
 )

@@ -30,7 +30,8 @@ _STARTS = tuple({"delay": delay} for delay in (0.01, 0.025, 0.05, 0.08))
 EFFECTS = (
     Effect(
         name="thrust_delay",
-        description="The PWM command acts later than it was sent: radio, queues, the firmware's loop.",
+        description="The PWM command acts later than it was sent because of radio, queues and the "
+        "firmware's loop.",
         formula="PWM(t - delay) in the equations of thrust and lag",
         source="radio links of the Crazyflie: 2 to 20 ms; streams of the nanobench flights up to 35 ms apart",
         parameters=(_delay(0.15, 0.02, 0.002, "thrust delay", "effects_thrust_delay"),),
@@ -64,8 +65,8 @@ EFFECTS = (
     Effect(
         name="mocap_delay",
         description="The measured position and attitude are older than their time stamp: processing and "
-        "network of the motion capture system. The flight itself is unchanged; what is measured, and what a "
-        "controller sees, is late.",
+        "network of the motion capture system. The flight itself is unchanged, but measurements are late "
+        "for the log and for controllers.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
         parameters=(_delay(0.15, 0.02, 0.002, "mocap delay", "effects_mocap_delay", 0.007),),
@@ -81,9 +82,9 @@ EFFECTS = (
     ),
     Effect(
         name="estimator_delay",
-        description="The logged attitude is older than the logged position: the onboard estimator trails, or "
-        "its log comes by another way than that of the motion capture. Drag seems larger by it, as the tilt "
-        "that brakes the vehicle is logged later.",
+        description="The logged attitude is older than the logged position: the onboard estimator lags, or "
+        "its log takes another path than that of the motion capture. Drag appears larger than it is, "
+        "because the tilt that brakes the vehicle is logged later.",
         formula="measured attitude(t) = attitude(t - delay), measured position(t) = position(t)",
         source="stream offsets of the nanobench flights: -20 to 35 ms",
         parameters=(

@@ -1,4 +1,4 @@
-"""An effect: a named physical cause that the paper's equations leave out or may have wrong."""
+"""An effect: a named physical cause that the paper's equations omit or may have wrong."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ class Effect:
     `apply(vehicle, values)` returns the vehicle with the effect on top of what it has already: scales
     multiply, offsets add. `values` maps parameter names to numbers; a missing name is neutral.
 
-    Everything that the gap workflow knows of an effect stands here; other effects are meant by name.
+    This is everything that the gap workflow knows of an effect; other effects are referred to by name.
     """
 
     name: str

@@ -15,7 +15,7 @@ EFFECTS = (
     Effect(
         name="motor_lag",
         description="The motors reach their speed more slowly or faster than modelled; the steady thrust is "
-        "the same. Heavier propellers and tired brushes slow them down.",
+        "the same. Heavier propellers and worn brushes slow them down.",
         formula="dOmega/dt = PWM - (lag_rate/scale) Omega,  F_t = (state_gain/scale) Omega + direct_gain PWM",
         source="Kooi and Babuska 2021: first-order motor function, 65 ms",
         parameters=(
@@ -31,16 +31,16 @@ EFFECTS = (
         regimes=("climb",),
         confused_with=("thrust_delay", "spin_down"),
         remedy="Check propellers and motors for drag (hair in the shaft, a bent axle). Fly steps of thrust "
-        "to tell a lag from a pure delay.",
+        "to distinguish a lag from a pure delay.",
         channels=("translation",),
         apply=_lag,
         is_lag=True,
         of_the_drive=True,
-        says="the motors need {scale} times the modelled time to follow",
+        says="the motors' time constant is {scale} times the modelled one",
     ),
     Effect(
         name="spin_down",
-        description="The motors slow down more slowly than they speed up: nothing brakes them but the air.",
+        description="The motors slow down more slowly than they speed up, because only the air brakes them.",
         formula="dOmega/dt divided by (1 + excess) while it is negative",
         source="brushed motors without active braking",
         parameters=(
@@ -55,12 +55,12 @@ EFFECTS = (
         ),
         regimes=("climb",),
         confused_with=("motor_lag", "thrust_delay", "thrust_bias"),
-        remedy="Nothing is broken. Brake earlier in descents; steps of thrust up and down tell it from an "
-        "equal lag.",
+        remedy="No repair is needed. Brake earlier in descents; steps of thrust up and down distinguish it "
+        "from a symmetric lag.",
         channels=("translation",),
         apply=added("effects_spin_down", "excess"),
         is_lag=True,
         of_the_drive=True,
-        says="the motors' time constant grows by a share of {excess} while they slow down",
+        says="the motors' time constant is larger by a share of {excess} while they slow down",
     ),
 )

@@ -21,8 +21,8 @@ def _weak_rotor(k: int) -> Effect:
     return Effect(
         name=_NAMES[k],
         description=f"The rotor of motor M{k + 1} ({_PLACES[k]}) gives less thrust than the others at the "
-        "same request: a cut or worn propeller, a weak motor. The controller asks more of it, and some of "
-        "the others for the balance of the yawing moment, which a weight at its arm leaves as it is.",
+        "same request: a cut or worn propeller, a weak motor. The controller requests more from it, and "
+        "from some of the others to balance the yawing moment, which a weight at its arm would not change.",
         formula="f_i = F_t/4 (1 - loss) of this rotor; request r_i ~ (1 + relative torques)/(1 - loss)",
         source="momentum theory: thrust with the fourth power of the propeller's diameter; CrazyPAD, data "
         "2024: propellers cut by up to 8 mm",
@@ -54,8 +54,9 @@ EFFECTS = (
     *(_weak_rotor(k) for k in range(4)),
     Effect(
         name="yaw_imbalance",
-        description="The motors that turn one way are asked for more than the others while the vehicle keeps "
-        "its heading: propellers of unequal drag, motors mounted askew. It moves nothing.",
+        description="The motors of one direction of rotation get higher requests than the others while the "
+        "vehicle keeps its heading: propellers of unequal drag, or tilted motors. It does not change the "
+        "motion.",
         formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
         source="balance of the turning moment; up to 0.1 in the CrazyPAD flights",
         parameters=(
@@ -63,8 +64,8 @@ EFFECTS = (
         ),
         regimes=("hover",),
         confused_with=_NAMES,
-        remedy="Nothing is lost but range of control. Exchange propellers of the two directions, set the "
-        "motors upright.",
+        remedy="It only costs control range. Exchange propellers of the two directions, and align the "
+        "motors.",
         channels=("requests",),
         apply=added("effects_yaw_imbalance", "share"),
         says="the requests of the motors differ in yaw by a share of {share}",

@@ -28,36 +28,38 @@ EFFECTS = (
         ),
         regimes=("hover", "climb", "lateral"),
         confused_with=("mass", "thrust_bias", "battery_sag", "battery_voltage", "ground_effect"),
-        remedy="Weigh the vehicle, to tell it from a wrong mass. Then replace worn or bent propellers, or "
+        remedy="Weigh the vehicle to distinguish it from a wrong mass. Then replace worn or bent propellers, "
+        "or "
         "accept the corrected thrust function.",
         channels=("translation",),
         apply=scaled("thrust_state_gain", "thrust_direct_gain"),
         says="the rotors give {scale} times the modelled thrust",
-        product="the change of thrust over mass; which of the two has changed, a balance tells",
+        product="the change of thrust over mass; weighing shows which of the two has changed",
         scales_thrust=True,
     ),
     Effect(
         name="thrust_bias",
-        description="A constant force along the body's z axis is added to the thrust, whatever the command: "
-        "an offset in the firmware's PWM, or a static map that does not pass through zero.",
+        description="A constant force along the body's z axis is added to the thrust, independent of the "
+        "command: an offset in the firmware's PWM, or a static map that does not pass through zero.",
         formula="F_t = state_gain Omega + direct_gain PWM + force",
         source="offset of the static map in Foerster 2015",
         parameters=(Parameter("force", unit="N", bounds=(-0.25, 0.25), plausible=-0.02, negligible=0.003),),
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "mass", "battery_sag", "ground_effect"),
-        remedy="Fly climbs and descents with a wide range of PWM, to tell an offset from a scale. Check the "
+        remedy="Fly climbs and descents with a wide range of PWM to distinguish an offset from a scale. "
+        "Check the "
         "firmware's base thrust.",
         channels=("translation",),
         apply=added("effects_thrust_bias", "force"),
         of_the_drive=True,
-        says="a constant {force} is added to the thrust, whatever the command",
+        says="a constant {force} is added to the thrust",
         scales_thrust=True,
     ),
     Effect(
         name="thrust_curve",
-        description="The thrust grows faster than its command: it goes with the square of the rotor speed, "
-        "and the modelled line is right at one load only. In the equations it is a battery's sag of the "
-        "other sign: a curve that bends up is this, one that bends down a sag.",
+        description="The thrust grows faster than its command, because it depends on the square of the "
+        "rotor speed and the modelled line is correct at one load only. In the equations it is a battery "
+        "sag of the other sign: an upward curve is this effect, a downward one a sag.",
         formula="F_t times (1 + curvature (load/reference - 1)),  load = lag_rate Omega",
         source="static map of Foerster 2015: a curvature of 0.42 about its hover PWM",
         parameters=(
@@ -81,12 +83,13 @@ EFFECTS = (
             vehicle, -values.get("curvature", 0.0), values.get("reference")
         ),
         of_the_drive=True,
-        says="the thrust bends up with the command (curvature {curvature}, right at a load of {reference})",
+        says="the thrust grows faster than its command (curvature {curvature}, modelled thrust at a load of "
+        "{reference})",
     ),
     Effect(
         name="thrust_fade",
         description="The thrust falls linearly with the time since the start, as a battery drains and "
-        "motors warm up, without regard to the load.",
+        "motors warm up, independent of the load.",
         formula="F_t times (1 - rate t)",
         source="linear part of the discharge of a lithium-polymer cell; nanobench flights",
         parameters=(Parameter("rate", unit="1/s", bounds=(-0.01, 0.02), plausible=0.003, negligible=0.0003),),

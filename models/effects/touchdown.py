@@ -1,4 +1,4 @@
-"""Effects that touchdowns show: of contact, which MuJoCo alone knows, and of where the platform stands."""
+"""Effects on touchdowns: contact, which only MuJoCo simulates, and the pose of the platform."""
 
 import math
 
@@ -37,7 +37,7 @@ def _tilt(vehicle, values):
 EFFECTS = (
     Effect(
         name="friction",
-        description="The feet slide more or less easily on the platform than modelled.",
+        description="The friction of the feet on the platform differs from the model.",
         formula="friction = scale contact_friction",
         source="Coulomb friction; plastic on wood 0.2 to 0.9",
         parameters=(Parameter("scale", neutral=1.0, bounds=(0.05, 3.0), plausible=0.6, negligible=0.05),),
@@ -47,11 +47,11 @@ EFFECTS = (
         "friction. Put rubber on the feet or a mat on the platform.",
         channels=("touchdown",),
         apply=scaled("contact_friction"),
-        says="the feet have {scale} times the modelled friction",
+        says="the friction of the feet is {scale} times the modelled one",
     ),
     Effect(
         name="contact_stiffness",
-        description="Feet and surface give way more or less than modelled.",
+        description="The stiffness of feet and surface differs from the model.",
         formula="stiffness of the contact spring times scale, damping unchanged",
         source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
         parameters=(Parameter("scale", neutral=1.0, bounds=(0.1, 4.0), plausible=0.4, negligible=0.1),),
@@ -61,11 +61,12 @@ EFFECTS = (
         "restitution and contact time.",
         channels=("touchdown",),
         apply=lambda vehicle, values: _spring(vehicle, values.get("scale", 1.0), 1.0),
-        says="feet and platform are {scale} times as stiff as modelled",
+        says="the contact stiffness is {scale} times the modelled one",
     ),
     Effect(
         name="contact_damping",
-        description="Touches are more or less damped than modelled: with little damping the vehicle bounces.",
+        description="The damping of the contact differs from the model; with little damping the vehicle "
+        "bounces.",
         formula="damping of the contact spring times scale, stiffness unchanged",
         source="MuJoCo's contact model: r'' = -damping r' - stiffness r",
         parameters=(Parameter("scale", neutral=1.0, bounds=(0.1, 3.0), plausible=0.4, negligible=0.1),),
@@ -75,14 +76,14 @@ EFFECTS = (
         "bounces.",
         channels=("touchdown",),
         apply=lambda vehicle, values: _spring(vehicle, 1.0, values.get("scale", 1.0)),
-        says="touches are {scale} times as damped as modelled",
+        says="the contact damping is {scale} times the modelled one",
         # Friction in MuJoCo answers within 1/damping of the contact: with less damping vehicles slide
         # further than feet do.
         couples_with=("friction",),
     ),
     Effect(
         name="foot_height",
-        description="The feet reach lower or less low than modelled.",
+        description="The feet reach lower or higher than modelled.",
         formula="reach below the centre of mass + offset",
         source="bookkeeping; rubber tips and pads add millimetres",
         parameters=(
@@ -99,7 +100,7 @@ EFFECTS = (
         name="platform_height",
         description="The platform's surface is higher or lower than measured.",
         formula="surface height at x = 0: platform_surface_height + offset",
-        source="bookkeeping; a tape measure is good for about 5 mm",
+        source="bookkeeping; a tape measure is accurate to about 5 mm",
         parameters=(Parameter("offset", unit="m", bounds=(-0.15, 0.15), plausible=0.02, negligible=0.001),),
         regimes=("touchdown", "near_surface"),
         confused_with=("platform_tilt", "contact_stiffness", "foot_height", "ground_effect"),
@@ -112,7 +113,7 @@ EFFECTS = (
         name="platform_tilt",
         description="The platform is tilted by another angle than measured.",
         formula="inclination: platform_inclination + offset",
-        source="bookkeeping; a protractor is good for about 1 deg",
+        source="bookkeeping; a protractor is accurate to about 1 deg",
         parameters=(Parameter("offset", unit="rad", bounds=(-0.2, 0.2), plausible=0.05, negligible=0.002),),
         regimes=("touchdown", "near_surface"),
         confused_with=("friction", "platform_height"),

@@ -5,15 +5,15 @@ u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period (`control_pe
 unless another is given), and shows
 
 - `state` (n, 13): columns of `attitude.py`, a copy refreshed by every call;
-- `measurement` (n, 13): the state as motion capture reports it, which is late with that effect;
+- `measurement` (n, 13): the state as motion capture reports it, late if the vehicle has that delay;
 - `contacts`: what the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present, azimuth)` and `perturb(**changes)`, per vehicle, no recompiling.
 
-With `pool=VEHICLES` single vehicles may be others than the plant's own: `assign(ids, choice)` says which, and
-they fly as in a plant of their own, bit for bit.
+With `pool=VEHICLES` single vehicles may differ from the plant's own: `assign(ids, choice)` selects them, and
+they fly exactly as in their own plant, bit for bit.
 
-With `disturbance=SEED` all meet the vehicle file's disturbance of the air, the same under the same seed
+With `disturbance=SEED` all get the vehicle file's disturbance of the air, the same with the same seed
 (`disturbance.py`); without it the air is still.
 
 The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and flies by the equations
@@ -63,15 +63,15 @@ def check_plant(kind: str) -> None:
 
 
 def make_plant(kind: str, n: int, vehicle: Vehicle | None = None, **options):
-    """Return a plant by name, one of PLANTS; raises UserError for options that it has not."""
+    """Return a plant by name, one of PLANTS; raises UserError for unknown options."""
     check_plant(kind)
     if kind == "analytic" and options.pop("moving", False):
-        raise UserError("the analytic plant's platforms stand still: take the mujoco or hybrid plant")
+        raise UserError("the analytic plant cannot move platforms; use the mujoco or hybrid plant")
     parameters = inspect.signature(PLANTS[kind]).parameters.values()
     known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
     for name in options:
         if name not in known:
             raise UserError(
-                f"the {kind} plant has no option {shown(repr(name), 40)}; it has {', '.join(known)}"
+                f"the {kind} plant has no option {shown(repr(name), 40)}; choose from {', '.join(known)}"
             )
     return PLANTS[kind](n, vehicle, **options)

@@ -16,7 +16,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 
 class AnalyticPlant(Plant):
-    """The equations of `equations.py`; obstacles are detected geometrically, never felt.
+    """The equations of `equations.py`; contact with obstacles is detected geometrically, without forces.
 
     substeps: RK4 steps per control period. The default of one is the paper's 0.02 s.
     disturbance: seed of the vehicle's disturbance of the air; None for still air.

@@ -1,4 +1,4 @@
-"""What both plants share: options, contacts, perturbations, snapshots."""
+"""The parts that both plants share: options, contacts, perturbations, snapshots."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ _SIZE = ("rotor_arm", "rotor_height", "rotor_radius", "effects_foot_height")  # 
 
 
 def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
-    """Have vehicles of one plant other shapes than the first of them?"""
+    """Return whether vehicles of one plant have other shapes than the first of them."""
     return any(_differ(field, member, vehicles[0]) for member in vehicles[1:] for field in _SIZE)
 
 
 class Plant:
-    """What both plants share: platform poses, perturbations, disturbance of the air, snapshots.
+    """The base of both plants: platform poses, perturbations, disturbance of the air, snapshots.
 
     shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
 
@@ -93,7 +93,7 @@ class Plant:
             check_vehicle(member)
         if differing := [f for member in self.pool for f in _SHARED if _differ(f, member, self.vehicle)]:
             table, _, entry = differing[0].partition("_")
-            raise UserError(f"{table}.{entry} cannot differ from vehicle to vehicle of one plant")
+            raise UserError(f"{table}.{entry} must be the same for all vehicles of one plant")
         self.attitude = attitude
         self.keep_out = keep_out
         self.control_period = control_period or self.vehicle.command_control_period
@@ -164,7 +164,7 @@ class Plant:
         return self.delays.measurement(self.state)
 
     def save(self) -> Snapshot:
-        """Everything a later bit-for-bit replay needs."""
+        """Return everything that a bit-for-bit replay needs."""
         return Snapshot({name: array.copy() for name, array in self._arrays().items()})
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -193,7 +193,7 @@ class Plant:
         """
         choice = np.asarray(choice, int)
         if not ((choice >= 0) & (choice <= len(self.pool))).all():
-            raise UserError(f"the pool has vehicles 1 to {len(self.pool)}, and 0 is the plant's own")
+            raise UserError(f"choose vehicles 1 to {len(self.pool)} of the pool, or 0 for the plant's own")
         self.choice[ids] = choice
         self._apply_choice(np.asarray(ids))
 
@@ -243,7 +243,7 @@ class Plant:
         `moving=True` can: of the others UserError.
         """
         raise UserError(
-            "the platforms of this plant stand still: make a mujoco or hybrid one with moving=True"
+            "the platforms of this plant cannot move; make a mujoco or hybrid plant with moving=True"
         )
 
     def platform_at(self, times) -> np.ndarray:

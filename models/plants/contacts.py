@@ -1,4 +1,4 @@
-"""What the vehicles' parts touch, and where the engine's sensors say so."""
+"""Contacts of the vehicles' parts, and where the engine's sensors report them."""
 
 from __future__ import annotations
 

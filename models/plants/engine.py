@@ -1,7 +1,7 @@
 """`Engine`: a `mujoco.batch.Batch` that can be copied and pickled, and knows when a fork took its threads.
 
-Threads do not survive a fork. In the child the engine's next call would wait for them for ever, and so would
-its end: there a lost engine is kept in memory until the process ends, and a copy takes over from it. A fork
+Threads do not survive a fork. In the child the engine's next call would wait for them forever, and so would
+its end: a lost engine is kept in memory until the process ends, and a copy takes over from it. A fork
 waits for the calls of other threads, so that no engine is copied in the middle of one.
 """
 

@@ -52,7 +52,7 @@ class MujocoPlant(Plant):
     between two ticks is followed by the rate loop until the next one.
     integrator, timestep: of the engine; the control period must be a whole number of time steps.
     keep_out: sensor-only zone around the platform [m] in which contacts count as `near`.
-    threads: 0 takes all cores.
+    threads: 0 uses all cores.
     torque_needs_motors: a vehicle under PWM 0 has no attitude torque, as motors make it.
     disturbance: seed of the vehicle's disturbance of the air (`xfrc_applied`); None for still air.
     pool: vehicles that `assign` chooses from; each is compiled once.
@@ -203,10 +203,10 @@ class MujocoPlant(Plant):
         if friction is not None:
             rows[..., 0] = contact.check_friction(friction)
         if (restitution is None) != (contact_time is None):
-            raise UserError("restitution and contact time belong together: give both or none")
+            raise UserError("give both restitution and contact time, or neither")
         if restitution is not None:
             if solref is not None:
-                raise UserError("give either restitution and contact time or solref, not all of them")
+                raise UserError("give either restitution and contact time, or solref")
             solref = contact.solref(restitution, contact_time, self.vehicle.environment_gravity)
         if solref is not None:
             rows[..., 1:3] = contact.check_solref(solref)
@@ -287,11 +287,11 @@ class MujocoPlant(Plant):
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
 
-        wanted: (n,) bool, vehicles that somebody looks at; the others stand still, unless there is a
+        wanted: (n,) bool, vehicles whose result is used; the others do not move, unless there is a
         disturbance, of which all draw from one stream.
 
         Contacts are the maximum over the control step's substeps, each seen at its beginning.
-        Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to go on.
+        Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to continue.
         """
         some = wanted is not None and not self.disturbance and not wanted.all()
         self.advance(commands, np.flatnonzero(wanted) if some else None)

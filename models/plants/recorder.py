@@ -1,4 +1,4 @@
-"""A landing, seen at every step of the engine: what all judgements of touching a surface are made of.
+"""A landing at every step of the engine, the basis of all criteria on contact with a surface.
 
 A `Recorder` flies a `MujocoPlant` and keeps of every vehicle its first touch of the slab and the largest
 force on its feet; `Steps` holds what happened within the last control period, for what else a study asks
@@ -85,7 +85,7 @@ class Recorder:
         return steps
 
     def advance(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
-        """`step` without an error: `plant.diverged` tells."""
+        """`step` without an error; see `plant.diverged`."""
         plant, flown = self.plant, np.arange(self.plant.n) if ids is None else ids
         begun = {name: plant.batch.bind(name)[flown, None] for name in _COLUMNS}
         seen = plant.advance(commands, ids, record=tuple(begun))
@@ -218,7 +218,7 @@ def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 def _step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Impulse (3,) of the step from state, control and platform pose in `data`, left at its last stage."""
     if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
-        raise UserError("impulses of engine steps are known for the integrator RK4 only")
+        raise UserError("impulses of engine steps need the integrator RK4")
     step = model.opt.timestep
     start = data.qpos.copy(), data.qvel.copy(), data.act.copy(), data.time
     impulse = np.zeros(3)

@@ -1,4 +1,4 @@
-"""What is written from `attributes.toml` and the vehicle file: C++ at build time, the manual on demand.
+"""Generates C++ at build time, and the manual on demand, from `attributes.toml` and the vehicle file.
 
 usage: generate.py build MUJOCO_VERSION OUTPUT_FOLDER   write attributes.h and _build.json
        generate.py manual                               rewrite the attribute tables of README.md

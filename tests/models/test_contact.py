@@ -133,7 +133,7 @@ def test_foot_height_lifts_the_vehicle():
     ({"friction": [0.5, math.nan]}, "friction must be from 0 to 10, not nan"),
     ({"restitution": 1.5, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not 1.5"),
     ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.02 s, not 0.1 s"),
-    ({"restitution": 0.5}, "restitution and contact time belong together"),
+    ({"restitution": 0.5}, "give both restitution and contact time"),
     ({"restitution": 0.5, "contact_time": 0.02, "solref": (0.01, 1)}, "give either restitution"),
     ({"solref": (0.01, -1.0)}, "solref must be"),
     ({"solref": 0.01}, "solref is two numbers"),

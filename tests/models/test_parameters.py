@@ -53,7 +53,7 @@ def test_every_constant_has_unit_source_and_uncertainty(constant):
 
 
 WRONG = {  # what stands in the file, what instead, part of the sentence
-    "missing": ("\nmass ", "\n#", r"lacks entries: body\.mass; one that holds only"),
+    "missing": ("\nmass ", "\n#", r"lacks entries: body\.mass; a file with differences only"),
     "unknown": (
         "[thrust]",
         '[thrust]\nlag = { value = 1, unit = "1", source = "", uncertainty = 0 }',

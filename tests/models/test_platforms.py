@@ -185,7 +185,7 @@ def test_impulses_of_contacts_explain_the_motion(moving):
         )
         met = max(met, np.linalg.norm(given))
     assert met > 5 * MASS * G * STEP
-    with pytest.raises(UserError, match="for the integrator RK4 only"):
+    with pytest.raises(UserError, match="need the integrator RK4"):
         impulses(MujocoPlant(1, integrator="implicitfast"), OFF)
 
 
@@ -275,9 +275,9 @@ def test_a_platform_set_anew_stands_still():
 
 def test_what_cannot_move_is_refused():
     for plant in (make_plant("analytic", 1), make_plant("mujoco", 1)):
-        with pytest.raises(UserError, match="stand still"):
+        with pytest.raises(UserError, match="cannot move"):
             plant.set_motion([0], Motion.still(1))
-    with pytest.raises(UserError, match="stand still"):
+    with pytest.raises(UserError, match="cannot move"):
         make_plant("analytic", 1, moving=True)
     with pytest.raises(UserError, match="as many motions"):
         MujocoPlant(2, moving=True).set_motion([0, 1], Motion.still(1))

@@ -142,7 +142,7 @@ def test_deviations_act_on_top_of_the_pools():
 
 
 @pytest.mark.parametrize("changed, sentence", [
-    ({"command_angle_limit": 0.4}, "command.angle_limit cannot differ from vehicle to vehicle"),
+    ({"command_angle_limit": 0.4}, "command.angle_limit must be the same for all vehicles"),
     ({"platform_width": 1.0}, "slab.half_length cannot differ"),
     ({"command_pwm_range": (0.0, 60_000.0)}, "command.pwm_range cannot differ"),
     ({"body_mass": -1.0}, "body.mass is -1 kg"),
@@ -155,7 +155,7 @@ def test_vehicles_that_do_not_go_together_are_refused(changed, sentence):
 def test_vehicles_that_are_not_there_are_refused():
     plant = make_plant("analytic", 2, V, pool=[V])
     for wrong in (2, -1):
-        with pytest.raises(UserError, match="vehicles 1 to 1, and 0 is the plant's own"):
+        with pytest.raises(UserError, match="choose vehicles 1 to 1 of the pool"):
             plant.assign(np.arange(2), [0, wrong])
     assert not plant.choice.any()
     snapshot = make_plant("analytic", 2, V, pool=[V, V])

@@ -205,7 +205,7 @@ def test_a_size_that_may_be_zero_is_not_sure():
 def test_a_product_is_said_where_only_it_is_seen():
     wind = dataclasses.replace(named("wind", {"x": 0.8, "y": 0.1}), product=(0.24, (0.21, 0.27)))
     said = words.product_sentence(wind)
-    assert "the push of the air" in said and "0.24" in said and "in hover" in said
+    assert "the force of the wind" in said and "0.24" in said and "in hover" in said
     assert words.product_sentence(named("attitude_trim", TRIM)) == ""
 
 
