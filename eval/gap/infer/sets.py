@@ -27,8 +27,11 @@ from inclined_landing.eval.gap.infer.gaussian import (
 from inclined_landing.eval.gap.model.columns import BASE, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 
-SAME_RATIO = frozenset(("mass", "thrust_scale"))
-LEFT_OUT = 30.0  # nat
+REDUNDANT = (  # of these one is a combination of the others
+    frozenset(("mass", "thrust_scale")),  # free flight shows the ratio of thrust to mass alone
+    frozenset(("thrust_delay", "attitude_delay", "mocap_delay")),  # poses are late, or all commands
+)
+LEFT_OUT = 30.0  # nat, for each of a redundant set
 SWING_START = 2.0  # nat, of four numbers whose errors are some 0.4 of their prior deviations
 MOST_EFFECTS = 16  # of a set
 EXCHANGES = 2  # fits with another effect in the place of each one of the best set
@@ -117,14 +120,14 @@ def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> Effect
 def log_prior(problem: Problem, names: EffectSet) -> float:
     """Return the log prior of a set, up to a constant: independent Bernoulli effects of equal odds.
 
-    Not both of SAME_RATIO: free flight shows the ratio of thrust to mass alone.
+    Sets with all of one of REDUNDANT are left out.
     """
     # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
     share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
-    both = len(SAME_RATIO) if names >= SAME_RATIO else 0
+    all_of = sum(len(of) for of in REDUNDANT if names >= of)
     # Beside a load's mass and string, where it swings at the start of every stretch is fitted: four numbers.
     begun = problem.swing_starts if "slung_load" in names else 0
-    return len(names) * math.log(share / (1.0 - share)) - both * LEFT_OUT - begun * SWING_START
+    return len(names) * math.log(share / (1.0 - share)) - all_of * LEFT_OUT - begun * SWING_START
 
 
 def _fit_set(
