@@ -1,8 +1,9 @@
 """Simulation of landings and classification of their outcomes.
 
-A landing starts in a given state over or at the slope and is watched for a fixed time at every engine
-step. The motors stop at the first control tick at which the cut is due, thrust command and attitude
-torque alike (the torques come from the motors too); the thrust decays with its lag.
+A landing starts in a given state over or at the slope and is watched at every engine step, for a fixed
+time or until its outcome is certain: over the slab's edge, or still on the slab for `REST_TIME` without
+motors. The motors stop at the first control tick at which the cut is due, thrust command and attitude torque
+alike (the torques come from the motors too); the thrust decays with its lag.
 
 Outcomes, in the order of the tests:
 
@@ -37,6 +38,11 @@ RESTS, SLIDES, BOUNCES, TIPS, MISSES, DIVERGES = range(len(OUTCOMES))
 # At rest: velocity and rate averaged over SMOOTHING stay below the recorder's limits. At restitutions above
 # 0.35 the engine's contact spring chatters at some 30 Hz and 2 cm/s under a vehicle that goes nowhere.
 SMOOTHING = 0.02  # s
+# A vehicle that has been at rest on the slab for so long without motors, and hardly creeps, stays there. One
+# that bounces back by more than a third may creep under the engine's contact spring, and over an edge.
+REST_TIME = 0.2  # s
+REST_CREEP = 1e-3  # m/s, on average
+REST_ROOM = 0.01  # m to the slab's edges
 TIPPED_COSINE = math.cos(math.radians(60.0))
 FEET_TIME = 0.1  # s, time constant of the running share of time with the feet down
 HOP_HEIGHT = 0.002  # m of the lowest foot over the surface that count as a flight
@@ -86,7 +92,12 @@ class RunningValues(NamedTuple):
     touched_elsewhere: np.ndarray  # bool: something else was touched first
     over_edge: np.ndarray  # s; NaN until then
     share: np.ndarray  # of the last FEET_TIME with the feet down
-    last_moved: np.ndarray  # s
+    last_moved: np.ndarray  # s, of a vehicle that is not still with its feet down
+    last_fast: np.ndarray  # s, wherever it lies
+    s_fast: np.ndarray  # m, where that was
+    y_fast: np.ndarray
+    creep: np.ndarray  # m, from there
+    room: np.ndarray  # m, to the slab's edges
     s0: np.ndarray  # m, where it touched: downhill, sideways
     y0: np.ndarray
     air: np.ndarray  # bool: in a hop
@@ -129,18 +140,21 @@ def simulate(
     constants, running = _constants(plant, p), _initial_values(n)
     pwm = steady_pwm(p, v)
     hold = np.clip(slope / v.attitude_gain, -v.command_angle_limit, v.command_angle_limit)
-    commands, powered = np.zeros((n, 4)), np.ones(n, bool)
+    commands, powered, cut = np.zeros((n, 4)), np.ones(n, bool), np.zeros(n)
     active = np.arange(n)  # landings that are not decided yet
     for tick in range(round(duration / plant.control_period)):
         now = tick * plant.control_period
         reference = 0.0 if from_start else running.touch
         with np.errstate(invalid="ignore"):
             powered &= ~(now + 1e-9 >= reference + p["motor_cut_delay"])
+        cut[powered] = now + plant.control_period
         commands[:, 0] = np.where(powered, pwm, 0.0)
         commands[:, 2] = np.where(powered, hold, 0.0)
         _update_period(recorder.advance(commands, active), active, commands[:, 0], constants, running)
         # Over the edge, or something else touched before the slab: nothing later counts.
-        active = active[~((running.over_edge[active] >= 0.0) | running.touched_elsewhere[active])]
+        ended = (running.over_edge >= 0.0) | running.touched_elsewhere
+        ended |= _stays(running, now + plant.control_period, cut)
+        active = active[~ended[active]]
         if not len(active):
             break
     return _classify(running, recorder.touch, slope, plant.diverged)
@@ -206,7 +220,8 @@ def _update_period(steps, active, pwm, constants, running):
                 running.impulse[row] += constants.dt * mean
             running.tilt[row] = max(running.tilt[row], math.acos(min(1.0, max(-1.0, up))))
             running.distance[row] = math.sqrt((s - running.s0[row]) ** 2 + (q[1] - running.y0[row]) ** 2)
-            _update_rest(running, row, v, feet, other or elsewhere, now, constants.dt)
+            running.room[row] = min(constants.half_length - abs(s), constants.half_depth - abs(q[1]))
+            _update_rest(running, row, s, q[1], v, feet, other or elsewhere, now, constants.dt)
 
 
 @numba.njit(cache=True)
@@ -261,14 +276,18 @@ def _update_hops(running, row, down, touching, dt):
 
 
 @numba.njit(cache=True)
-def _update_rest(running, row, speeds, feet, other, now, dt):
+def _update_rest(running, row, s, y, speeds, feet, other, now, dt):
     """Update the low-pass filtered motion and contact, whether the vehicle is at rest, and since when."""
     m = running.mean[row]
     for a in range(6):
         m[a] += dt / SMOOTHING * (speeds[a] - m[a])
     speed = math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
     rate = math.sqrt(m[3] ** 2 + m[4] ** 2 + m[5] ** 2)
-    running.still[row] = speed < REST_SPEED and rate < REST_RATE and running.share[row] > 0.5
+    slow = speed < REST_SPEED and rate < REST_RATE
+    if not slow:
+        running.last_fast[row], running.s_fast[row], running.y_fast[row] = now + dt, s, y
+    running.creep[row] = math.sqrt((s - running.s_fast[row]) ** 2 + (y - running.y_fast[row]) ** 2)
+    running.still[row] = slow and running.share[row] > 0.5
     if not running.still[row]:
         running.last_moved[row] = now + dt
     running.feet[row] += dt / SMOOTHING * ((1.0 if feet else 0.0) - running.feet[row])
@@ -289,10 +308,24 @@ def _contact_state(touch, slope, out):
         out[i, 2] = pitch - slope[i]
 
 
+def _on_feet(r: RunningValues) -> np.ndarray:
+    return (r.feet > 0.5) & (r.other < 0.5)
+
+
+def _stays(r: RunningValues, now: float, cut: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: which vehicles lie still on the slab, where they will be found at the end.
+
+    cut (n,) [s]: when their motors stopped.
+    """
+    on_feet, fallen = _on_feet(r) & r.still, (r.touch >= 0.0) & (r.other > 0.5)
+    rested = now - np.maximum(np.where(fallen, r.last_fast, r.last_moved), cut) >= REST_TIME
+    creeps = (r.creep > REST_CREEP * (now - r.last_fast)) | (r.room < REST_ROOM)
+    return (on_feet | fallen) & rested & ~creeps
+
+
 def _classify(r: RunningValues, touch: Touch, slope: np.ndarray, diverged: np.ndarray) -> Landings:
     touched, over_edge = r.touch >= 0.0, r.over_edge >= 0.0
-    on_feet = (r.feet > 0.5) & (r.other < 0.5)
-    rests = touched & ~over_edge & r.still & on_feet
+    rests = touched & ~over_edge & r.still & _on_feet(r)
     tipped = (np.cos(r.tilt) < TIPPED_COSINE) | (~over_edge & (r.other > 0.5))
     outcome = np.select(
         [diverged, ~touched, rests, tipped, r.share > 0.5],

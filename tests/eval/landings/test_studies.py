@@ -309,3 +309,22 @@ def test_cells_without_landings_are_hatched_and_named():
     assert cells > 20 and len(drawn) == 2 * cells and all(patch.get_hatch() for patch in drawn)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "no landings" in words and "slides off" in words and "tips over" not in words
+
+
+@pytest.mark.slow
+def test_an_early_end_changes_no_outcome(monkeypatch):
+    """Landings that lie still are not watched to the end: they miss some millimetres of creeping, no more."""
+    study = read_study("steep_landing")
+    rows = range(400)
+    values, _ = design.design(study)
+    p = {name: column[rows] for name, column in values.items()}
+    states = touchdown_states(p, study.vehicle)
+    early = simulate(states, p)
+    monkeypatch.setattr(landing, "REST_TIME", math.inf)
+    late = simulate(states, p)
+    np.testing.assert_array_equal(early.outcome, late.outcome)
+    # In the rest of two seconds it creeps, by no more than three times as fast as so far, and rocks a little.
+    tolerance = {"slide_distance": 6.0 * landing.REST_CREEP, "largest_tilt": 1e-4}
+    for name, one, other in zip(RESULTS, early.values.T, late.values.T):
+        assert (np.nan_to_num(np.abs(one - other)) <= tolerance.get(name, 0.0)).all(), name
+    np.testing.assert_array_equal(np.isnan(early.values), np.isnan(late.values))
