@@ -12,13 +12,12 @@ accelerations are its derivatives, so that nothing is integrated and any time ca
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates
+from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates, sine_cosine
 from inclined_landing.models.errors import UserError
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
@@ -123,22 +122,24 @@ def _times(times, n: int) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def displacement(i, t, waves, out):
     """Write displacement, rate and acceleration of platform i at t [s] in each mode into `out` (3, 6)."""
+    velocity, amplitude, frequency, phase = waves
     for mode in range(6):
         # x = v_0 t + sum A sin(w t + p), v = v_0 + sum A w cos(w t + p), a = -sum A w^2 sin(w t + p)
         x, v, a = 0.0, 0.0, 0.0
         if mode < 3:
-            v = waves.velocity[i, mode]
+            v = velocity[i, mode]
             x = v * t
-        for k in range(waves.amplitude.shape[2]):
-            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
+        for k in range(amplitude.shape[2]):
+            size = amplitude[i, mode, k]
             if size != 0.0:
-                angle = omega * t + waves.phase[i, mode, k]
-                along = size * math.sin(angle)
+                omega = frequency[i, mode, k]
+                sine, cosine = sine_cosine(omega * t + phase[i, mode, k])
+                along = size * sine
                 x += along
-                v += size * omega * math.cos(angle)
+                v += size * omega * cosine
                 a -= omega * omega * along
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
 
@@ -151,7 +152,7 @@ def rate(i, t, waves, out):
         for k in range(waves.amplitude.shape[2]):
             size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
             if size != 0.0:
-                v += size * omega * math.cos(omega * t + waves.phase[i, mode, k])
+                v += size * omega * sine_cosine(omega * t + waves.phase[i, mode, k])[1]
         out[mode] = v
 
 
@@ -163,7 +164,7 @@ def acceleration(i, t, waves, out):
         for k in range(waves.amplitude.shape[2]):
             size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
             if size != 0.0:
-                a -= omega * omega * (size * math.sin(omega * t + waves.phase[i, mode, k]))
+                a -= omega * omega * (size * sine_cosine(omega * t + waves.phase[i, mode, k])[0])
         out[mode] = a
 
 
@@ -178,18 +179,15 @@ def _platforms(times, rest, waves, platform):
     now = np.empty((3, 6))
     for i in range(len(platform)):
         displacement(i, times[i], waves, now)
-        write_state(now, rest[i], platform[i])
+        write_state(i, now, rest, platform)
 
 
-@numba.njit(cache=True)
-def write_state(now, rest, platform):
-    """Write the state (12,) of a platform into `platform`, from its `displacement` and its state at rest
-    (12,).
-    """
+@numba.njit(cache=True, inline="always")
+def write_state(i, now, rest, platform):
+    """Write the state of platform i into `platform` (n, 12), from its `displacement` and those at `rest`."""
     for k in range(3):
-        platform[k] = rest[k] + now[0, k]
-        platform[VX + k] = now[1, k]
-        platform[ROLL + k] = rest[ROLL + k] + now[0, 3 + k]
-    platform[WX], platform[WY], platform[WZ] = body_rates(
-        platform[ROLL], platform[PITCH], now[1, 3], now[1, 4], now[1, 5]
-    )
+        platform[i, k] = rest[i, k] + now[0, k]
+        platform[i, VX + k] = now[1, k]
+        platform[i, ROLL + k] = rest[i, ROLL + k] + now[0, 3 + k]
+    rates = body_rates(platform[i, ROLL], platform[i, PITCH], now[1, 3], now[1, 4], now[1, 5])
+    platform[i, WX], platform[i, WY], platform[i, WZ] = rates

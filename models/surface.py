@@ -10,7 +10,20 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, WX, YAW, X, Z, rotation, rotations
+from inclined_landing.models.attitude import (
+    PITCH,
+    ROLL,
+    VX,
+    VZ,
+    WX,
+    YAW,
+    X,
+    Z,
+    rotation,
+    rotation_entries,
+    rotations,
+    sine_cosine,
+)
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -50,20 +63,20 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
 def yaw_turned(roll, pitch, turn):
     """Return roll and pitch [rad] of a vehicle with the same thrust axis and a yaw less by `turn` [rad]."""
     # Thrust axis without the yaw: (sin theta, -sin phi cos theta, cos phi cos theta), turned about z
-    sin, cos = math.sin(turn), math.cos(turn)
-    flat = math.cos(pitch)
-    ahead, left, up = math.sin(pitch), -math.sin(roll) * flat, math.cos(roll) * flat
+    (sin, cos), (sr, cr), (ahead, flat) = sine_cosine(turn), sine_cosine(roll), sine_cosine(pitch)
+    left, up = -sr * flat, cr * flat
     ahead, left = cos * ahead - sin * left, sin * ahead + cos * left
     return math.atan2(-left, up), math.asin(min(1.0, max(-1.0, ahead)))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def in_heading_frame(s, d, out):
     """Write `heading_frame` of one vehicle (13,) over a platform (12,) into `out` (10,)."""
-    sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
-    for first in (X, VX):
-        x, y = s[first] - d[first], s[first + 1] - d[first + 1]
-        out[first], out[first + 1] = cos * x + sin * y, cos * y - sin * x
+    sin, cos = sine_cosine(d[YAW])
+    x, y = s[X] - d[X], s[X + 1] - d[X + 1]
+    out[X], out[X + 1] = cos * x + sin * y, cos * y - sin * x
+    x, y = s[VX] - d[VX], s[VX + 1] - d[VX + 1]
+    out[VX], out[VX + 1] = cos * x + sin * y, cos * y - sin * x
     out[Z], out[VZ] = s[Z] - d[Z], s[VZ] - d[VZ]
     out[ROLL], out[PITCH] = yaw_turned(s[ROLL], s[PITCH], s[YAW] - d[YAW])
     out[SLOPE_ROLL], out[SLOPE_PITCH] = d[ROLL], d[PITCH]
@@ -120,14 +133,14 @@ def write_platform_motion(platform, out):
     """Write `platform_motion` into `out` (n, 6), whose numbers may be shorter; return it."""
     for i in range(len(platform)):
         d = platform[i]
-        r = rotation(d[ROLL], d[PITCH], d[YAW])
-        sin, cos = math.sin(d[YAW]), math.cos(d[YAW])
-        wx = r[0, 0] * d[WX] + r[0, 1] * d[WX + 1] + r[0, 2] * d[WX + 2]
-        wy = r[1, 0] * d[WX] + r[1, 1] * d[WX + 1] + r[1, 2] * d[WX + 2]
+        yaw = sin, cos = sine_cosine(d[YAW])
+        r = rotation_entries(sine_cosine(d[ROLL]), sine_cosine(d[PITCH]), yaw)
+        wx = r[0] * d[WX] + r[1] * d[WX + 1] + r[2] * d[WX + 2]
+        wy = r[3] * d[WX] + r[4] * d[WX + 1] + r[5] * d[WX + 2]
         out[i, 0], out[i, 1] = cos * d[VX] + sin * d[VX + 1], cos * d[VX + 1] - sin * d[VX]
         out[i, 3], out[i, 4] = cos * wx + sin * wy, cos * wy - sin * wx
         out[i, 2] = d[VZ]
-        out[i, 5] = r[2, 0] * d[WX] + r[2, 1] * d[WX + 1] + r[2, 2] * d[WX + 2]
+        out[i, 5] = r[6] * d[WX] + r[7] * d[WX + 1] + r[8] * d[WX + 2]
     return out
 
 
@@ -160,7 +173,8 @@ def normal_at_rest(roll, pitch):
 
     roll, pitch [rad]: of the vehicle at rest.
     """
-    return math.sin(pitch), -math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)
+    (sr, cr), (sp, cp) = sine_cosine(roll), sine_cosine(pitch)
+    return sp, -sr * cp, cr * cp
 
 
 def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +192,7 @@ def normals(platform: np.ndarray) -> np.ndarray:
 def _normals(platform, out):
     for i in range(len(platform)):
         ahead, left, out[i, 2] = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
-        sin, cos = math.sin(platform[i, YAW]), math.cos(platform[i, YAW])
+        sin, cos = sine_cosine(platform[i, YAW])
         out[i, 0], out[i, 1] = cos * ahead - sin * left, sin * ahead + cos * left
     return out
 

@@ -203,7 +203,7 @@ def _follow(ids, clock, waves, rest, platform):
     now = np.empty((3, 6))
     for i in ids:
         motion.displacement(i, clock.time[i] + clock.begun[i], waves, now)
-        motion.write_state(now, rest[i], platform[i])
+        motion.write_state(i, now, rest, platform)
 
 
 @numba.njit(cache=True)
@@ -216,7 +216,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
     for i in ids:
         t = clock.time[i] + clock.begun[i]
         motion.displacement(i, t, waves, now)
-        motion.write_state(now, rest[i], platform[i])
+        motion.write_state(i, now, rest, platform)
         if not present[i]:
             for k in range(6):
                 qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0
