@@ -1,8 +1,8 @@
 # make            install into .venv what training and evaluation need (again after a change of C++ or dependencies)
 # make demo       train, evaluate and film a short landing run into runs/demo
-# make test       style, import contracts, types and the tests: three minutes
+# make test       style, wording, import contracts, types and the tests: three minutes
 # make test-all   the slow tests too, and those that need OpenGL, a browser or an extra: an hour
-# make lint       style, formatting, import contracts and types
+# make lint       style, formatting, wording, import contracts and types
 # make bench      simulation speed
 # make diagram    docs/architecture.svg, drawn from the imports
 # make docs       the documentation site in build/site, every link in it checked
@@ -50,6 +50,7 @@ test: .venv/.installed-test
 checks: .venv/.installed-test
 	$(BIN)/ruff check
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/python .ci/words.py
 	$(TYPES)
 
 test-all: .venv/.installed-test-all .venv/.compiled

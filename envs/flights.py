@@ -92,7 +92,8 @@ def record_flights(
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
     States have the platforms that `Task.start` gives them; starts have their own, and their contact.
-    plant: of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's vehicle.
+    plant: a plant of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's
+    vehicle.
     steps: fly at most this many control steps (default: the task's limit).
     Raises UserError when the number of states is not the plant's, and FloatingPointError when the engine
     diverges. Flights of vehicles from a pool that diverge far outside the arena, where
@@ -198,8 +199,8 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
     contacts.
 
     For flights of that plant in still air: the states of a flight come out the same, bit for bit, over a
-    moving platform to the micrometre that it is off within a control period. cut: seconds that it goes on
-    for with its motors cut.
+    moving platform to the micrometre that it is off within a control period. cut: seconds to continue with
+    the motors cut.
     """
     vehicle = flight.task.vehicle
     substeps = round(vehicle.command_control_period / STEP)

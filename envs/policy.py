@@ -227,7 +227,7 @@ def load_policy(
     """Read a policy file, the final policy of a run folder, or a shipped policy by name.
 
     task: the task it must be for, by name or as an object, such as that of an environment (which then is
-        the policy's task as it is); needed when the file has none. By name, and by default, the task is
+        the policy's task); needed when the file has none. By name, and by default, the task is
         built from the metadata.
     vehicle, inclination, azimuth [rad]: of the task that is built, where they differ from the training's.
         The PWM of an action stays that of the training or, with `pwm_centre="own"`, is about the

@@ -334,7 +334,7 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
 def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
     """Return the fields of `Policy` that stand for the statistics of a VecNormalize, where there was one.
 
-    limit: of the network's own scaling; infinite without one.
+    limit: that of the network's own scaling; infinite without one.
     """
     statistics = metadata.get(NORMALISATION)
     if statistics is None:

@@ -87,7 +87,7 @@ def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) 
 
 
 def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """Write touchdown.json of `final.zip` against the policy that training went on from."""
+    """Write touchdown.json of `final.zip` against the policy that training started from."""
     final, began = load(folder / "final.zip"), metrics["config"]["start_from"]
     landed = began in SHIPPED or Path(began).exists()  # and not a law
     origin = load(began) if landed else None

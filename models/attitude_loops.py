@@ -53,7 +53,7 @@ def angle_errors(roll, pitch, u, v, p):
 def loop_rates(errors, integrals, u, v, p):
     """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
 
-    errors: of `angle_errors`; integrals: of these over time [rad s]; u: command (4,).
+    errors: see `angle_errors`; integrals: their integrals over time [rad s]; u: command (4,).
     """
     # dphi/dt = (error + integral I)/tau, theta alike; dpsi/dt = k_psi r_c + drift
     tau, integral = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_integral

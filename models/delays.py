@@ -20,7 +20,7 @@ class Delays:
     """The histories that the vehicles' delays need; none for delays of 0.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
-    period: of the commands [s].
+    period: that of the commands [s].
     After `reset` the past is as if the first command had always been given, and the vehicle had always
     been in its first state.
     """

@@ -27,7 +27,7 @@ class Disturbance:
     """The processes (n, 6) of n vehicles: accelerations along x, y, z of the world, angular ones of the body.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
-    period: of control [s]. seed: of everything drawn.
+    period: the control period [s]. seed: for all random numbers.
     Raises UserError for a negative seed.
     """
 

@@ -101,7 +101,7 @@ def _cache_somewhere(execute: Execute, caching: Any) -> None:
 def private_folder() -> str:
     """Return a folder in the temporary one that only this user can write: what lies there may be executed.
 
-    It is the same for all processes of a user; where somebody else holds its name, one that is removed at the
+    It is the same for all processes of a user; if another user owns its name, one that is removed at the
     end of the process. Raises UserError where there is no temporary folder.
     """
     try:

@@ -4,7 +4,7 @@ The string counts as a rod that turns freely: it neither stretches nor goes slac
 and has no drag. At the centre of mass it gives no torque.
 
 Symbols of the comments: q unit vector from the vehicle to the load, q' its rate [1/s], f force on the vehicle
-but for its weight, a_f = f/m, m and m_l masses of vehicle and load, L the string's length, T its tension.
+without its weight, a_f = f/m, m and m_l masses of vehicle and load, L the string's length, T its tension.
 After Sreenath, Lee and Kumar, "Geometric control and differential flatness of a quadrotor UAV with a
 cable-suspended load", CDC 2013:
 
@@ -60,7 +60,7 @@ def rectify(load):
 def advance(load, ax, ay, az, share, length, dt):
     """Advance a load's state (6,) in place by `dt` [s], and return the vehicle's mean acceleration.
 
-    (ax, ay, az): force on the vehicle but for its weight over its mass, a_f [m/s2] in the world's axes, held
+    (ax, ay, az): force on the vehicle without its weight over its mass, a_f [m/s2] in the world's axes, held
     over the step. share: m_l/(m + m_l); length [m] of the string. The acceleration (x, y, z) [m/s2] is
     without gravity's; with share 0 it is a_f. The swing takes one step of RK4, stable up to a phase
     sqrt(|a_f|/L) dt of 2.8 (at 20 m/s2, 0.1 m and 10 ms it is 0.14); the acceleration is exact for it.

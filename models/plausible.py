@@ -134,7 +134,7 @@ def _arena(v: Vehicle) -> Iterator[str]:
     for axis in "xyz":
         low, high = getattr(v, f"arena_{axis}")
         if low >= high:
-            yield f"arena.{axis} must rise, not go from {low:g} to {high:g} m"
+            yield f"arena.{axis} must be increasing, not {low:g} to {high:g} m"
 
 
 def _contact(v: Vehicle) -> Iterator[str]:

@@ -70,13 +70,13 @@ def build_spec(
     visuals: keep the purely visual geoms (they cost time in simulation and change no physics).
     keep_out: zone around slab and base [m] in which contacts are reported without force.
     torque_limit: clamp the attitude torques to the vehicle's authority.
-    pooled: of a batch in which every simulation has a vehicle of its own: the longest delay of commands among
+    pooled: for a batch in which every simulation has its own vehicle, the longest delay of commands among
         them [s]. Such scenes differ in numbers alone and compile ten times as fast: motion capture is left to
         the plant, and textures have one pixel.
     moving: the platform has joints, and so a velocity that friction passes on, instead of being posed; its
         base is left out.
-    loaded: of a batch in which some vehicles have a slung load: whether there is a body for it, of next to no
-        mass where a vehicle has none. None: where the vehicle has one.
+    loaded: for a batch in which some vehicles have a slung load, whether there is a body for it, of almost no
+        mass if a vehicle has none. None: only if the vehicle has one.
     Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = as_vehicle(vehicle)

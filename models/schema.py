@@ -35,7 +35,7 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
 def parse(data: Any, kind: type[T], where: str = "", name: str = "") -> T:
     """Return `data` as a `kind`: whole numbers become floats where needed; no other type is converted.
 
-    name: of the entry that `data` is, unless it is a whole file. Raises UserError, `where` before its
+    name: name of the entry `data`, unless it is a whole file. Raises UserError, `where` before its
     sentence, for entries that are missing, unknown, of another type or out of range.
     """
     try:
@@ -127,7 +127,7 @@ def _fits(value: Any, kind: Any) -> bool:
 
 
 def _fields(kind: Any) -> dict[str, structs.FieldInfo]:
-    """Return the entries of a table by their names in files; none for what is no table."""
+    """Return the entries of a table by their names in files; none for other types."""
     tables = (one for one in _members(kind) if isinstance(one, type) and issubclass(one, Struct))
     return {field.encode_name: field for table in tables for field in structs.fields(table)}
 

@@ -139,7 +139,7 @@ class Every(BaseCallback):
     """Calls `action(iteration)` before a rollout, every `interval` iterations from `first` on; 0: never.
 
     At that moment the previous iteration's update is done, so that the policy, the vehicles and the
-    random states belong together. `action` returns False to stop the training.
+    random states are consistent. `action` returns False to stop the training.
     """
 
     def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int, first: int):

@@ -365,7 +365,7 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
 
 
 def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict[str, Any]:
-    """Return what actions command, `pwm_centre` and `pwm_span`: as in the policy to go on from."""
+    """Return what actions command, `pwm_centre` and `pwm_span`: as in the policy to start from."""
     centre: float | str | None = config.pwm_centre
     span = config.pwm_span
     if policy is not None and (centre is None or span is None):

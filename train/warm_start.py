@@ -49,7 +49,7 @@ _RATE, _NOISE = 1e-3, 0.2
 
 
 def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
-    """Return the policy to go on from: one for `task`, or for the task whose policy its training begins with.
+    """Return the policy to start from: one for `task`, or for the task whose policy its training starts with.
 
     name: a file or a shipped one, or `descent.NAME` for the law; vehicle: the run's, where it is not the
     shipped one. Raises UserError for any other policy.

@@ -234,7 +234,7 @@ class InclinedLanding(Task):
     def in_goal(self, state, goal_size, platform=None, inclination=None) -> np.ndarray:
         """Return (n,) bool: which states (n, 13) are in the paper's goal box of size d = goal_size.
 
-        inclination: of the platforms, (n,) or a number [rad], where it is not the task's.
+        inclination: that of the platforms, (n,) or a number [rad] (default: the task's).
         """
         of_each = np.empty((2, len(state)))
         of_each[0], of_each[1] = goal_size, self.inclination if inclination is None else inclination

@@ -79,7 +79,7 @@ class Training(Record):
     max_steps: Many = 3_000_000
     """Environment steps that such a run has at most."""
     start_from: str | None = None
-    """The policy to go on from, a file or a shipped one, or the law `descent`."""
+    """The policy to start from, a file or a shipped one, or the law `descent`."""
     integrator: str = "implicitfast"
     """Of the engine in training, 4 ms steps."""
     keep_out: Zone = 0.04

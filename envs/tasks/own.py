@@ -1,4 +1,4 @@
-"""Tasks of one's own: a class derived from `Task`, named as `module:Class` or `file.py:Class`.
+"""Custom tasks: a class derived from `Task`, named as `module:Class` or `file.py:Class`.
 
 Naming one imports and so runs it. That happens only where a person names it, never because a policy file or
 a run folder does.
@@ -34,7 +34,7 @@ def would_import(text: object) -> TypeGuard[str]:
 
 
 def import_class(path: str) -> type[Task]:
-    """Return the class that `path` names, imported; raises UserError if it is no task."""
+    """Return the class that `path` names, imported; raises UserError if it is not a task."""
     what = f"task {shown(path, 60)}"
     kind = import_named(path, "task", "Class")
     if not (isinstance(kind, type) and issubclass(kind, Task)):
@@ -67,7 +67,7 @@ def import_named(path: str, what: str, kind: str):
 
 
 def blame(error: BaseException) -> str | None:
-    """Return which line of somebody's own code raised an error, as a sentence; None where none of it did."""
+    """Return which line of a custom module raised an error, as a sentence; None if none did."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if frame.filename in _FILES:
             said = f"{type(error).__name__}{f': {shown(error, 120)}' if str(error) else ''}"
@@ -79,7 +79,7 @@ def _from_file(path: Path) -> ModuleType:
     name = f"_own_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path.resolve(strict=True))
     if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
+        raise ImportError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look themselves up there
     spec.loader.exec_module(module)

@@ -36,7 +36,7 @@ class LandingOptions(TaskOptions):
     """With `fastest`: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg."""
 
     def check(self) -> None:
-        """Raise UserError for a value beyond its limits, or for options that do not go together."""
+        """Raise UserError for a value beyond its limits, or for options that cannot be combined."""
         super().check()
         if self.dimensions == 2 and (self.azimuth or self.random_yaw):
             named = "azimuth" if self.azimuth else "random_yaw"

@@ -116,7 +116,7 @@ class Setpoint(Task):
         return shown
 
     def across(self, state: np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """Return states (n, 13) `shifted` to a goal at y [m], (n,) or a number, at it but for motion along y.
+        """Return states (n, 13) `shifted` to a goal at y [m], (n,) or a number, at rest except along y.
 
         The roll that answers them holds a planar flight in its plane.
         """

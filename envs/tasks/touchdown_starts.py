@@ -77,7 +77,7 @@ def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_he
 def _into_space(rng: np.random.Generator, state: np.ndarray, start: Start, v: Vehicle) -> np.ndarray:
     """Return states (k, 13) in the plane of their slopes, shifted across it and turned with the slopes.
 
-    They take the headings of the starts. In the plane they stay as they are.
+    They take the headings of the starts. In the plane they are unchanged.
     """
     if start.azimuth is None:
         return state

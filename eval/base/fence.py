@@ -38,8 +38,8 @@ def beyond_fence(
 ) -> np.ndarray:
     """Return (...,) bool: whether a vehicle in the air is too fast for its distance to an end of the arena.
 
-    position, velocity (..., 3) [m, m/s]; margin [m] kept beside the distance that it needs to stop, which is
-    `stopping_distance` with `braking`.
+    position, velocity (..., 3) [m, m/s]; margin [m] kept in addition to the distance that it needs to stop,
+    which is `stopping_distance` with `braking`.
     """
     ends = np.array([vehicle.arena_x, vehicle.arena_y, vehicle.arena_z], float)
     room = stopping_distance(velocity, vehicle, braking) + margin

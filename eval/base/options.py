@@ -1,4 +1,4 @@
-"""Options that commands share: the types of single ones, and the groups that go together.
+"""Options that commands share: the types of single ones, and groups of options.
 
 A group is a dataclass that a command takes as one argument, `flown: Flat[Flown] = Flown()`; on the command
 line its fields are options like any other. Options shared with training are in `envs.shared.options`.

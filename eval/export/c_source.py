@@ -25,7 +25,7 @@ _APP_STACK = 350  # words that the firmware's own examples give an app, beside t
 def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
     """Write the C source into `folder`, and the app if the firmware can observe what the policy observes.
 
-    Raises UserError when the constants would not fit beside the firmware.
+    Raises UserError when the constants would not fit next to the firmware.
     """
     if 4 * network.numbers > LARGEST:
         raise UserError(

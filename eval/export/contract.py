@@ -197,8 +197,8 @@ def _check_channels(policy: Policy) -> None:
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, len(task.action_names)))
     if not np.allclose(Task.commands(task, actions), task.commands(actions), rtol=0.0, atol=1e-9):
         raise UserError(
-            f"policy {policy.path}: the task {task.name} makes commands of actions in a way of its own, "
-            "which no export can tell"
+            f"policy {policy.path}: the task {task.name} maps actions to commands in its own way, "
+            "which cannot be exported"
         )
 
 

@@ -2,7 +2,7 @@
 
 The estimated times count the instructions of the loops of the C export as arm-none-eabi-gcc 12 -Os compiles
 them for a Cortex-M4F, each with the cycles of Arm's reference manual (DDI 0439D, tables 3-1 and 7-1). They
-are no measurement on a vehicle, where interrupts and other tasks take their share.
+are not measured on a vehicle, where interrupts and other tasks take their share.
 
 One product of `dense`, of four at once: half a cycle for x (vldmia, 2), 2 for the weight (vldr), 3 for the
 product and sum (vfma), 1 to 1.5 for counting and branching (4 to 6): 6.5 to 7. Where the weight is waited

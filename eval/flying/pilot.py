@@ -4,7 +4,7 @@ Phases: the set-point policy takes off and flies to the start (approach); near i
 landing policy has the vehicle (landing) until the goal box is entered, where the motors are cut, or until it
 rests on the slope by its own command (touchdown). A planned flight is tracked instead (plan), and the
 set-point policy then sets the vehicle down (retreat). Whatever `safety` names ends the flight by its
-reaction: motors off, or the set-point policy sets the vehicle down beside the platform (retreat).
+reaction: motors off, or the set-point policy sets the vehicle down next to the platform (retreat).
 
 The pilot holds the heading at 0 unless a plan turns. In the landing, which is planar, it also holds y at 0 by
 the set-point policy's roll.
@@ -300,7 +300,7 @@ class Pilot:
         return step
 
     def _retreat(self, state: np.ndarray) -> np.ndarray | None:
-        """Return the command (4,) that sets the vehicle down beside the platform; None once it is down."""
+        """Return the command (4,) that sets the vehicle down next to the platform; None once it is down."""
         assert self._target is not None
         command = self._follower.command_towards(
             state, self._target.advance(self._period, state[X : Z + 1]), self._period

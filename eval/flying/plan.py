@@ -34,7 +34,7 @@ class PlannedFlight:
 
 @dataclasses.dataclass(frozen=True)
 class FlightPlan:
-    """Policies, start and standing height of one flight; a planned flight in the place of a landing."""
+    """Policies, start and standing height of one flight; or a planned flight instead of a landing."""
 
     landing: Policy | PlannedFlight  # a policy for the task landing or touchdown
     setpoint: Policy

@@ -33,7 +33,7 @@ class Reaction(enum.Enum):
     """The pilot's reaction to a cause."""
 
     OFF = "motors off"
-    LAND = "lands beside the platform"
+    LAND = "lands next to the platform"
 
 
 POSE_LIMIT = 0.2  # s without a believed position: the filter is then 6 cm unsure, a goal box has 10
@@ -75,7 +75,7 @@ class FlightStatus:
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """What ends a flight early; `SafetyMonitor.conditions` says when, but for what the pilot itself meets."""
+    """What ends a flight early; `SafetyMonitor.conditions` says when, except for the pilot's own causes."""
 
     name: str
     when: str
@@ -209,8 +209,8 @@ class SafetyMonitor:
     def _next_command(self, now: FlightStatus) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity (3,) at which the next command may arrive.
 
-        A link that is silent for some time may be so again, and all the while the vehicle goes on under the
-        command that it has, with the acceleration of now.
+        A link that is silent for some time may be so again, and meanwhile the vehicle continues under its
+        last command, with the present acceleration.
         """
         e, t = now.estimate, self._silence
         position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]

@@ -34,7 +34,7 @@ class Watchdog:
     """Calls `stop` once, from its own thread, when `feed` was not called for `limit` s of real time.
 
     Use as a context; `triggered` says whether it did. No thread gets past a hang inside cflib's own lock:
-    then the vehicle stops by itself, 1 s after the last notice.
+    then the firmware stops the motors, 1 s after the last notice.
     """
 
     def __init__(self, limit: float, stop: Callable[[], None]):

@@ -116,7 +116,7 @@ class Dependence:
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """The residual beside the most probable set: its size and its dependence on logged quantities."""
+    """The residual under the most probable set: its size and its dependence on logged quantities."""
 
     p_value: float  # of the largest gain of all functions (permutation test)
     size: dict[str, float]  # channel -> root mean square beyond noise and disturbance (m/s2 for x, y, z; rad)
@@ -146,7 +146,7 @@ class ResidualAnalysis:
 
 @dataclasses.dataclass(frozen=True)
 class Touchdowns:
-    """The residual of the motion after contact, beside the most probable set."""
+    """The residual of the motion after contact, under the most probable set."""
 
     landings: int
     unexplained: bool  # whether the landings' common residual is significant

@@ -4,7 +4,7 @@ Of each: what it decides; what a larger value trades off; what error rate was me
 
     blind      python -m tests.proof gap-blind --set dev --out DIR
     fresh      python -m tests.proof gap-blind --set fresh --seed 2131 --cases 66 --out DIR
-    again      the same with --seed 7101 --cases 22, by the search and classes of today
+    again      the same with --seed 7101 --cases 22, by the present search and classes
     agreement  python -m tests.proof gap-agreement --family dev --cases 6 --seed 0 --out DIR
 
 All were chosen on the development families of `blind`. The rates are in docs/evidence/hidden_effects.md. The

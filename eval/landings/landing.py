@@ -3,7 +3,7 @@
 A landing starts in a given state over or at the slope and is watched at every engine step, for a fixed
 time or until its outcome is certain: over the slab's edge, or still on the slab for `REST_TIME` without
 motors. The motors stop at the first control tick at which the cut is due, thrust command and attitude torque
-alike (the torques come from the motors too); the thrust decays with its lag.
+together (the torques come from the motors too); the thrust decays with its lag.
 
 Outcomes, in the order of the tests:
 
@@ -14,8 +14,8 @@ Outcomes, in the order of the tests:
 - *slides off*: over the slab's edge with the feet down, or still in motion with the feet down at the end;
 - *bounces off*: over the edge through the air, or in the air at the end.
 
-The feet are down when the lowest is less than 2 mm over the surface. Contact itself is no criterion: a
-sliding vehicle chatters, and repeatedly leaves the surface by a tenth of a millimetre.
+The feet are down when the lowest is less than 2 mm over the surface. Contact itself is not a criterion,
+because a sliding vehicle chatters, and repeatedly leaves the surface by a tenth of a millimetre.
 """
 
 from __future__ import annotations

@@ -312,7 +312,7 @@ def _zyx_to_zxy(angles: np.ndarray, what: str, notes: list[str]) -> np.ndarray:
     if np.isnan(angles[:, :2]).any():
         if not np.isnan(angles[:, :2]).all():
             notes.append(
-                f"only one tilt angle of the {what} is logged: taken as it is, though the conventions "
+                f"only one tilt angle of the {what} is logged; it is used unchanged, though the conventions "
                 "differ in second order"
             )
         return angles

@@ -53,7 +53,7 @@ def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
 def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
     """Return findings on whether the flights are of one vehicle, judged by its hover command.
 
-    Where every log has the battery voltage, by command times voltage if that makes them more alike.
+    Where every log has the battery voltage, by command times voltage if that brings them closer.
     """
     if len(logs) < 2:
         return ()

@@ -85,7 +85,7 @@ def _unit_by_step(t: np.ndarray, longest: float) -> str:
 
 
 def _unwrapped(t: np.ndarray, scale: float) -> tuple[np.ndarray, int]:
-    """Return a clock that goes on where it wrapped, and how often it had."""
+    """Return the unwrapped clock, and how often it had wrapped."""
     back = np.flatnonzero(np.diff(t) < 0.0)
     for wrap in (2.0**32, 86400.0 / scale):  # of 32 bits in any unit, and times of day
         step = scale * (np.diff(t)[back] + wrap)

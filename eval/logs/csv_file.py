@@ -234,7 +234,7 @@ def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
 def _numbers(
     column: pandas.Series, decimal: str, notes: list[str], cut: bool
 ) -> tuple[np.ndarray | None, str, tuple[int, str] | None]:
-    """Return a column's numbers, their unit where it tells it, and the first row and cell that are none.
+    """Return a column's numbers, their unit if stated, and the first row and cell that is not a number.
 
     Of text alone the numbers are NaN, of numbers with text among them None. cut: the last line may be cut.
     """

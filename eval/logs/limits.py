@@ -56,7 +56,7 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
     """Return the bytes of a table with lines that end in a line feed, their encoding, and notes.
 
     Files that gzip, xz, bzip2 or zip packed are unpacked. Zero bytes at the end, of a file that was not
-    closed, are left out. What is not UTF-8 is taken as Latin-1, which has every number and sign in its place.
+    closed, are left out. Text that is not UTF-8 is read as Latin-1, which has the same digits and signs.
 
     Raises UserError for binary data, for lines or files beyond the limits, and for damaged packed files.
     """

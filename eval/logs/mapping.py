@@ -128,7 +128,7 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
 
 
 def _plain_names(names: Sequence[str]) -> list[str]:
-    """Return names as they are, and without case and units; t for what time is called."""
+    """Return the names, unchanged and without case and units, and t for names of time."""
     plain = [*names, *(units.split(name)[0] for name in names), *(name.lower() for name in names)]
     return [*plain, "t"] if clocks.named(names) else plain
 

@@ -185,7 +185,7 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
 def _offsets(
     data: bytes, position: int, end: int, sizes: dict[int, int], written: int | None = None
 ) -> tuple[dict[int, list[int]], int]:
-    """Return the offsets of each event's rows, and the number of trailing bytes that are no whole event.
+    """Return the offsets of each event's rows, and the number of trailing bytes without a complete event.
 
     From `written` on there are zeros, which no event begins with.
     """

@@ -43,7 +43,7 @@ _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings about each column of one flight by itself."""
+    """Yield findings about the single columns of one flight."""
     yield from _check_time(log)
     yield from _check_finite(log)
     yield from _check_position(log)

@@ -185,7 +185,7 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
 
 def _curriculum_end(learning: pd.DataFrame) -> float:
-    """Return the steps after which the curriculum's level stays as it is, 0 where it never moves."""
+    """Return the steps after which the curriculum's level is constant, 0 if it never moves."""
     rows = learning[["steps", "level"]].dropna().to_numpy(float)
     moving = np.flatnonzero(rows[:, 1] != rows[-1:, 1])
     return float(rows[moving[-1] + 1, 0]) if len(moving) else 0.0

@@ -1,4 +1,4 @@
-"""The rest of a landing: a flight that ends in the goal box goes on with its motors cut, until it is at rest.
+"""The end of a landing: a flight that ends in the goal box continues with its motors cut until rest.
 
 The goal box hovers over the slope, so that a successful flight has not landed yet. The continuation is
 simulated in the MuJoCo plant, whichever plant the policy was flown in, with the rest criterion of
@@ -39,8 +39,8 @@ class LandedFlight(Flight):
 def to_rest(flight: Flight) -> Flight:
     """Return the flight continued to rest where its task cuts the motors: a `LandedFlight`.
 
-    It goes on for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did not
-    succeed, or whose task cuts no motors, comes back as it is.
+    It continues for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did
+    not succeed, or whose task cuts no motors, is returned unchanged.
     """
     if not (flight.success and flight.task.cut_at_success and flight.platform is not None):
         return flight

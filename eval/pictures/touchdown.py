@@ -67,7 +67,7 @@ class Touchdown:
 def record_touchdown(flight: Flight) -> Touchdown:
     """Return the touchdown of a flight, simulated again in the MuJoCo plant from its commands.
 
-    flight: of the landing or the touchdown task, nominal physics. Raises UserError for one without a
+    flight: one of the landing or the touchdown task, nominal physics. Raises UserError for one without a
     platform, and where nothing touches it.
     """
     if flight.platform is None:

@@ -38,7 +38,7 @@ class Pilot(Protocol):
     """What flies n vehicles through one scenario, called once every control period."""
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        """Return commands (n, 4) at time t [s], for states, contacts and platforms of now."""
+        """Return commands (n, 4) at time t [s], for the present states, contacts and platforms."""
 
 
 class PolicyPilot:
@@ -148,7 +148,7 @@ def cut_motors(
 ) -> Aftermath:
     """Cut the motors at `states` (n, 13) over platforms inclined by `inclination` (n,) or one for all [rad].
 
-    thrust_scale: of the thrust that still decays.
+    thrust_scale: scale of the thrust that still decays.
     """
     n = len(states)
     plant = MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)

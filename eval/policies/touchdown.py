@@ -95,7 +95,7 @@ def evaluate(
 ) -> tuple[dict[str, Any], pd.DataFrame]:
     """Return the comparison as plain numbers, and all flights.
 
-    effects: of the library, one entry of `effects` for each.
+    effects: effects of the library, one entry of `effects` for each.
     """
     if not isinstance(policy.task, InclinedTouchdown):
         raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")

@@ -52,8 +52,8 @@ def run(
 ) -> Study:
     """Return the study of policies, by their labels, on named vehicles and on `draws` drawn from `ranges`.
 
-    starts: of the grid, that each drawn vehicle flies from; seed: of both. every: fly named vehicles from
-    each k-th start only. Raises UserError for policies that do not land.
+    starts: number of starts of the grid for each drawn vehicle; seed: for both. every: fly named vehicles
+    from each k-th start only. Raises UserError for policies that do not land.
     """
     for path in policies.values():
         if not (task := load_policy(path).task).cut_at_success:

@@ -105,7 +105,7 @@ EFFECTS = (
         description="The rate loop under the attitude loop is slower than modelled: the angles start later "
         "and overshoot more, but have the same mean delay. A negative lag is a faster loop.",
         formula="1/bandwidth + rate_lag, at least 2 ms in total, instead of 1/bandwidth in "
-        "d2(angle)/dt2 = bandwidth (wanted rate - rate); the term with the rate stays as it is",
+        "d2(angle)/dt2 = bandwidth (wanted rate - rate); the term with the rate is unchanged",
         source="cascaded attitude and rate controllers of the Crazyflie firmware",
         parameters=(
             Parameter(

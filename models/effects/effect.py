@@ -123,7 +123,7 @@ class Parameter:
         """Return the bounds of physically possible values.
 
         The bounds of a reference are narrow: with a distant reference the effect would be a constant scale of
-        the thrust, and no longer identifiable beside it.
+        the thrust, and no longer identifiable together with it.
         """
         low, high = self.bounds
         if self.is_reference:

@@ -239,8 +239,8 @@ class Plant:
     def set_motion(self, ids, motion: Motion, time=0.0) -> None:
         """Move the platforms of the vehicles `ids` (k,) about where they are set.
 
-        time: of the motions [s] at the vehicles' `reset`, (k,) or a number. Only plants made with
-        `moving=True` can: of the others UserError.
+        time: time of the motions [s] at the vehicles' `reset`, (k,) or a number. Raises UserError for
+        plants made without `moving=True`.
         """
         raise UserError(
             "the platforms of this plant cannot move; make a mujoco or hybrid plant with moving=True"

@@ -87,7 +87,7 @@ os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_lose
 def differing_fields(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
     """The fields of models of one layout in which they differ and a batch may, (m, ...) each.
 
-    Left out are names, keyframes and the text of plugins: beside it stand their numbers.
+    Names, keyframes and the text of plugins, whose numbers are included, are omitted.
     """
     fields = {}
     for name in sorted(mujoco.batch.MODEL_FIELDS if len(models) > 1 else ()):

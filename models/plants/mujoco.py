@@ -188,7 +188,7 @@ class MujocoPlant(Plant):
     def set_contact(
         self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
     ) -> None:
-        """Contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them as they are.
+        """Contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them unchanged.
 
         friction: sliding friction between the vehicle and every surface.
         restitution, contact_time [s]: see `contact.solref`; both or none.
@@ -280,7 +280,7 @@ class MujocoPlant(Plant):
         self._write_loads(self._everyone[ids])
 
     def _write_loads(self, ids) -> None:
-        """Write `load` of the vehicles `ids` into the engine's joints, beside their attitudes and rates."""
+        """Write `load` of the vehicles `ids` into the engine's joints, next to their attitudes and rates."""
         if len(self.load):
             write_loads(ids, self.load, self._load_joint, self._qpos, self._qvel)
 

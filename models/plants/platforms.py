@@ -134,7 +134,7 @@ class Platforms:
         self.bound(ids)
 
     def bound(self, ids=slice(None)) -> None:
-        """Bound the speeds of the platforms `ids` anew, whose motions are others."""
+        """Update the bounds of the speeds of the platforms `ids` after a change of their motions."""
         _most(self._everyone[ids], self.speeds, self._most)
 
     def at(self, times) -> np.ndarray:

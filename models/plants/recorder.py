@@ -39,7 +39,7 @@ _WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class Steps(NamedTuple):
-    """One control period of k vehicles in the engine's steps; numba takes it as it is.
+    """One control period of k vehicles in the engine's steps; numba accepts it.
 
     Step s leads from row s of poses, speeds and lags to row s + 1; its sensors belong to row s.
     """

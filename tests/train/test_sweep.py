@@ -190,7 +190,7 @@ def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
     ("change", "words", "sentence"),
     [
         ({}, ["--on", "moon"], "--on must be local or ray"),
-        ({}, ["--address", "here:1"], "--address belongs to --on ray"),
+        ({}, ["--address", "here:1"], "--address needs --on ray"),
         ({}, ["--out", "pretended.py"], "is not a folder"),
         ({}, ["--out", "."], "exists and is not empty"),
         ({"commands": ["landing-train landing --step 3"]}, [], "--step"),

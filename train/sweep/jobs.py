@@ -52,7 +52,7 @@ class Step(msgspec.Struct):
 class Job(msgspec.Struct, frozen=True):
     """A run, or the commands over all runs together.
 
-    In its lines {out} and {sweep} still stand, so that a sweep that has been moved goes on.
+    Its lines keep {out} and {sweep}, so that a moved sweep can be continued.
     """
 
     name: str
@@ -118,9 +118,10 @@ def read(job: Job) -> list[Step]:
 
 
 def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Step]:
-    """Do what is left of a job, until a command fails, and return its steps.
+    """Do the remaining steps of a job, until a command fails, and return its steps.
 
-    threads: of each command. patience: for how long [s] another process that does the same job is waited for.
+    threads: threads of each command. patience: for how long [s] another process that does the same job is
+    waited for.
     leash: see `leashed`; None: one for this job. Raises UserError where another process still does the job,
     or the folder of the sweep is not there.
     """
@@ -205,7 +206,7 @@ def _main() -> None:
 
 
 def _end_with(pipe: int) -> None:
-    """Wait for the end of a pipe to which nobody writes, then kill this program and what it has begun."""
+    """Wait for the end of a pipe without writers, then kill this program and what it has begun."""
     os.read(pipe, 1)
     os.killpg(0, signal.SIGKILL)
 

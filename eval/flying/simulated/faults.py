@@ -17,7 +17,7 @@ EVENTS = ("start", "air")
 FAULTS = {  # what goes wrong; `World.begin` lets it
     "link-lost": "no packet gets through, either way; cflib's driver gives up soon after",
     "pilot-killed": f"the pilot's process is gone; its watchdog sends a stop {DEAD_MAN_DELAY:g} s later",
-    "uplink-lost": "set-points do not arrive; the log goes on",
+    "uplink-lost": "set-points do not arrive; the log continues",
     "downlink-lost": "the log stops; set-points arrive",
     "packet-storm": f"{BURST_LOSS:.0%} of the packets are lost for {BURST_LENGTH:g} s, both ways",
     "mocap-lost": "the cameras see nothing any more",

@@ -1,7 +1,7 @@
 """A simulated Crazyflie as a process of its own: CRTP over UDP for cflib's `UdpDriver`, in real time.
 
 One datagram is one packet, its header and its data. A pilot connects to `udp://HOST:PORT`; poses go out as
-the datagrams of `positions.py`. If the pilot is killed, the vehicle goes on by the firmware's rules.
+the datagrams of `positions.py`. If the pilot is killed, the vehicle continues by the firmware's rules.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ REST_ERROR = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 
 @dataclasses.dataclass(frozen=True)
 class LandingReference:
-    """What landings of the reference vehicle leave, by surface (floor, platform), beside its constants.
+    """The residual of the reference vehicle's landings with its constants, by surface (floor, platform).
 
     Real contact has another law than MuJoCo's. What its landings have in common is expected of others too;
     how they scatter is how well a landing is known.

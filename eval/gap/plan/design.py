@@ -81,10 +81,11 @@ def design(
 ) -> Plan:
     """Return the safe flight with the largest expected information about which set of effects is missing.
 
-    noise_levels: of the flights at hand. vary: regressors of an unexplained residual, which the flight varies
-    too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there. reference: posterior
-    of the vehicle's identification. tick: called with every stage. The same arguments give the same plan.
-    Raises UserError when there is no room, the battery does not last, or no safe flight is found.
+    noise_levels: those of the available flights. vary: regressors of an unexplained residual, which the
+    flight varies too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there.
+    reference: posterior of the vehicle's identification. tick: called with every stage. The same arguments
+    give the same plan. Raises UserError when there is no room, the battery does not last, or no safe flight
+    is found.
     """
     space = Space.of(vehicle, platform)
     if (voltage := safety.battery_voltage(vehicle, seconds)) < safety.LEAST_VOLTAGE:
@@ -211,8 +212,8 @@ class _Search:
         """Return the pieces of the largest information gain: greedy choice, then random local search.
 
         Turns and headings, and pieces close to a surface, are among them only where they are needed: what a
-        flight shows beside what is in doubt makes new doubt. Pieces close to a surface are no lower than
-        needed; where there are any, also the Gram matrix (P, P) of the best flight without them.
+        flight shows in addition to what is in doubt creates new doubt. Pieces close to a surface are not
+        lower than needed; if there are any, returns also the Gram matrix (P, P) of the best flight without.
         """
         every, self.turning = self._greedy_choice(self.pool), True
         held = [p for p in self.pool if p.steady == p]
@@ -230,7 +231,7 @@ class _Search:
         return self._raised(chosen), np.sum([none, *grams], axis=0)
 
     def _worth(self, more: Sequence[Piece], less: Sequence[Piece]) -> bool:
-        """Return whether one choice of pieces tells so much more than another that it is worth flying."""
+        """Return whether one choice of pieces is worth flying because it is so much more informative."""
         return self.gain(more) - max(0.0, self.gain(less)) > WORTH * self.gain(more)
 
     def _refined(self, chosen: list[Piece]) -> list[Piece]:
@@ -252,7 +253,7 @@ class _Search:
         return next(filter(self._feasible, better), chosen)
 
     def _raised(self, chosen: list[Piece]) -> list[Piece]:
-        """Return the pieces, those close to a surface as high as still tells the sets apart."""
+        """Return the pieces, those close to a surface as high as still discriminates between the sets."""
         enough = NEAR_KEPT * self._told(chosen)
         for k, piece in enumerate(chosen):
             if not piece.near:

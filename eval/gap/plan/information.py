@@ -148,7 +148,7 @@ class ModelDiscrimination:
     def flown_grams(self, logs: Sequence[FlightLog], *, platform: bool = False) -> np.ndarray:
         """Return the Gram matrices (K, P, P) of one plan as flown under the sets.
 
-        logs: of the first sets, one each; sets beyond them are taken to fly as the first does.
+        logs: one for each of the first sets; the others are assumed to fly like the first.
         """
         grams = [self.gram(prepare(log, self.vehicle, platform=platform)) for log in logs]
         return np.stack([grams[k if k < len(grams) else 0] for k in range(len(self))])

@@ -1,7 +1,7 @@
 """Safety of a planned flight: set-points within limits, and flights simulated under every set of effects.
 
 What is simulated is the closed loop that `landing-eval fly --plan` flies: the pilot's controller on a
-measured position, beside the commands of the plan, which are those of the nominal vehicle.
+measured position, on top of the commands of the plan, which are those of the nominal vehicle.
 """
 
 from __future__ import annotations

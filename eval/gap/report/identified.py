@@ -206,7 +206,7 @@ def write(found: Identification, folder: Path, *, base: Path | None = None) -> N
 
 
 def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:
-    """Write the posterior of an identified vehicle beside its file."""
+    """Write the posterior of an identified vehicle next to its file."""
     text = json.dumps(reference.to_json(load_vehicle(vehicle)), allow_nan=False, separators=(",", ":"))
     storage.write_text(posterior_path(vehicle), text + "\n")
 

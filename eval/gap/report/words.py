@@ -363,7 +363,7 @@ def centimetres(metres: float) -> str:
 
 
 def sentences(d: Diagnosis, flight: str = "") -> list[str]:
-    """Return the sentences below the headline; flight: on the flight that tells apart what is in doubt."""
+    """Return the sentences below the headline; flight: sentence on the most informative flight."""
     lines = []
     for one in answers(d):
         lines.append(" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]))

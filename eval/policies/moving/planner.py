@@ -1,7 +1,7 @@
 """A planner without learning: hover over the platform, then a jerk-minimal way onto it.
 
 Everything is planned in the frame that moves along with the platform's centre. A vehicle first flies to a
-place beside the platform's normal from which the last way is short. From there a polynomial of the fifth
+place off the platform's normal from which the last way is short. From there a polynomial of the fifth
 degree, the way of least squared jerk, leads to the platform: onto its centre, sinking by `SINK`, and with the
 acceleration that a vehicle has whose thrust is along the platform's normal, so that it arrives aligned with
 it. The end of the way is replanned in every control period, because a platform may tilt. Commands follow the
@@ -109,7 +109,7 @@ class Planner:
         return end + ABOVE * normal + 0.1 * WAY**2 * along
 
     def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
-        """Go on by a period on the ways of least jerk from where they are to where the platforms are now."""
+        """Advance by a period on the paths of least jerk from the vehicles to the present platforms."""
         remaining = np.maximum(self._remaining, LEAST)
         remaining[~on] = 1.0
         end = np.array(self._end(normal))

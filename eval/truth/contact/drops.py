@@ -18,7 +18,7 @@ PHASES = 8  # drops of one kind, their touch spread evenly over one step
 def unpowered(vehicle: Vehicle, n: int, inclination=None, step: float = STEP) -> MujocoPlant:
     """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques.
 
-    inclination: of platforms and vehicles (n,) [rad], whose feet then rest in the platforms' middle.
+    inclination: that of platforms and vehicles (n,) [rad], whose feet then rest in the platforms' middle.
     """
     plant = MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True)
     if inclination is not None:

@@ -88,7 +88,7 @@ def positioned(monkeypatch):
     [
         (RADIO, f"no connection to .*: Cannot find a Crazyradio Dongle; is the vehicle on.*{UDEV}"),
         ("usb://7", "no connection to usb://7: .*; is the vehicle connected by its cable"),
-        ("udp://127.0.0.1:1", "no connection to .*; does anything answer there"),
+        ("udp://127.0.0.1:1", "no connection to .*; is a server such as"),
     ],
 )
 def test_a_link_that_fails_is_one_sentence_without_tracebacks(uri, sentence, tmp_path, capfd, positioned):

@@ -96,7 +96,7 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
     rows = [
         line
         for line in page.splitlines()
-        if "| motors off |" in line or "| lands beside the platform |" in line
+        if "| motors off |" in line or "| lands next to the platform |" in line
     ]
     assert [row.rpartition("|")[0].rpartition("|")[0] + "|" for row in rows] == found
 

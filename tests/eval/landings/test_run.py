@@ -162,7 +162,7 @@ WRONG = [
     (["{study}", "--out", "{full}"], "exists and is not empty"),
     (["{study}", "--out", "{full}", "--resume"], "exists and is not empty"),
     (["{study}", "--out", "{out}", "--engine", "moon"], "--engine must be local or ray, not 'moon'"),
-    (["{study}", "--out", "{out}", "--address", "a:1"], "--address belongs to --engine ray"),
+    (["{study}", "--out", "{out}", "--address", "a:1"], "--address needs --engine ray"),
     (RAY, "pip install 'inclined-landing[ray]'"),
     ([*RAY, "--address", "127.0.0.1:1"], "no Ray cluster answers at 127.0.0.1:1: connection refused"),
     ([*RAY, "--address", "here"], "HOST:PORT"),

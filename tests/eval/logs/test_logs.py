@@ -274,7 +274,7 @@ HABITS = {
     "decimal comma under units": lambda text: semicolons(
         text.replace("\n", "\ns,m,m,m,rad,rad,rad,PWM,rad,rad,rad/s\n", 1)
     ),
-    "separators of thousands": thousands,
+    "thousands separators": thousands,
     "first line of a spreadsheet": lambda text: "sep=;\r\n" + text.replace(",", ";").replace("\n", "\r\n"),
     "comments above": lambda text: "# a, b\n#\n\n" + text,
     "comments among the rows": lambda text: text.replace("\n", "\n# mark, 1\n", 3),
