@@ -241,7 +241,7 @@ def clearances(
     """Return the signed distance [m] of every part to every surface, (n, 3 surfaces, 3 parts).
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
-    `platform_poses`; which (n,): the member of a fleet that each is. Negative where shapes overlap. The
+    `platform_poses`; which (n,): index of each in the fleet. Distances are negative if shapes overlap. The
     floor's entry is inf for vehicles well above it, and all entries may be inf where all are beyond `within`.
     """
     fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes

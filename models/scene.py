@@ -157,8 +157,8 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
 def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
     """Move everything at a motor to the position in the vehicle file.
 
-    Everything there follows the arm, what turns and the motor also the height; blades and discs are as
-    large as the rotors, the board's arms as long as the vehicle's.
+    Everything there follows the arm; rotors and motors also follow the height. Blades and discs get the size
+    of the rotors, the board's arms the length of the vehicle's.
     """
     reference = spec.geom("rotor_front_left")
     arm, _, height = reference.pos

@@ -28,6 +28,12 @@ class Claim:
         return bool(self.low <= self.measured <= self.high)
 
     @property
+    def shown(self) -> float:
+        """Return the measured value, 0 where it is a rounding error next to its bounds."""
+        scale = max((abs(bound) for bound in (self.low, self.high) if math.isfinite(bound)), default=0.0)
+        return 0.0 if abs(self.measured) < 1e-12 * scale else self.measured
+
+    @property
     def tolerance(self) -> str:
         """Return the bounds as text."""
         if math.isinf(self.low):

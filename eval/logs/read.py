@@ -46,7 +46,9 @@ def read_log(
     try:
         stated = dict(units or {})
     except (TypeError, ValueError) as error:
-        raise UserError(f"units must be units by column, not {shown(repr(units), 40)}") from error
+        raise UserError(
+            f"units must be a dictionary of units by column, not {shown(repr(units), 40)}"
+        ) from error
     where = "+".join(map(str, paths))
     for column, unit in stated.items():
         if column not in COLUMNS:

@@ -6,9 +6,9 @@ uint16 id, name, uint16 number of variables, and each variable's name with its t
 Then events, in order of time: uint16 id, the time (version 1: uint32 in ms, version 2: uint64 in µs) and
 the values. The last four bytes are the CRC-32 of everything before.
 
-The format before 2020: one byte with the number of variables, their names with types as above, each ended by
-a comma, the first one `tick(I)` in ms or us, and a checksum; then blocks of one byte with the number of rows,
-the rows, and a checksum, the complement of the CRC-32 of the block.
+The format before 2020 begins with one byte with the number of variables, their names with types as above,
+each ended by a comma, and a checksum; the first variable is `tick(I)` in ms or us. Blocks follow, each of one
+byte with the number of rows, the rows, and a checksum, which is the complement of the CRC-32 of the block.
 
 Source: Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog/cfusdlog.py; compressed
 quaternions: src/utils/interface/quatcompress.h.

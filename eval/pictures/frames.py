@@ -119,8 +119,8 @@ def render_flight(
 ) -> Iterator[np.ndarray]:
     """Yield frames (height, width, 3) uint8, `fps` of them per second of flight.
 
-    slow: how much slower they will be shown, which is said in the picture; so is how the flight ended, and
-    what it is called, where it has a title.
+    slow: slow-down factor, which a label in the picture states, as it does the end of the flight and its
+    title, if it has one.
     renderer: draw with this one, made for the same look, and leave it open: it keeps its background.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)

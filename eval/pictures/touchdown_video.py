@@ -34,9 +34,9 @@ def render_touchdowns(
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield frames (height, width, 3) uint8 of touchdowns in sequence, one for `every` engine steps.
 
-    slow: how much slower they will be shown, which is said in the picture.
-    camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). With each frame: is it
-    the last of its touchdown. All share one scale of forces.
+    slow: slow-down factor, which a label in the picture states.
+    camera: one of the scene's, or "touch": fixed, close to the touchdown (rays only). Each frame comes
+    with whether it is the last of its touchdown. All share one scale of forces.
     """
     largest_force = max(touchdown.largest_force for touchdown in touchdowns)
     for touchdown in touchdowns:

@@ -213,7 +213,7 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Fi
     parts = [(e, name, p) for e in effects for name, p in e.parameters.items() if is_identifiable(p)]
     for effect, name, p in parts if flights else []:
         figure = Figure(figsize=(PANEL, line + 1.05))
-        axis = panel(figure, 0.85, 0.55, PANEL - 1.0, line)
+        axis = panel(figure, 1.05, 0.55, PANEL - 1.2, line)
         factor, unit = shown(p.unit)
         y = np.arange(len(p.per_flight))
         value, error = factor * np.array(p.per_flight), 1.96 * factor * np.array(p.per_flight_error)

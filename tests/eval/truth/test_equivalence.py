@@ -165,6 +165,11 @@ def test_claims(measured, low, high, passed):
     assert claim.passed is passed
 
 
+def test_rounding_errors_next_to_their_bounds_are_shown_as_nothing():
+    assert Claim("c", -5.55e-17, 1.0, "%", "contact").shown == 0.0
+    assert Claim("c", 1.1e-16, 1e-14, "m", "rounding itself").shown == 1.1e-16
+
+
 def test_numbers_as_people_write_them():
     pairs = [(0.0, "0"), (1.26e-6, "1.3e-6"), (0.4219, "0.422"), (34099.2, "34\u202f099"), (123.4, "123")]
     assert [number(x) for x, _ in pairs] == [text for _, text in pairs]
