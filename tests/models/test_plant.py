@@ -591,3 +591,23 @@ def test_a_fork_waits_for_the_calls_of_other_threads():
     finally:
         ended.set()
         thread.join()
+
+
+@pytest.mark.parametrize("zone", [0.0, 0.04])
+def test_the_analytic_contacts_are_those_of_all_distances(zone):
+    """Those that are far from everything are not looked at closely."""
+    rng = np.random.default_rng(4)
+    n = 400
+    plant = AnalyticPlant(n, keep_out=zone)
+    plant.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.random(n) < 0.8, rng.uniform(-3, 3, n))
+    state = rng.uniform(-1, 1, (n, 13)) * [0.8, 0.5, 0.8, 0, 0, 0, 1, 1, 3, 0, 0, 0, 0]
+    state[:, Z] += 0.9
+    plant.reset(np.arange(n), state)
+    plant.step(np.zeros((n, 4)))
+    position, _ = plant._platform_poses(np.arange(n))
+    where = plant.inclination, position, plant.shapes
+    distance = geometry.clearances(plant.state, *where, azimuth=plant.azimuth)
+    np.testing.assert_array_equal(plant.contacts.near, distance < zone)
+    np.testing.assert_array_equal(plant.contacts.touch, distance < 0.0)
+    met = distance.min(axis=(1, 2)) < zone
+    assert 0.1 < met.mean() < 0.9
