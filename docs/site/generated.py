@@ -40,11 +40,11 @@ def commands() -> str:
     """Every command with its options, from the commands' own help."""
     parts = [
         "# Commands\n",
-        "Two programs: `landing-train` trains a policy, `landing-eval COMMAND` does everything else. This "
-        "page is made from what `--help` prints. Wrong input gets one sentence on standard error and exit "
-        "code 2; a new folder appears whole or not at all.\n",
+        "`landing-train` trains a policy, `landing-eval COMMAND` does everything else. This page is "
+        "generated from `--help`. Wrong input is reported in one sentence on standard error, with exit code "
+        "2; output folders are written atomically.\n",
         table(
-            ["command", ""],
+            ["command", "purpose"],
             [
                 [
                     "[`landing-train`](#landing-train)",
@@ -152,7 +152,7 @@ def sources() -> list[list[str]]:
 def provenance() -> str:
     """Every physical constant, by table of the vehicle file."""
     parts = [
-        "# Constants and where they come from\n",
+        "# Constants\n",
         "Every entry of the shipped vehicle file, `models/crazyflie.toml`, which equations, scene, plugins "
         "and tests read. A vehicle file is checked against its units and ranges "
         "([how](../guides/vehicle.md)). The uncertainty is the half-width of the 95 % interval where one is "
@@ -171,7 +171,7 @@ def provenance() -> str:
         ["weight", f"{vehicle.body_mass * vehicle.environment_gravity:.4g}", "N"],
         ["half length of the slab along the slope", f"{vehicle.slab_half_length:.4g}", "m"],
     ]
-    parts += ["## What follows from them\n", table(["quantity", "value", "unit"], derived)]
+    parts += ["## Derived quantities\n", table(["quantity", "value", "unit"], derived)]
     return "\n".join(parts)
 
 
@@ -233,7 +233,7 @@ def _effect(effect: Effect) -> str:
         "Confused with": ", ".join(
             f"[{name}](#{name})" if name in LIBRARY else name for name in effect.confused_with
         ),
-        "Told otherwise": effect.told_by,
+        "Measured without a flight": effect.told_by,
         "Remedy": effect.remedy,
         "Needs in the log": ", ".join(effect.requires),
     }

@@ -8,7 +8,7 @@ Of each: what it decides; what a larger value trades off; what error rate was me
     agreement  python -m tests.proof gap-agreement --family dev --cases 6 --seed 0 --out DIR
 
 All were chosen on the development families of `blind`. The rates are in docs/evidence/hidden_effects.md. The
-families of `fresh` are others, on which nothing was chosen, scored with the preceding search. A dash: not
+families of `fresh` are others, on which nothing was chosen, scored with an earlier search. A dash: not
 measured.
 """
 
