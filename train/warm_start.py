@@ -71,7 +71,8 @@ def take_over(model: PPO, policy: Policy) -> None:
     Of a policy for the same task the exploration noise too, and the critic if it is in the file. The model
     may be given a longer history than the policy: the weights of its new inputs are 0 at first. Where the
     task commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset,
-    and the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one.
+    and the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one. Where the
+    task centres observations elsewhere, as over a platform of another height, the first layers are rewritten.
     """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
@@ -79,6 +80,8 @@ def take_over(model: PPO, policy: Policy) -> None:
     _check_task(policy, task)
     new_inputs = (task.history - policy.task.history) * (len(task.observation_names) + len(task.action_names))
     first, *others = policy.weights
+    shift = _centre_shift(policy, task)
+    biases = [policy.biases[0] + shift @ first, *policy.biases[1:]]
     weights = [np.pad(first, ((0, new_inputs), (0, 0))), *others]
     _check_network(policy, task, [w.shape for w in weights], [(x.in_features, x.out_features) for x in actor])
     gain, offset = task.thrust_of(policy.task)
@@ -88,14 +91,14 @@ def take_over(model: PPO, policy: Policy) -> None:
             f"policy {policy.path} observes its past actions and can only be continued with its own PWM"
         )
     with torch.no_grad():
-        for layer, weight, bias in zip(actor, weights, policy.biases):
+        for layer, weight, bias in zip(actor, weights, biases):
             layer.weight.copy_(torch.as_tensor(weight.T))
             layer.bias.copy_(torch.as_tensor(bias))
         if row is not None:
             actor[-1].weight[row] *= gain
             actor[-1].bias[row] = gain * actor[-1].bias[row] + offset
         if policy.task.name == task.name:
-            _take_exploration_and_critic(model, policy, new_inputs)
+            _take_exploration_and_critic(model, policy, new_inputs, shift)
             if row is not None:
                 model.policy.log_std[row] += np.log(gain)
 
@@ -124,21 +127,27 @@ def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list
     """Raise UserError where the policy's network is not the model's; shapes: of the layers' weights."""
     if shapes != wanted or policy.activation != "Tanh" or policy.squashed:
         raise UserError(f"policy {policy.path} has another network than training uses; it must be {wanted}")
-    known = len(policy.centre)
-    centre, scale = np.float32(input_centre(task)[:known]), np.float32(input_scale(task)[:known])
-    if not (np.array_equal(policy.centre, centre) and np.array_equal(policy.scale, scale)):
+    if not np.array_equal(policy.scale, np.float32(input_scale(task)[: len(policy.scale)])):
         raise UserError(f"policy {policy.path} was trained with another scaling of observations")
 
 
-def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int) -> None:
+def _centre_shift(policy: Policy, task: Task) -> np.ndarray:
+    """Return what the policy's inputs (i,), scaled, have on top of the task's: another centre, or zeros."""
+    return (np.float32(input_centre(task)[: len(policy.centre)]) - policy.centre) / policy.scale
+
+
+def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int, shift: np.ndarray) -> None:
     """Copy the standard deviation of the actions, and the critic if it is in the policy's file."""
     found = tensors(policy.path)
     for name, tensor in model.policy.state_dict().items():
         if name != "log_std" and "value_net" not in name:
             continue
         value = torch.as_tensor(found[name]) if name in found else tensor
+        first = found.get("mlp_extractor.value_net.0.weight")
         if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
             value = torch.nn.functional.pad(value, (0, new_inputs))
+        elif name == "mlp_extractor.value_net.0.bias" and name in found and shift.any():
+            value = value + torch.as_tensor(first @ shift, dtype=value.dtype)
         if value.shape != tensor.shape:
             raise UserError(f"policy {policy.path} has another {name} than training uses")
         tensor.copy_(value)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from inclined_landing.envs.policy import load_policy, tensors
 from inclined_landing.envs.randomise import locate
@@ -244,6 +245,20 @@ def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path
     assert begun.curriculum.learning_rate_share(8192 + SETTLING // 2, None) == pytest.approx(0.5)
     new = Run(TrainConfig(out=tmp_path / "b", nominal=True))
     assert new.curriculum.level == 0.0 and new.config.min_steps == new.env.env.task.training.min_steps
+
+
+def test_a_run_goes_on_over_a_platform_of_another_height(tmp_path):
+    """As identified from landings: actor and critic answer as before, though goal and centre moved."""
+    file, shipped = tmp_path / "low.toml", load_vehicle()
+    write_vehicle(file, shipped.changed(platform_surface_height=1.1))
+    begun = Run(config(tmp_path / "a", start_from="landing-nominal", vehicle=file))
+    same = Run(config(tmp_path / "b", start_from="landing-nominal"))
+    assert begun.env.env.task.goal_position[1] == pytest.approx(same.env.env.task.goal_position[1] - 0.05)
+    given = np.random.default_rng(0).normal(0.0, 1.0, (20, 5)).astype(np.float32)
+    taken, _ = begun.model.predict(given, deterministic=True)
+    np.testing.assert_allclose(taken, load_policy("landing-nominal").predict(given), atol=1e-5)  # float32
+    values = [run.model.policy.predict_values(torch.as_tensor(given)).detach() for run in (begun, same)]
+    np.testing.assert_allclose(*values, rtol=1e-4, atol=1e-4)
 
 
 def test_a_run_goes_on_with_a_longer_history_that_counts_nothing_at_first(tmp_path):
