@@ -89,15 +89,12 @@ def test_the_navigation_has_every_page_once():
     assert all((pages.get(entry) or ROOT / "docs" / entry).is_file() for entry in entries)
 
 
-def test_pages_for_users_are_short_and_plain():
-    """Evidence has the numbers. Some words read as history, or as translated."""
+def test_pages_for_users_are_short():
+    """Tables of results are in docs/evidence."""
     names = set(documents.documents()) - {"CONTRIBUTING.md", "CHANGELOG.md", "THIRD_PARTY_NOTICES.md"}
-    text = {name: (ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name}
-    words = " ".join(text.values()).split()
+    words = " ".join((ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name).split()
     assert len(words) < 30_000
     assert sum(any(letter.isdigit() for letter in word) for word in words) < 0.05 * len(words)
-    unwanted = re.compile(r"\b(?<!--)(anew|alike|nobody|of yours|by itself|today's|nowadays|untold)\b")
-    assert not {name: found[0] for name in text if (found := unwanted.search(documents.prose(name)))}
 
 
 @pytest.mark.parametrize(
