@@ -164,14 +164,14 @@ def _text_mask(text: str, size: int, width: int, height: int, right: bool) -> np
 
 def caption_height(height: int) -> int:
     """Return the rows of the caption bar in a picture of `height` rows."""
-    return max(18, round(0.048 * height))
+    return max(18, round(0.056 * height))
 
 
 def draw_caption(frame: np.ndarray, text: str, note: str = "") -> None:
     """Write `text` on a bar at the bottom of frame (h, w, 3) uint8, and `note` at the right if it fits."""
     height, width = frame.shape[:2]
     bar = caption_height(height)
-    size = max(9, round(0.026 * height))
+    size = max(9, round(0.036 * height))
     if 0.602 * _SMALLEST * (len(text) + len(note) + 3) > width - 20:
         note = ""
     columns = len(text) + (len(note) + 3 if note else 0)

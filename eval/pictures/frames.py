@@ -46,6 +46,7 @@ _CODECS = {".mp4": "h264", ".gif": "gif"}
 _HERO = np.array([1.75, 2.9, -1.0])  # where the hero camera looks, from its place
 _ROOM = np.array([0.2, 0.2, 0.15])  # m around a flight: the vehicle as it is drawn, and some air
 _FILLED = 0.88  # of a picture's height; the caption has the rest
+_NEAR = 0.35  # m; nearer, the vehicle as it is drawn would overlap a copy at the goal
 _SPACING = 0.13  # m; copies in a strobe picture are at least this apart
 _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # along a strobe picture
 
@@ -88,10 +89,24 @@ def caption(flight: Track, k: int) -> str:
     s, pwm = flight.state[k], flight.commands[k, 0]
     planar = np.abs(flight.state[:, 1]).max() < 0.01
     across = "" if planar else f"y {s[1]:+5.2f}  "
-    return (
-        f"t {flight.t[k]:4.2f} s   x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m   "
-        f"pitch {np.degrees(s[7]):+6.1f} deg   PWM {pwm:6.0f}"
-    )
+    where = f"t {flight.t[k]:4.2f} s  x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m"
+    return f"{where}  pitch {np.degrees(s[7]):+3.0f} deg  PWM {pwm:5.0f}"
+
+
+def ghosts_at(flight: Track) -> list[list[Ghost]]:
+    """Return the copies of the vehicle at the goals, at each sample: they fade as the vehicle gets there.
+
+    A platform that moves has none.
+    """
+    goals = [] if flight.motion is not None else flight.goals
+    shown: list[list[Ghost]] = [[] for _ in flight.t]
+    for goal in goals:
+        distance = np.linalg.norm(flight.state[:, :3] - goal[:3], axis=1)
+        share = np.clip((np.minimum.accumulate(distance) - _NEAR) / _NEAR, 0.0, 1.0)
+        for ghosts, alpha in zip(shown, Ghost.alpha * share):
+            if alpha > 0.0:
+                ghosts.append(Ghost(qpos_of_state(goal), alpha=alpha))
+    return shown
 
 
 def labels_of(flight: Flight | Mission, k: int) -> list[Label]:
@@ -126,9 +141,7 @@ def render_flight(
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
     close = camera in ("closeup", "onboard")
-    ghosts = (
-        [] if close or flight.motion is not None else [Ghost(qpos_of_state(goal)) for goal in flight.goals]
-    )
+    ghosts = ghosts_at(flight)
     if camera == FITTED:
         camera = flight_view([flight], width, height)
     colours = leg_colours(flight) if isinstance(flight, Mission) else None
@@ -138,7 +151,7 @@ def render_flight(
                 pose_at(flight, k),
                 trail=None if close else flight.state[: k + 1],
                 trail_colour=None if colours is None else colours[: k + 1],
-                ghosts=ghosts,
+                ghosts=[] if close else ghosts[k],
                 caption=caption(flight, k),
             )
             title_label: list[Label] = [] if title is None else [(title, None)]

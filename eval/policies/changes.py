@@ -164,7 +164,7 @@ def run(policies: Mapping[str, Policy], cases: Sequence[Change], *, plant: str, 
             for name, outcome in zip(names, row["outcomes"])
         ],
         panels=_panels(report, names),
-        remarks=[REMARK, *_comparisons(report), *_answers(report)],
+        remarks=[REMARK, *_left_out(report), *_comparisons(report), *_answers(report)],
     )
 
 
@@ -203,7 +203,11 @@ def survived(report: dict, k: int) -> tuple[float, float] | None:
 
 
 def _panels(report: dict, names: Sequence[str]) -> list[Panel]:
-    """Return strict success over the thrust, and under the effects of each size, the most costly first."""
+    """Return strict success over the thrust, and under the effects of each size, the most costly first.
+
+    Effects under which every policy lands nearly always, whatever their size, are left out; so are sizes
+    under which this holds for all effects. The table has them.
+    """
     panels = []
     if len(curve := report["thrust"]) > 1:
         lines = {n: {_scale(r): r["outcomes"][k]["strict"] for r in curve} for k, n in enumerate(names)}
@@ -212,14 +216,21 @@ def _panels(report: dict, names: Sequence[str]) -> list[Panel]:
     for row in report["effects"]:
         landed = sum(one["strict"]["share"] for one in row["outcomes"])
         cost[row["effect"]] = cost.get(row["effect"], 0.0) + landed
-    by_cost = sorted(report["effects"], key=lambda row: cost[row["effect"]])
-    for size in dict.fromkeys(row["size"] for row in report["effects"]):
+    costly = [row for row in report["effects"] if _costs(row)]
+    drawn = {row["effect"] for row in costly}
+    by_cost = sorted((r for r in report["effects"] if r["effect"] in drawn), key=lambda r: cost[r["effect"]])
+    for size in (size for size in SIZES if any(row["size"] == size for row in costly)):
         of_size = [row for row in by_cost if row["size"] == size]
         shares = {n: {r["effect"]: r["outcomes"][k]["strict"] for r in of_size} for k, n in enumerate(names)}
         panels.append(Panel(f"{size.capitalize()} effects", shares))
     return panels or [
         Panel("No effect", {n: {"known": curve[0]["outcomes"][k]["strict"]} for k, n in enumerate(names)})
     ]
+
+
+def _costs(row: dict) -> bool:
+    """Return whether a policy loses more than a few landings under the effect of a row."""
+    return any(one["strict"]["share"] < ENOUGH_MEDIUM for one in row["outcomes"])
 
 
 def _scale(row: dict) -> float:
@@ -238,6 +249,16 @@ def _comparisons(report: dict) -> list[str]:
             parts.append(f"{100 * value['mean']:+.1f} ({100 * low:+.1f} to {100 * high:+.1f}) {where}")
         said.append(f"Strict success of {name} minus {first} in percentage points: {', '.join(parts)}.")
     return said
+
+
+def _left_out(report: dict) -> list[str]:
+    """Return a sentence on the effects that the figure leaves out, if there are any."""
+    effects = {row["effect"] for row in report["effects"]}
+    count = len(effects - {row["effect"] for row in report["effects"] if _costs(row)})
+    if not count:
+        return []
+    what = f"The figure leaves out {count} of {len(effects)} effects"
+    return [f"{what}, under which every policy landed in {100 * ENOUGH_MEDIUM:.0f} % or more of the flights."]
 
 
 def _answers(report: dict) -> list[str]:

@@ -119,14 +119,14 @@ class Study:
     heads: Sequence[str]  # of the labels of `rows`
     rows: Sequence[Row]  # of the table
     panels: Sequence[Panel]  # of the figure
-    share: str = "strict success"  # what the figure shows the share of
+    share: str = "successful landings"  # what the figure shows the share of
     remarks: Sequence[str]  # under the table: what is counted, and what came out
 
     @property
     def section(self) -> Section:
         """Return the section of the page."""
         table = outcomes_table(self.heads, self.rows)
-        figure = {self.name: f"Share of flights counted as {self.share}, with 95 % intervals."}
+        figure = {self.name: f"Share of {self.share}, with 95 % intervals."}
         return Section(self.name, self.title, [], [], [table], figure, list(self.remarks))
 
     def show(self) -> None:

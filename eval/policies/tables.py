@@ -119,7 +119,8 @@ def draw_panels(panels: Sequence[Panel], share: str) -> Figure:
     rows = max([0, *(len(panel.conditions) for panel in panels if not panel.quantity)])
     label = f"{share} [%]"
     with styled():
-        size = 1.5 + 3.7 * len(panels), max(3.7, 1.3 + 0.3 * rows)
+        width = 3.7 if len(panels) < 3 else 2.9  # inches; a wider figure is hard to read on a page
+        size = 1.5 + width * len(panels), max(3.7, 1.3 + 0.3 * rows)
         figure = Figure(figsize=size, layout="constrained")
         before = None
         for k, (panel, axes) in enumerate(zip(panels, figure.subplots(1, len(panels), squeeze=False)[0])):
@@ -137,7 +138,7 @@ def draw_panels(panels: Sequence[Panel], share: str) -> Figure:
         handles, labels = figure.axes[0].get_legend_handles_labels()
         figure.legend(
             [*handles, Patch(fc=MUTED, alpha=0.35)], [*labels, "95 % interval"],
-            loc="outside upper center", ncols=min(5, len(names) + 1),
+            loc="outside upper center", ncols=min(5, len(names) + 1) if len(panels) > 1 else 2,
         )  # fmt: skip
     return figure
 

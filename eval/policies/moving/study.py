@@ -107,7 +107,7 @@ def run(
         heads=("scenario", "controller"),
         rows=[((s.name, name), counted[name, s.name]) for s in scenarios for name in names],
         panels=_panels(scenarios, names, counted),
-        share="at rest on the platform",
+        share="flights at rest on the platform",
         remarks=[RULE, *([] if whole else [PARTLY]), *answers],
     )
 

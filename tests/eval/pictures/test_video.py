@@ -9,10 +9,11 @@ import pytest
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.rendering import Ghost
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import labels_of, render_flight, strobe, write_videos
+from inclined_landing.eval.pictures.frames import ghosts_at, labels_of, render_flight, strobe, write_videos
 from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.pictures.video import film_side_by_side
@@ -39,6 +40,17 @@ def test_frames_follow_the_clock():
     assert all(frame.shape == (120, 160, 3) and frame.dtype == np.uint8 for frame in frames)
     assert len(list(render_flight(flight(), fps=25, **options))) == 11
     assert (frames[0] != frames[-1]).any()
+
+
+def test_the_copy_at_the_goal_fades_as_the_vehicle_gets_there():
+    """Full far away, gone near it, and not back when the vehicle leaves."""
+    track = flight()
+    goal = track.goals[0][:3]
+    track.state[:, :3] = goal
+    track.state[:, 0] += np.abs(np.linspace(-1.2, 1.2, len(track.t)))
+    alpha = [sum(ghost.alpha for ghost in ghosts) for ghosts in ghosts_at(track)]
+    assert alpha[0] == Ghost.alpha and (np.diff(alpha) <= 0).all()
+    assert 0 < alpha[len(alpha) // 4] < Ghost.alpha and alpha[-1] == alpha[len(alpha) // 2] == 0
 
 
 def test_flights_beside_each_other_wait_for_the_longest():

@@ -102,6 +102,25 @@ def test_thrusts_survived_have_no_gap(good, ends):
     assert changes.survived({"thrust": rows}, 0) == ends
 
 
+def test_the_figure_shows_effects_that_cost_landings():
+    """And of these every size at which one costs some; the flights of two policies at 100 starts."""
+    landed = {
+        "drag": {"weak": (100, 100), "medium": (96, 100)},
+        "mass": {"weak": (97, 100), "medium": (94, 100)},
+    }
+    effects = [
+        {"effect": name, "size": size, "outcomes": [{"strict": proportion(n, 100)} for n in counts]}
+        for name, sizes in landed.items()
+        for size, counts in sizes.items()
+    ]
+    report = {"thrust": [None], "effects": effects}
+    (panel,) = changes._panels(report, ["a", "b"])
+    assert panel.title == "Medium effects" and panel.conditions == ["mass"]
+    assert [panel.shares[name]["mass"]["count"] for name in "ab"] == [94, 100]
+    (said,) = changes._left_out(report)
+    assert "1 of 2 effects" in said
+
+
 def test_a_table_has_a_row_for_each_outcome():
     found = {"strict": proportion(3, 4), "normal_speed": spread([1.0, 2.0, 4.0]), "of no measure": 7}
     table = tables.outcomes_table(("policy", "thrust"), [(("a", "x 1"), found), (("a", "x 2"), found)])
