@@ -14,7 +14,6 @@ from inclined_landing.eval.gap.answer.evaluation import Evaluation, open_loop_er
 from inclined_landing.eval.gap.answer.named import (
     corrected,
     disturbances,
-    hover_acceleration,
     named_effects,
     refitted,
     relevant_values,
@@ -66,6 +65,8 @@ def diagnose(
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
     problem = Problem.of(use.fitted, vehicle, candidates, reference)
     notes = [*use.notes, *_data_notes(problem), *unidentifiable]
+    if "wind" in candidates and "wind" not in problem.library:
+        notes.append("the vehicle has almost no drag, so wind cannot be judged")
     clock("prepare")
 
     # How probable is every set of effects? In a strong wind the attitude loops are not judged.
@@ -155,7 +156,7 @@ def steady_force(candidates: Candidates, values: Values) -> float:
     if "wind" not in values:
         return tilt
     calm = {name: of for name, of in values.items() if name != "wind"}
-    push = hover_acceleration(candidates, values) - hover_acceleration(candidates, calm)
+    push = candidates.hover_acceleration(values) - candidates.hover_acceleration(calm)
     return max(tilt, float(np.hypot(*push[:2])) / candidates.vehicle.environment_gravity)
 
 
@@ -170,6 +171,12 @@ def _data_notes(problem: Problem) -> list[str]:
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
         notes.append(f"only {seconds:.0f} s of usable flight: small effects cannot be detected")
+    if problem.reference and problem.reference.errors and problem.reference.errors.worse:
+        channels = " and ".join(problem.reference.errors.worse)
+        notes.append(
+            f"no name is sure: the reference vehicle predicts {channels} of its own flights worse than the "
+            "vehicle that its identification began with"
+        )
     if not problem.logged[:, :2].any():
         notes.append("roll or pitch not logged: only the motion up and down can be judged")
     if not problem.logged[:, 3:5].any():

@@ -66,19 +66,21 @@ class NamedEffect:
     # m/s2, acceleration that it makes in hover, and its 95 % interval, the vehicle's other constants as they
     # are: the product with these that the flights see. None where its size does not need them.
     product: tuple[float, tuple[float, float]] | None = None
-    unresolved: bool = False  # a lag or a delay, from flights whose sampling rate is too low for it
+    # A lag, from flights whose sampling rate is too low for it, or a change of a vehicle that predicts worse
+    # than before it was identified.
+    doubted: bool = False
 
     @property
     def sure(self) -> bool:
         """Return whether the probability is at least SURE: few such names were wrong on other families.
 
         One of its sizes must differ from neutral by its interval, and not end at a bound: the flights ask
-        for more of it than there can be. No lag is sure that the flights cannot show.
+        for more of it than there can be. No doubted name is sure.
         """
         about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
         sizes = [p for name, p in self.parameters.items() if name not in about]
         differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] and not p.at_bound for p in sizes)
-        return self.probability >= thresholds.SURE and differs and not self.unresolved
+        return self.probability >= thresholds.SURE and differs and not self.doubted
 
     def values(self) -> dict[str, float]:
         """Return the fitted parameter values."""
@@ -172,6 +174,7 @@ class ReferenceErrors:
     error: float  # m, open-loop position error one second ahead
     floor: float  # m, that of the measurement noise alone
     disturbance: Mapping[str, Disturbance]  # channel -> noise and disturbance
+    worse: tuple[str, ...] = ()  # channels predicted worse than by the vehicle before
 
     def exceeded_by(self, error: float, floor: float) -> bool:
         """Return whether an error one second ahead is larger; `floor`: that of its own measurement noise."""

@@ -112,6 +112,8 @@ UNMET = 0.95  # the same, above: identification says nothing of it, and flights 
 CORRELATED = 0.8  # posterior correlation, above: two effects of an identified vehicle are confounded
 # larger: shorter lists. measured: -
 
+FEEBLE = 0.05  # m/s2, sideways acceleration in hover by a wind of 1.2 m/s, below: no wind is named
+# larger: fewer vehicles whose wind is named; of those with little drag its speed is a guess. measured: -
 FLOWN = 0.03  # share of the windows in a regime, below: a flight in it is asked for
 # larger: more flights asked for. measured: -
 

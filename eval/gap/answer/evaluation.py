@@ -73,11 +73,14 @@ def open_loop_errors(
     if curves:
         horizon = _horizon(problem, starts, effects, after, floor, correction.again)
     vehicles = after if evaluation.left_out else correction.vehicle
-    gap = {
-        plant: rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
-        for plant in dict.fromkeys(("analytic", *plants))
-    }
-    return OpenLoopErrors(effects, error, horizon, gap, displacements=_displacements(found, starts, effects))
+    gap, notes = {}, []
+    for plant in dict.fromkeys(("analytic", *plants)):
+        try:
+            gap[plant] = rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
+        except UserError as why:  # as loops that are too fast for the engine's step
+            notes.append(f"the gap was not measured in {plant}: {why}")
+    moved = _displacements(found, starts, effects)
+    return OpenLoopErrors(effects, error, horizon, gap, moved, tuple(notes))
 
 
 def _displacements(

@@ -182,7 +182,7 @@ def identify(
             "predicted better"
         )
     elif ahead:
-        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance)
+        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance, fitted.worse)
         reference = dataclasses.replace(reference, errors=errors)
     fields = field_half_widths(
         vehicle, fitted.vehicle, _vehicles_a_half_width_away(problem, values, sized)

@@ -27,9 +27,7 @@ from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.values import LEAST_RATE
-from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.equations import derivative
 from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.vehicle import Vehicle
 
@@ -43,7 +41,8 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
     slow = [f.name for f in problem.flights if not f.shows_lags]
     which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(slow)})" if slow else ""
     too_slow = f"{which} do not distinguish lags: log 50 or more."
-    unresolved = {name: bool(slow) and problem.library[name].is_lag for name in values}
+    lags = {name: bool(slow) and problem.library[name].is_lag for name in values}
+    errors = problem.reference.errors if problem.reference else None
     effects = [
         NamedEffect(
             name=name,
@@ -52,9 +51,9 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
             parameters=sizes[name],
             gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
             remedy=problem.library[name].remedy,
-            note=too_slow if unresolved[name] else "",
+            note=too_slow if lags[name] else "",
             product=_product(found, values, name) if problem.library[name].product else None,
-            unresolved=unresolved[name],
+            doubted=lags[name] or bool(errors and errors.worse),
         )
         for name in values
     ]
@@ -274,25 +273,17 @@ def _product(found: SetPosterior, values: Values, name: str) -> tuple[float, tup
     information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
     covariance = np.linalg.inv(information) * np.outer(unit, unit)
     at, others = problem.coordinates(values, columns), {n: v for n, v in values.items() if n != name}
-    without = hover_acceleration(problem, others)
+    without = problem.hover_acceleration(others)
 
     def made(coordinates: np.ndarray) -> float:
         sizes = {c.key[1]: problem.parameter(c).value_at(x) for c, x in zip(columns, coordinates)}
-        there = hover_acceleration(problem, {**others, name: {**values[name], **sizes}})
+        there = problem.hover_acceleration({**others, name: {**values[name], **sizes}})
         return float(np.linalg.norm(there - without))
 
     here, step = made(at), 0.1 * np.sqrt(covariance.diagonal())
     slope = np.array([(made(at + move) - here) / x for move, x in zip(np.diag(step), step)])
     half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
     return here, (max(0.0, here - half), here + half)
-
-
-def hover_acceleration(candidates: Candidates, values: Values) -> np.ndarray:
-    """Return the acceleration (3,) [m/s2] of the level vehicle at its hover command, with effects."""
-    vehicle = candidates.vehicle
-    state, command = np.zeros(STATE_SIZE), np.array([vehicle.hover_pwm, 0.0, 0.0, 0.0])
-    state[LAG] = vehicle.hover_lag
-    return derivative(state, command, candidates.corrected(values))["acceleration"]
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:

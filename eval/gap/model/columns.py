@@ -17,8 +17,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
+from inclined_landing.models.equations import derivative
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -134,6 +136,12 @@ class Candidates:
             if name in values:
                 vehicle = effect.apply(vehicle, values[name])
         return vehicle
+
+    def hover_acceleration(self, values: Values) -> np.ndarray:
+        """Return the acceleration (3,) [m/s2] of the level vehicle at its hover command, with effects."""
+        state, command = np.zeros(STATE_SIZE), np.array([self.vehicle.hover_pwm, 0.0, 0.0, 0.0])
+        state[LAG] = self.vehicle.hover_lag
+        return derivative(state, command, self.corrected(values))["acceleration"]
 
     def parameter(self, column: Column) -> Parameter:
         """Return the parameter of a column; of a model error, its weight."""

@@ -7,12 +7,14 @@ works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import numpy as np
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise import ErrorResponses, NoiseModel
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.columns import (
@@ -82,6 +84,8 @@ class Problem(Candidates):
             if set(effect.channels) - ignored
             and all(getattr(f, channel) is not None for f in flights for channel in effect.requires)
         }
+        if _wind_force(vehicle, kept) < thresholds.FEEBLE:
+            del kept["wind"]
         if channels > len(CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
         windows = np.concatenate([np.tile(f.logged, (len(f.starts), 1)) for f in flights])
@@ -308,6 +312,14 @@ def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values:
     if not any(weights.values()):
         return predicted
     return predicted + np.tensordot([weights[f] for f in BASE_DEVIATIONS], form_jacobian, axes=1)
+
+
+def _wind_force(vehicle: Vehicle, library: Mapping[str, Effect]) -> float:
+    """Return the acceleration [m/s2] of a hovering vehicle by a wind of ordinary speed; inf: no wind."""
+    if "wind" not in library:
+        return math.inf
+    near, wind = Candidates(vehicle, library), {"wind": library["wind"].plausible}
+    return float(np.hypot(*(near.hover_acceleration(wind) - near.hover_acceleration({}))[:2]))
 
 
 def identifiable_effects(

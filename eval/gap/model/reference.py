@@ -285,7 +285,9 @@ def _errors(table: dict) -> ReferenceErrors | None:
         )
         for channel, row in table["errors"]["disturbance"].items()
     }
-    return ReferenceErrors(number(table["errors"]["error"]), number(table["errors"]["floor"]), disturbance)
+    own = table["errors"]
+    worse = tuple(map(str, own.get("worse", ())))
+    return ReferenceErrors(number(own["error"]), number(own["floor"]), disturbance, worse)
 
 
 def _numbers(values, dimensions: int) -> np.ndarray:

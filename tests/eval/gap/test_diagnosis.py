@@ -413,6 +413,11 @@ def test_a_controller_that_answers_its_battery_is_no_weak_actuator(seed):
     alike, heavy = (diagnose(hovers(mass_scale=x), known.vehicle, **kept) for x in (1.0, 1.31))
     assert (alike.verdict, alike.effects) == ("nothing", ())
     (name,) = heavy.effects
+    errors = dataclasses.replace(known.reference.errors, worse=("z",))
+    worse = kept | {"reference": dataclasses.replace(known.reference, errors=errors)}
+    doubted = diagnose(hovers(mass_scale=1.31), known.vehicle, **worse)
+    assert name.sure and [e.name for e in doubted.effects] == [name.name] and not doubted.effects[0].sure
+    assert any("no name is sure" in note for note in doubted.notes)
     assert name.sure and "mass" in name.members and all(LIBRARY[n].scales_thrust for n in name.members)
 
 
@@ -443,10 +448,19 @@ def test_rows_on_the_ground_are_no_free_flight():
     assert not _on_ground(np.full(100, 1.0) + 1e-3).any()
 
 
+def test_no_wind_is_named_for_a_vehicle_without_drag():
+    """Of its speed the translation would show only products with constants that are zero."""
+    still = VEHICLE.changed(drag_coefficients=(0.0, 0.0, 0.0))
+    logs = flights(count=2, seconds=6.0)
+    fitted = usable_flights(logs, (), VEHICLE, None).fitted
+    assert "wind" in Problem.of(fitted, VEHICLE, LIBRARY).library
+    assert "wind" not in Problem.of(fitted, still, LIBRARY).library
+
+
 def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
     """Held commands are dated up to 100 ms wrong, which looks like other lags too."""
     logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2)
-    lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.unresolved]
+    lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.doubted]
     assert lags and all(LIBRARY[e.name].is_lag and not e.sure for e in lags)
     assert all("Flights of fewer than 30 rows per second" in e.note for e in lags)
 
