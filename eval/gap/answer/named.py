@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.infer.fit import (
 )
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
-from inclined_landing.eval.gap.model.columns import BASE, Candidates, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
