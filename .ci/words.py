@@ -34,7 +34,7 @@ PHRASES = {
 BANNED = {re.compile(rf"\b({phrase})(?!\w)", re.IGNORECASE): better for phrase, better in PHRASES.items()}
 OF = re.compile(r"^ {4,}\w+: of ", re.MULTILINE)  # help that begins with "of"
 # Not read: tables of results, and the mathematics of the gap workflow.
-ELSEWHERE = ("docs/evidence", "eval/gap/answer", "eval/gap/infer", "eval/gap/model")
+ELSEWHERE = ("docs/evidence",)
 PACKAGES = ("models", "envs", "eval", "train")
 
 

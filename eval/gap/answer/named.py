@@ -127,9 +127,9 @@ def useful_values(
     """Return the values of the effects without which flights left out are predicted worse.
 
     Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
-    where an effect acts on the attitude or on yaw. It is dropped where without it the first of these does not
-    grow, the others as they are, and none by USEFUL with the others fitted again. All of `values` where no
-    stretch is so long. fit: values of a set of effects.
+    where an effect acts on the attitude or on yaw. It is dropped if, without it, the first of these does not
+    grow (other effects fixed) and none grows by USEFUL (other effects refitted). All of `values` are returned
+    if no stretch is long enough. fit: values of a set of effects.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
     ahead = _Ahead.of(found, fit)

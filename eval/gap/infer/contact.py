@@ -208,7 +208,7 @@ class _ContactModel:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the log evidence (m, d) of errors (m, n, 6, q), all effects but j marginalised (Laplace).
 
-        width (P,) or (m, P): prior standard deviations; beside: sizes that the errors include already.
+        width (P,) or (m, P): prior standard deviations; `beside`: sizes that the errors include already.
         Returns the posterior mode (m, P) of all effects too, and their information (m, n, P) by landing.
         """
         # Mode x by iteratively reweighted least squares (t weights w), Jacobian J, prior precision K:
@@ -408,7 +408,7 @@ def inflation(errors: np.ndarray, slopes: np.ndarray) -> np.ndarray:
 def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, inflated: np.ndarray) -> float:
     """Return the p-value of a common residual of the landings on the same surface, Bonferroni over axes.
 
-    residual (n, 6, q) beside a set; inflated (6,): the variance inflation.
+    residual (n, 6, q) of a set; inflated (6,): the variance inflation.
     """
     # Score test of a component common to all landings, in the COMMON_MODES largest eigenvectors V of the
     # contact model error (scaled by their standard deviations), a = V'wV, h = V'w e:

@@ -205,12 +205,12 @@ def fit_vehicle(
     """Return the posterior mode of the vehicle's effects, and the model linearised there.
 
     Without a reference this identifies a vehicle: every effect has its slab. With one, the errors of the
-    identified vehicle are estimated again beside what changed: still air at 1 m/s says little of the drag in
-    a wind of 10. Model errors are left out, as no vehicle file has them.
+    identified vehicle are re-estimated together with what changed: still air at 1 m/s says little of the
+    drag in a wind of 10. Model errors are left out, as no vehicle file has them.
 
     values: where to begin. names: effects that may have changed since the reference's flights; without a
-    reference, all. Effects of the place (a wind) are left out unless among these. Random effects of the
-    flights stand beside it: pooled, a fresher battery would count as the slope of the thrust over its
+    reference, all. Effects of the place (a wind) are left out unless among these. Flights keep their random
+    effects: pooled, a fresher battery would count as the slope of the thrust over its
     command. Newton's method with step halving.
     """
     fitted = [n for n, e in problem.library.items() if n in names or not e.of_the_place]

@@ -160,7 +160,7 @@ class _RidgeRegression:
 
 
 def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.nan) -> ResidualAnalysis:
-    """Return the residual's size by channel and its significant functions, beside the most probable set.
+    """Return the residual's size by channel and its significant functions, given the most probable set.
 
     vehicle: the corrected one. error: its position error [m] one second ahead; NaN: not known.
     """

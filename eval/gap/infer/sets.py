@@ -125,7 +125,7 @@ def log_prior(problem: Problem, names: EffectSet) -> float:
     # p(S) = s^|S| (1 - s)^(n - |S|),  with s such that the empty set has (1 - s)^n = PRIOR_EMPTY.
     share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(problem.library)))
     all_of = sum(len(of) for of in REDUNDANT if names >= of)
-    # Beside a load's mass and string, where it swings at the start of every stretch is fitted: four numbers.
+    # In addition to a load's mass and string, its swing at the start of every stretch is fitted: 4 numbers.
     begun = problem.swing_starts if "slung_load" in names else 0
     return len(names) * math.log(share / (1.0 - share)) - all_of * LEFT_OUT - begun * SWING_START
 
@@ -165,9 +165,9 @@ def _fit_set(
 
 
 def _requested(problem: Problem, local: LinearGaussian, names: EffectSet) -> FittedValues:
-    """Return the most probable values of the effects beside a set that the requests of the motors show.
+    """Return the most probable values of the effects outside a set that the requests of the motors show.
 
-    In these small differences of rotors are large, and their products too.
+    Small differences between rotors are large in the requests, and so are their products.
     """
     others = [n for n, e in problem.library.items() if "requests" in e.channels and n not in names]
     if not (problem.requested and others):
@@ -206,9 +206,9 @@ def _linear_estimate(problem: Problem, node: FittedSet, names: EffectSet) -> Fit
 
 
 def _far_starts(problem: Problem, values: Values) -> dict[str, tuple[FittedValues, float]]:
-    """Return effects beside `values` that fit better from far off: where from, and by how much [nat].
+    """Return effects outside `values` that fit better from a distant start: that start, and the gain [nat].
 
-    Of an effect that is not linear in its size the slopes at neutral may show nothing.
+    If an effect is not linear in its size, the slopes at neutral may show nothing.
     """
     here, result = problem.squares(values), {}
     for name, effect in problem.library.items():

@@ -83,9 +83,9 @@ class TouchdownProblem(Candidates):
 def static_deflection(vehicle: Vehicle, reach: float) -> tuple[float, float]:
     """Return the static deflection of the feet under the weight [m], and the pitch on the slope by it [rad].
 
-    reach: of the feet below the centre of mass [m]. MuJoCo's contact is a constraint on accelerations (see
-    "solref" in its manual) and carries the weight without deflection; feet deflect, and more on the side
-    towards which the friction below the centre of mass tilts the vehicle.
+    reach: distance of the feet below the centre of mass [m]. MuJoCo's contact is a constraint on
+    accelerations (see "solref" in its manual) and carries the weight without deflection; feet deflect, and
+    more on the side towards which the friction below the centre of mass tilts the vehicle.
     """
     # With the stiffness k per mass and the feet at +-arm:  z = g / k,  pitch = g sin(alpha) reach / (k arm^2)
     stiffness, g = spring_of(vehicle)[0], vehicle.environment_gravity

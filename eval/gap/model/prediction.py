@@ -119,7 +119,8 @@ def as_flown(flight, vehicle: Vehicle) -> Vehicle:
     """Return the vehicle without what a flight's log shows otherwise.
 
     Measured rotor speeds lag behind nothing. Where the requests of the motors were logged, these show a
-    thrust beside the centre of mass: a controller that asks for them leaves nothing of it in the attitude.
+    thrust that acts off the centre of mass: a controller that asks for them leaves nothing of it in the
+    attitude.
     """
     return _without_logged(vehicle, flight.thrust_is_measured, flight.requests is not None)
 

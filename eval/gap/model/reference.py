@@ -1,4 +1,4 @@
-"""The posterior of an identified vehicle: mean and covariance of its errors, stored beside its file.
+"""The posterior of an identified vehicle: mean and covariance of its errors, stored next to its file.
 
 A vehicle file holds point estimates. Their joint covariance holds which combinations the reference flights
 left uncertain; functions of logged quantities describe the residual common to these flights.
