@@ -3,7 +3,8 @@
     python docs/site/recipes.py    # writes the page
 
 A result is that of `landing-train sweep`, copied beside its recipe in `train/recipes`. Figures and films are
-those that the recipe's last commands make, copied into `docs/beyond`.
+those that the recipe's last commands make, copied into `docs/beyond`; `tasks.gif` shows one flight each of
+the recipes for other slopes, platforms and vehicles.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ INTRODUCTION = (
     "reach. This page is written by `python docs/site/recipes.py`."
 )
 
+FILM = "Landings on a steep slope, on a slope that faces sideways, on a ship, and with a Hummingbird"
+
 
 def recorded(recipe: Recipe, name: str) -> Result:
     """The recorded result of a recipe; raises an error where it is damaged or of another recipe."""
@@ -49,7 +52,8 @@ def page() -> str:
         anchor = re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", recipe.title.lower()).strip())
         answers.append([f"[{recipe.title}](#{anchor})", result.answer(recipe)])
         sections.append(_section(name, recipe, result))
-    head = ["# Evidence: recipes\n", INTRODUCTION + "\n", table(["recipe", "answer"], answers)]
+    film = f"![{FILM}](../beyond/tasks.gif)\n"
+    head = ["# Evidence: recipes\n", INTRODUCTION + "\n", table(["recipe", "answer"], answers), film]
     return "\n".join([*head, *sections])
 
 

@@ -167,17 +167,18 @@ def draw(results: Sequence[dict]) -> Figure:
         figure = Figure(figsize=(9.6, 3.5), layout="constrained")
         thrust, wind, cut = figure.subplots(1, 3)
         _told_against_found(thrust, [r for r in told if r["told"]["of"] == "thrust"])
-        thrust.set(
-            xlabel="documented thrust/mass, relative [1]", ylabel="identified thrust/mass, relative [1]"
-        )
+        thrust.set_title("Thrust / mass, relative", loc="left")
+        thrust.set(xlabel="documented", ylabel="identified")
         _told_against_found(wind, [r for r in told if r["told"]["of"] == "wind"])
-        wind.set(xlabel="documented wind [m/s]", ylabel="identified wind [m/s]")
+        wind.set_title("Wind", loc="left")
+        wind.set(xlabel="documented [m/s]", ylabel="identified [m/s]")
         for r in (r for r in results if r["dose"] is not None):
             if r["found"]:
                 _with_interval(cut, r["dose"], r["found"])
             else:
                 cut.plot(r["dose"], 0.0, "o", mfc="none", color=style.colour(1), ms=5)
-        cut.set(xlabel="length cut off propeller M3 [mm]", ylabel="identified thrust loss of rotor M3 [1]")
+        cut.set_title("Shortened propeller M3", loc="left")
+        cut.set(xlabel="length cut off [mm]", ylabel="identified share of thrust lost")
         cut.plot([], [], "o", color=style.colour(0), label="named")
         cut.plot([], [], "o", mfc="none", color=style.colour(1), label="not named")
         cut.legend(frameon=False, loc="lower right")
@@ -192,7 +193,7 @@ def draw_gains(results: Sequence[dict]) -> Figure:
         for r in results:
             if r["kind"] == "dose" and "error" not in r:
                 _with_interval(axes, r["dose"], r["found"])
-        axes.set(xlabel="documented gain KR [N m/rad]", ylabel="identified attitude gain [1]")
+        axes.set(xlabel="documented gain KR [N m/rad]", ylabel="identified gain / model gain")
     return figure
 
 
