@@ -137,6 +137,9 @@ class BatchVecEnv(VecEnv):
     `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched)
     and `episode` {r, l, t} as SB3's Monitor writes it. `info_terms=True` adds `reward_terms` to every
     step's info.
+
+    Call `torch.set_num_threads(1)` before training: with small networks PyTorch's threads mostly wait for one
+    another, on a shared machine for more than ten times as long as the work takes.
     """
 
     def __init__(self, env: BatchEnv, *, reward_scale: float = 1.0, info_terms: bool = False):

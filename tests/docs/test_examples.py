@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from inclined_landing import envs, train
+from inclined_landing.envs import starts
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -28,6 +29,14 @@ def test_example(name, task, steps, tmp_path, monkeypatch, capsys):
     start = policy.task.sample(np.random.default_rng(0), 3).state
     assert len(envs.record_flights(policy, "analytic", start, steps=5)) == 3
     assert str(path) in capsys.readouterr().out
+
+
+def test_the_classical_law_lands():
+    example = runpy.run_path(str(EXAMPLES / "classical_landing.py"))
+    task = envs.make_task("landing")
+    start = starts.at_rest(task, starts.grid()[::25])
+    flights = envs.record_flights(example["Law"](task), "analytic", start)
+    assert all(flight.success for flight in flights)
 
 
 @pytest.mark.slow

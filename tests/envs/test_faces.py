@@ -65,6 +65,7 @@ def test_an_environment_is_shown_to_people_only_where_there_is_a_display(task, m
     env = gym.make(IDS[task], **{name: PICTURE[name] for name in ("width", "height", "render_backend")})
     assert env.observation_space.shape == (SIZES[task][0],) and env.action_space.shape == (SIZES[task][1],)
     assert env.metadata["render_modes"] == ["rgb_array"]
+    gymnasium_check(env.unwrapped)  # tries all render modes of its metadata
     monkeypatch.setenv("DISPLAY", ":0")
     assert gym.make(IDS[task], plant="analytic").metadata["render_modes"] == ["human", "rgb_array"]
 

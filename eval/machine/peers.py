@@ -1,0 +1,282 @@
+"""`landing-eval benchmark --peers`: other quadrotor simulators and the plants of this package, in one run.
+
+Each function of `PEERS` builds a simulation and returns a call that advances it, with what the call contains.
+No two calls contain the same: the table says so in its columns, and a speed without them means little.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.metadata
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.shared.statistics import spread
+from inclined_landing.envs.shared.tables import new_table, spread_cell
+from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval.base.progress import stages
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import make_plant
+
+PERIOD = 0.02  # s, of a control step
+_CONTENTS = ("contact", "task", "precision", "integrator")
+_SPEEDS = ("steps_per_second", "steps_per_cpu_second")
+COLUMNS = ("simulator", *_CONTENTS, "vehicles", "per second", "per CPU second")
+_EXTRA = "pip install 'inclined-landing[baselines]'"
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulation:
+    """A running simulation, and what one call of `step` contains.
+
+    step: advances all vehicles by `seconds`, and returns once their states are computed.
+    contact: how surfaces act on vehicles. task: the one whose observation, reward and resets are included.
+    """
+
+    step: Callable[[], Any]
+    vehicles: int
+    contact: str
+    task: str
+    precision: str
+    integrator: str
+    seconds: float = PERIOD
+
+
+@dataclasses.dataclass(frozen=True)
+class Peer:
+    """A simulator: how it is built for a number of vehicles and a seed, and how it is installed.
+
+    modules: what must be importable. package: whose version is stated. install: the command.
+    """
+
+    build: Callable[[int, int], Simulation]
+    modules: tuple[str, ...] = ()
+    package: str = "inclined-landing"
+    install: str = ""
+
+
+def _ours(kind: str, contact: str, integrator: str) -> Peer:
+    def build(vehicles: int, seed: int) -> Simulation:
+        rng = np.random.default_rng(seed)
+        task = make_task("landing", pwm_centre="hover")
+        batch = BatchEnv(task, make_plant(kind, vehicles, task.vehicle), seed)
+        env = BatchVecEnv(batch)
+        env.reset()
+        batch.length[:] = rng.integers(0, task.max_steps, vehicles)  # so that resets spread evenly
+        size = vehicles, len(task.action_names)
+        step = lambda: env.step(rng.uniform(-1, 1, size))  # noqa: E731
+        return Simulation(step, vehicles, contact, "landing", "64 bits", integrator)
+
+    return Peer(build)
+
+
+def _crazyflow(vehicles: int, seed: int) -> Simulation:
+    import jax
+    from crazyflow.sim import Sim
+
+    options = {"dynamics": "first_principles", "control": "attitude", "integrator": "rk4"}
+    sim = Sim(n_worlds=vehicles, freq=500, **options)
+    sim.reset()
+    rng = np.random.default_rng(seed)
+
+    def step() -> None:
+        command = rng.uniform(-0.3, 0.3, (vehicles, 1, 4)).astype(np.float32)
+        command[..., 3] += 0.35  # N
+        sim.attitude_control(command)
+        sim.step(10)
+        jax.block_until_ready(sim.data.states.pos)
+
+    return Simulation(step, vehicles, "floor (height clipped)", "none", "32 bits", "RK4, 500 Hz")
+
+
+def _rotorpy(vehicles: int, seed: int) -> Simulation:
+    import torch
+    from rotorpy.vehicles.crazyflie_params import quad_params
+    from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
+
+    cpu, n = torch.device("cpu"), vehicles
+    params = BatchedMultirotorParams([quad_params] * n, n, cpu)
+    zeros, level = torch.zeros(n, 3).double(), torch.tensor([[0.0, 0.0, 0.0, 1.0]] * n).double()
+    state = {
+        **{"x": zeros, "v": zeros, "q": level, "w": zeros, "wind": zeros},
+        "rotor_speeds": torch.full((n, 4), 1800.0).double(),
+    }
+    plant = BatchedMultirotor(params, n, state, cpu, "cmd_motor_speeds", integrator="rk4")
+    rng, now = np.random.default_rng(seed), [state]
+
+    def step() -> None:
+        speeds = torch.from_numpy(1800.0 + rng.uniform(-10, 10, (n, 4)))
+        for _ in range(5):
+            now[0] = plant.step(now[0], {"cmd_motor_speeds": speeds}, PERIOD / 5)
+
+    return Simulation(step, n, "none", "none", "64 bits", "RK4, 250 Hz")
+
+
+def _pyflyt(vehicles: int, seed: int) -> Simulation:
+    from PyFlyt.core import Aviary
+
+    place = np.array([[0.0, 0.0, 1.0]])
+    world = Aviary(place, np.zeros((1, 3)), "quadx", drone_options={"drone_model": "cf2x"}, seed=seed)
+    world.set_mode(3)  # angles and height
+    world.set_setpoint(0, np.array([0.05, 0.0, 0.0, 1.0]))
+    return Simulation(world.step, 1, "Bullet", "none", "64 bits", "Bullet, 240 Hz", 1 / 120)
+
+
+def _gym_pybullet_drones(vehicles: int, seed: int) -> Simulation:
+    from gym_pybullet_drones.envs.HoverAviary import HoverAviary
+
+    env, rng = HoverAviary(pyb_freq=250, ctrl_freq=50), np.random.default_rng(seed)
+    env.reset(seed=seed)
+
+    def step() -> None:
+        *_, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.1, (1, 4)))
+        if terminated or truncated:
+            env.reset()
+
+    return Simulation(step, 1, "Bullet", "hover", "64 bits", "Bullet, 250 Hz")
+
+
+def _l2f(vehicles: int, seed: int) -> Simulation:
+    import l2f
+
+    vector = l2f.vector_selector[max(n for n in l2f.vector_selector if n <= vehicles)]
+    device, rngs, envs, parameters = (
+        *(l2f.Device(), vector.VectorRng()),
+        *(vector.VectorEnvironment(), vector.VectorParameters()),
+    )
+    states, following = vector.VectorState(), vector.VectorState()
+    vector.initialize_rng(device, rngs, seed)
+    vector.initialize_environment(device, envs)
+    vector.sample_initial_parameters(device, envs, parameters, rngs)
+    vector.sample_initial_state(device, envs, parameters, states, rngs)
+    n, rng = envs.N_ENVIRONMENTS, np.random.default_rng(seed)
+
+    def step() -> None:
+        action = rng.uniform(-0.1, 0.1, (n, envs.ACTION_DIM)).astype(np.float32)
+        vector.step(device, envs, parameters, states, action, following, rngs)
+        states.assign(following)
+
+    period = parameters.parameters[0].integration.dt
+    return Simulation(step, n, "none", "none", "32 bits", f"RK4, {1 / period:.0f} Hz", period)
+
+
+PEERS: dict[str, Peer] = {
+    "this package, hybrid": _ours("hybrid", "MuJoCo", "RK4, 250 Hz near surfaces"),
+    "this package, analytic": _ours("analytic", "detected, not felt", "RK4, 50 Hz"),
+    "this package, mujoco": _ours("mujoco", "MuJoCo", "RK4, 250 Hz"),
+    "Crazyflow": Peer(_crazyflow, ("crazyflow", "jax"), "crazyflow", _EXTRA),
+    "RotorPy, batch": Peer(_rotorpy, ("rotorpy", "torch", "torchdiffeq", "roma"), "rotorpy", _EXTRA),
+    "PyFlyt": Peer(_pyflyt, ("PyFlyt",), "PyFlyt", "pip install PyFlyt"),
+    "gym-pybullet-drones": Peer(
+        _gym_pybullet_drones,
+        ("gym_pybullet_drones",),
+        "gym-pybullet-drones",
+        "pip install a clone of github.com/learnsyslab/gym-pybullet-drones",
+    ),
+    "l2f": Peer(_l2f, ("l2f",), "l2f", "pip install l2f"),
+}
+
+
+def rates(
+    vehicles: int, seed: int, *, repeats: int = 5, seconds: float = 0.5, peers: dict[str, Peer] | None = None
+) -> list[dict[str, Any]]:
+    """Return a row for each simulator, with its control steps of 20 ms per second; `missing` says why not.
+
+    A control step is one vehicle's. The simulators take turns of `seconds`, so that other load meets all.
+    """
+    peers = PEERS if peers is None else peers
+    rows: list[dict[str, Any]] = []
+    running = []
+    with stages(len(peers) * (repeats + 2)) as tick:
+        for name, peer in peers.items():
+            tick(name)
+            row, simulation = _built(name, peer, vehicles, seed)
+            rows.append(row)
+            if simulation is not None:
+                running.append((row, simulation, [], []))
+        for repeat in range(repeats + 1):
+            for row, simulation, *measured in running:
+                tick(row["simulator"])
+                if repeat:
+                    for rate, values in zip(_rates(simulation, seconds), measured):
+                        values.append(rate)
+                else:  # warms up
+                    _rates(simulation, seconds)
+    for row, _, wall, cpu in running:
+        row |= {"steps_per_second": spread(wall), "steps_per_cpu_second": spread(cpu)}
+    return rows
+
+
+def in_new_process(vehicles: int, seed: int) -> list[dict[str, Any]]:
+    """Return `rates` of a process whose packages may have settings of their own; raises UserError."""
+    settings = os.environ | {"SCIPY_ARRAY_API": "1"}  # Crazyflow needs it before SciPy is imported
+    words = [sys.executable, "-m", __name__, str(vehicles), str(seed)]
+    done = subprocess.run(words, env=settings, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise UserError(f"the measurement of the simulators ended with exit code {done.returncode}")
+    return json.loads(done.stdout.splitlines()[-1])  # simulators print, too
+
+
+def _built(name: str, peer: Peer, vehicles: int, seed: int) -> tuple[dict[str, Any], Simulation | None]:
+    """Return the row of a simulator and its simulation, stepped once, or None where it does not run."""
+    row: dict[str, Any] = {"simulator": name}
+    try:
+        for module in peer.modules:
+            importlib.import_module(module)
+        row["version"] = importlib.metadata.version(peer.package)
+        simulation = peer.build(vehicles, seed)
+        simulation.step()  # compiles
+    except ImportError as error:
+        return row | {"missing": f"not installed ({error.name or error}): {peer.install}"}, None
+    except Exception as error:  # its programming interface has changed, for example: the others still run
+        return row | {"missing": f"does not run: {type(error).__name__}: {error}".splitlines()[0]}, None
+    return row | {field: getattr(simulation, field) for field in ("vehicles", *_CONTENTS)}, simulation
+
+
+def _rates(simulation: Simulation, seconds: float) -> tuple[float, float]:
+    """Return control steps per second of wall and of CPU time, over at least `seconds` of wall time."""
+    calls, wall, cpu = 0, time.perf_counter(), time.process_time()
+    while calls == 0 or time.perf_counter() - wall < seconds:
+        simulation.step()
+        calls += 1
+    steps = calls * simulation.vehicles * simulation.seconds / PERIOD
+    return steps / (time.perf_counter() - wall), steps / (time.process_time() - cpu)
+
+
+def cells(row: dict[str, Any]) -> list[str]:
+    """Return the cells of a row under `COLUMNS`."""
+    if "missing" in row:
+        return [row["simulator"], row["missing"], *[""] * (len(COLUMNS) - 2)]
+    speeds = [spread_cell(row[name], 0, ends=("min", "max")) for name in _SPEEDS]
+    contents = [row[name] for name in _CONTENTS]
+    return [f"{row['simulator']} {row['version']}", *contents, str(row["vehicles"]), *speeds]
+
+
+def table(rows: list[dict[str, Any]]) -> Table:
+    """Return the table of those that run, for a terminal."""
+    result = new_table("Control steps of 20 ms per second", *COLUMNS, labels=1 + len(_CONTENTS))
+    for row in rows:
+        if "missing" not in row:
+            result.add_row(*cells(row))
+    return result
+
+
+def markdown(rows: list[dict[str, Any]], machine: str) -> str:
+    """Return machine and table as Markdown."""
+    lines = [COLUMNS, ["---"] * len(COLUMNS), *map(cells, rows)]
+    return machine + "\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+if __name__ == "__main__":
+    print(json.dumps(rates(*map(int, sys.argv[1:]))))
