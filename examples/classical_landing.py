@@ -2,9 +2,9 @@
 
 python examples/classical_landing.py [POLICY]
 
-The goal box wants the slope's pitch at the goal, and a quadrotor pitched by alpha in level flight accelerates by
-g tan(alpha). So the path ends with this acceleration and without speed: it swings through a waypoint above the
-goal, passes it and comes back up the slope. Both fly from the frozen grid of 251 starts.
+The goal box asks for the slope's pitch alpha, at which a quadrotor that keeps its height accelerates by
+g tan(alpha). So the path ends with this acceleration and without speed: from a waypoint above the goal it
+swings out downhill and comes back up. Law and policy fly from the frozen grid of 251 starts.
 """
 
 import sys
