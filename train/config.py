@@ -110,7 +110,7 @@ class TrainConfig:
 
     # --- when it ends
     steps: int | None = None
-    """Fixed number of environment steps; with --resume, the new total number of steps."""
+    """Fixed number of environment steps; with --resume, the new total."""
     success: float | None = None
     """Success rate, from 0 to 1, that ends the run when two evaluations in a row reach it."""
     min_steps: int | None = None
@@ -125,8 +125,7 @@ class TrainConfig:
 
     # --- what it goes on from
     start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
-    """Policy to start from, a file or the name of a shipped one; descent is the feedback law that touchdown
-    training in 3D starts from."""
+    """Policy to start from: a file, a shipped name or, for touchdowns in 3D, descent."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint, with the task and options of that run."""
 
@@ -170,10 +169,9 @@ class TrainConfig:
     """File of ranges (TOML), or name of a shipped one, to draw each episode's vehicle from (default: robust
     for landing and touchdown, otherwise none)."""
     nominal: bool = False
-    """Train as in the paper: one vehicle in the plane, no history, actions around hover."""
+    """Train as in the paper: one vehicle, no history, actions around hover."""
     plant: Literal["mujoco", "hybrid", "analytic"] = "hybrid"
-    """Simulated physics: mujoco is the engine, hybrid the engine near surfaces and the equations elsewhere,
-    analytic the equations only."""
+    """Simulated physics: mujoco, analytic (the equations), or hybrid (the engine only near surfaces)."""
     integrator: Literal["RK4", "implicitfast", "Euler"] | None = None
     """Integrator of the engine in training, with steps of 4 ms; evaluation uses RK4."""
     keep_out: float | None = None
@@ -211,8 +209,7 @@ class TrainConfig:
     reward_scale: Annotated[float, Meta(gt=0, lt=1000)] = 0.1
     """Rewards are multiplied by this before PPO sees them."""
     update: Literal["fast", "stock"] = "fast"
-    """Implementation of PPO: fast is compiled for tanh networks, stock is Stable-Baselines3's; both have the
-    same loss and files."""
+    """PPO implementation: fast (compiled, for tanh networks) or stock (Stable-Baselines3's)."""
 
     # --- what it writes on its way
     evaluate_every: Iterations | None = None

@@ -28,6 +28,7 @@ FOREIGN = {  # names of other programs, and names that are put together from par
         "viscosity",
         "release.yml",
         "vVERSION",
+        "ADDRESS",
         "stock.toml",
     ),
     *(

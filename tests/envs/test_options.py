@@ -45,7 +45,7 @@ def test_a_field_more_is_an_option_more():
     assert Windy(wind=2).settings.wind == Windy(wind=2).options["wind"] == 2
     with pytest.raises(UserError, match="wind must be a number from 0 to 5, not 6"):
         Windy(wind=6)
-    with pytest.raises(UserError, match="from which one of your own is derived"):
+    with pytest.raises(UserError, match="from which a custom task is derived"):
         Windy(steepest=0.3)
 
     class WindySlopes(SlopeLanding):
@@ -68,5 +68,5 @@ def test_options_find_the_class(name, kind):
         assert isinstance(task, kind) and task.name == name
         assert (task.is_planar, task.observes_slope, task.platform_moves) == traits
         if options:
-            with pytest.raises(UserError, match=f"make_task.'{name}', .... takes the class"):
+            with pytest.raises(UserError, match=f"make_task.'{name}', .... selects the class"):
                 kind(**options)

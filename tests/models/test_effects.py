@@ -144,7 +144,7 @@ def test_every_effect_of_the_vehicle_file_belongs_to_the_library():
 def test_unknown_effects_and_parameters_are_refused():
     with pytest.raises(UserError, match=r"unknown effect 'gremlins'; choose from .*, such as thrust_scale"):
         effects.apply(V, {"gremlins": {}})
-    with pytest.raises(UserError, match="effect wind has no parameter 'z'; it has x, y"):
+    with pytest.raises(UserError, match="effect wind has no parameter 'z'; choose from x, y"):
         effects.apply(V, {"wind": {"z": 1.0}})
     together = effects.apply(V, {"wind": {"x": 1.0}, "mass": {"scale": 1.1}})
     assert together.effects_wind == (1.0, 0.0) and together.body_mass == V.body_mass * 1.1

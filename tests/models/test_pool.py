@@ -143,8 +143,8 @@ def test_deviations_act_on_top_of_the_pools():
 
 @pytest.mark.parametrize("changed, sentence", [
     ({"command_angle_limit": 0.4}, "command.angle_limit must be the same for all vehicles"),
-    ({"platform_width": 1.0}, "slab.half_length cannot differ"),
-    ({"command_pwm_range": (0.0, 60_000.0)}, "command.pwm_range cannot differ"),
+    ({"platform_width": 1.0}, "slab.half_length must be the same"),
+    ({"command_pwm_range": (0.0, 60_000.0)}, "command.pwm_range must be the same"),
     ({"body_mass": -1.0}, "body.mass is -1 kg"),
 ])  # fmt: skip
 def test_vehicles_that_do_not_go_together_are_refused(changed, sentence):

@@ -655,7 +655,7 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
         def commands(self, actions):
             return super().commands(actions) * 0.9
 
-    with pytest.raises(UserError, match="in a way of its own"):
+    with pytest.raises(UserError, match="in its own way"):
         contract.describe(dataclasses.replace(wide, task=OwnCommands()), network)
 
 

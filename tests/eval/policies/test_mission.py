@@ -68,7 +68,7 @@ def test_the_same_seed_gives_the_same_missions(capsys):
     [
         (["--landing", "touchdown"], "the landing policy touchdown is for the task touchdown"),
         (["--touchdown", "landing"], "trained for the task landing, not for touchdown"),
-        (["--start", "1,2"], "--start is X,Y,Z in metres, not '1,2'"),
+        (["--start", "1,2"], "--start must be X,Y,Z in metres, not '1,2'"),
         (["--start", "0,0,1.2"], "start 0,0,1.2 lies within 0.25 m of the platform, under it"),
         (["--start", "9,0,1"], "outside the set-point task's starts (x -2.5 to 2.5"),
         (["--start=-1,0,1.5", "--missions", "5"], "cannot be combined with --start"),
