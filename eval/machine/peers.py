@@ -173,7 +173,7 @@ def _l2f(vehicles: int, seed: int) -> Simulation:
 
 PEERS: dict[str, Peer] = {
     "this package, hybrid": _ours("hybrid", "MuJoCo", "RK4, 250 Hz near surfaces"),
-    "this package, analytic": _ours("analytic", "detected, not felt", "RK4, 50 Hz"),
+    "this package, analytic": _ours("analytic", "detected, not simulated", "RK4, 50 Hz"),
     "this package, mujoco": _ours("mujoco", "MuJoCo", "RK4, 250 Hz"),
     "Crazyflow": Peer(_crazyflow, ("crazyflow", "jax"), "crazyflow", _EXTRA),
     "RotorPy, batch": Peer(_rotorpy, ("rotorpy", "torch", "torchdiffeq", "roma"), "rotorpy", _EXTRA),
