@@ -133,44 +133,6 @@ def _pyflyt(vehicles: int, seed: int) -> Simulation:
     return Simulation(world.step, 1, "Bullet", "none", "64 bits", "Bullet, 240 Hz", 1 / 120)
 
 
-def _gym_pybullet_drones(vehicles: int, seed: int) -> Simulation:
-    from gym_pybullet_drones.envs.HoverAviary import HoverAviary
-
-    env, rng = HoverAviary(pyb_freq=250, ctrl_freq=50), np.random.default_rng(seed)
-    env.reset(seed=seed)
-
-    def step() -> None:
-        *_, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.1, (1, 4)))
-        if terminated or truncated:
-            env.reset()
-
-    return Simulation(step, 1, "Bullet", "hover", "64 bits", "Bullet, 250 Hz")
-
-
-def _l2f(vehicles: int, seed: int) -> Simulation:
-    import l2f
-
-    vector = l2f.vector_selector[max(n for n in l2f.vector_selector if n <= vehicles)]
-    device, rngs, envs, parameters = (
-        *(l2f.Device(), vector.VectorRng()),
-        *(vector.VectorEnvironment(), vector.VectorParameters()),
-    )
-    states, following = vector.VectorState(), vector.VectorState()
-    vector.initialize_rng(device, rngs, seed)
-    vector.initialize_environment(device, envs)
-    vector.sample_initial_parameters(device, envs, parameters, rngs)
-    vector.sample_initial_state(device, envs, parameters, states, rngs)
-    n, rng = envs.N_ENVIRONMENTS, np.random.default_rng(seed)
-
-    def step() -> None:
-        action = rng.uniform(-0.1, 0.1, (n, envs.ACTION_DIM)).astype(np.float32)
-        vector.step(device, envs, parameters, states, action, following, rngs)
-        states.assign(following)
-
-    period = parameters.parameters[0].integration.dt
-    return Simulation(step, n, "none", "none", "32 bits", f"RK4, {1 / period:.0f} Hz", period)
-
-
 PEERS: dict[str, Peer] = {
     "this package, hybrid": _ours("hybrid", "MuJoCo", "RK4, 250 Hz near surfaces"),
     "this package, analytic": _ours("analytic", "detected, not simulated", "RK4, 50 Hz"),
@@ -178,13 +140,6 @@ PEERS: dict[str, Peer] = {
     "Crazyflow": Peer(_crazyflow, ("crazyflow", "jax"), "crazyflow", _EXTRA),
     "RotorPy, batch": Peer(_rotorpy, ("rotorpy", "torch", "torchdiffeq", "roma"), "rotorpy", _EXTRA),
     "PyFlyt": Peer(_pyflyt, ("PyFlyt",), "PyFlyt", "pip install PyFlyt"),
-    "gym-pybullet-drones": Peer(
-        _gym_pybullet_drones,
-        ("gym_pybullet_drones",),
-        "gym-pybullet-drones",
-        "pip install a clone of github.com/learnsyslab/gym-pybullet-drones",
-    ),
-    "l2f": Peer(_l2f, ("l2f",), "l2f", "pip install l2f"),
 }
 
 
