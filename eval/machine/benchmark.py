@@ -58,9 +58,10 @@ def command(
     """
     if out is not None:
         check_new_run(out)
-    report = {"command": "benchmark", "seed": seed, "versions": versions(), "load_before": os.getloadavg()}
+    report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
+    report["load_before"] = os.getloadavg()
     if peers:
-        report["peers"] = simulators.in_new_process(VEHICLES, seed)
+        report["peers"] = simulators.in_new_process(simulators.VEHICLES, seed)
         report["load_after"] = os.getloadavg()
         page = simulators.markdown(report["peers"], _machine(report))
         hand_over(report, _show_peers, json, out, {"benchmark.md": page})

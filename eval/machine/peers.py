@@ -30,6 +30,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
 
 PERIOD = 0.02  # s, of a control step
+VEHICLES = 1024  # of a simulator that flies many at a time
 _CONTENTS = ("contact", "task", "precision", "integrator")
 _SPEEDS = ("steps_per_second", "steps_per_cpu_second")
 COLUMNS = ("simulator", *_CONTENTS, "vehicles", "per second", "per CPU second")
@@ -152,7 +153,7 @@ def rates(
     """
     peers = PEERS if peers is None else peers
     rows: list[dict[str, Any]] = []
-    running = []
+    running: list[tuple[dict[str, Any], Simulation, list[float], list[float]]] = []
     with stages(len(peers) * (repeats + 2)) as tick:
         for name, peer in peers.items():
             tick(name)
