@@ -82,23 +82,27 @@ def _ours(kind: str, contact: str, integrator: str) -> Peer:
     return Peer(build)
 
 
-def _crazyflow(vehicles: int, seed: int) -> Simulation:
-    import jax
-    from crazyflow.sim import Sim
+def _crazyflow(dynamics: str, integrator: str, rate: int) -> Peer:
+    def build(vehicles: int, seed: int) -> Simulation:
+        import jax
+        from crazyflow.sim import Sim
 
-    options = {"dynamics": "first_principles", "control": "attitude", "integrator": "rk4"}
-    sim = Sim(n_worlds=vehicles, freq=500, **options)
-    sim.reset()
-    rng = np.random.default_rng(seed)
+        rates = {"freq": rate, "attitude_freq": rate}
+        sim = Sim(n_worlds=vehicles, dynamics=dynamics, control="attitude", integrator=integrator, **rates)
+        sim.reset()
+        rng = np.random.default_rng(seed)
 
-    def step() -> None:
-        command = rng.uniform(-0.3, 0.3, (vehicles, 1, 4)).astype(np.float32)
-        command[..., 3] += 0.35  # N
-        sim.attitude_control(command)
-        sim.step(10)
-        jax.block_until_ready(sim.data.states.pos)
+        def step() -> None:
+            command = rng.uniform(-0.3, 0.3, (vehicles, 1, 4)).astype(np.float32)
+            command[..., 3] += 0.35  # N
+            sim.attitude_control(command)
+            sim.step(round(PERIOD * rate))
+            jax.block_until_ready(sim.data.states.pos)
 
-    return Simulation(step, vehicles, "floor (height clipped)", "none", "32 bits", "RK4, 500 Hz")
+        used = f"{integrator}, {rate} Hz ({dynamics})"
+        return Simulation(step, vehicles, "floor (height clipped)", "none", "32 bits", used)
+
+    return Peer(build, ("crazyflow", "jax"), "crazyflow", _EXTRA)
 
 
 def _rotorpy(vehicles: int, seed: int) -> Simulation:
@@ -138,7 +142,8 @@ PEERS: dict[str, Peer] = {
     "this package, hybrid": _ours("hybrid", "MuJoCo", "RK4, 250 Hz near surfaces"),
     "this package, analytic": _ours("analytic", "detected, not simulated", "RK4, 50 Hz"),
     "this package, mujoco": _ours("mujoco", "MuJoCo", "RK4, 250 Hz"),
-    "Crazyflow": Peer(_crazyflow, ("crazyflow", "jax"), "crazyflow", _EXTRA),
+    "Crazyflow, rotors": _crazyflow("first_principles", "rk4", 500),
+    "Crazyflow, quickest": _crazyflow("so_rpy", "euler", 250),
     "RotorPy, batch": Peer(_rotorpy, ("rotorpy", "torch", "torchdiffeq", "roma"), "rotorpy", _EXTRA),
     "PyFlyt": Peer(_pyflyt, ("PyFlyt",), "PyFlyt", "pip install PyFlyt"),
 }
