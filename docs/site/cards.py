@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from generated import table  # beside this file
+from generated import table  # in this folder
 from recipes import recorded
 
 from inclined_landing.envs.history import input_names

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from generated import table  # beside this file
+from generated import table  # in this folder
 
 from inclined_landing.models import schema, storage
 from inclined_landing.train.sweep.recipe import Recipe, read_recipe, shipped

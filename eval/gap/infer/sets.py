@@ -259,7 +259,7 @@ def _greedy_search(
     far: dict[EffectSet, FittedValues] = {}
     while len(nodes) < MOST_FITS:
         best = max(nodes.values(), key=lambda node: node.score)
-        for node in [n for n in (nodes[frozenset()], best) if n.names not in expanded]:
+        for node in (nodes[n] for n in sorted({frozenset(), best.names} - expanded, key=len)):
             expanded.add(node.names)
             for names in _neighbours(problem, node):
                 predicted[names] = (node.screen(names) + log_prior(problem, names), node)
