@@ -1,6 +1,6 @@
 # make            install into .venv what training and evaluation need (again after a change of C++ or dependencies)
 # make demo       train, evaluate and film a short landing run into runs/demo
-# make test       style, wording, import contracts, types and the tests: three minutes
+# make test       style, wording, import contracts, types and the tests: about five minutes
 # make test-all   the slow tests too, and those that need OpenGL, a browser or an extra: an hour
 # make lint       style, formatting, wording, import contracts and types
 # make bench      simulation speed
