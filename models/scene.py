@@ -118,6 +118,8 @@ def _as_drawn(visuals: bool) -> mujoco.MjSpec:
     for geom in [] if visuals else list(spec.geoms):
         if not (geom.contype or geom.conaffinity) and geom.group in _VISUAL_GROUPS:
             spec.delete(geom)
+    for skin in [] if visuals else list(spec.skins):
+        spec.delete(skin)
     return spec
 
 
@@ -285,6 +287,9 @@ def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
     narrowest = v.slab_half_length * math.cos(v.platform_max_inclination)
     core.size = [narrowest - 2 * thickness, half_depth, _WALL_HALF_HEIGHT]
     core.pos = [0, 0, -_WALL_HALF_HEIGHT]
+    for skin in spec.skins:  # its corners in the frames of the walls' bodies
+        corners = np.sign(np.reshape(skin.vert, (-1, 3)))
+        skin.vert = (corners * [0, half_depth, 2 * _WALL_HALF_HEIGHT]).ravel()
     positions, quaternions = geometry.platform_poses([v.platform_inclination], [True], v)
     for k, (body, geom) in enumerate(zip(geometry.PLATFORM_BODIES, geometry.PLATFORM_GEOMS)):
         spec.body(body).pos = positions[0, k]

@@ -13,9 +13,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 SCALE = 3.0  # the vehicle is a few pixels wide in a full view: it is drawn this much larger
 VISUAL_GROUP = 2
-_HIDDEN_GROUP = 3  # collision shapes
 _CLOSE_CAMERAS = ("closeup", "onboard")
-_BASE_GEOMS = ("wall_left", "wall_right", "core")
 _FRAME_RADIUS = 0.006  # m
 # The camera `arena` looks along this line, and the arena fills this share of its picture: the caption and the
 # drawn size of a vehicle at the edge need the rest.
@@ -58,8 +56,6 @@ def rendering_model(
     add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)
     add_arena_camera(spec, vehicle, aspect)
     scale_vehicle(spec, scale)
-    for name in _BASE_GEOMS:
-        spec.geom(name).group = _HIDDEN_GROUP
     body = spec.body("platform")
     position, quaternion = (body.pos, body.quat) if platform is None else platform
     if position is None:
@@ -74,8 +70,8 @@ def rendering_model(
 
 
 def strip_physics(spec: mujoco.MjSpec) -> None:
-    """Remove actuators, sensors and keyframes: a drawn model is never stepped."""
-    for element in [*spec.actuators, *spec.sensors, *spec.keys]:
+    """Remove actuators, sensors, keyframes: a drawn model is never stepped. Also the skin: rays pass it."""
+    for element in [*spec.actuators, *spec.sensors, *spec.keys, *spec.skins]:
         spec.delete(element)
 
 

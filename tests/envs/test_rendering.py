@@ -319,7 +319,7 @@ def test_opengl_after_a_fork_is_refused_and_rays_are_not():
         pytest.skip("no OpenGL on this machine")
     done = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("OpenGL does not survive a fork") == 2
+    assert done.stderr.count("OpenGL does not work in a process forked") == 2
 
 
 FORKED = """

@@ -123,3 +123,73 @@ def test_rotors_below_the_feet_are_refused():
         UserError, match=r"below the feet: rotor\.height of -0\.02 m must be more than -0\.0165"
     ):
         build_spec(dataclasses.replace(V, rotor_height=-0.02))
+
+
+def run_of(model: mujoco.MjModel, start, **platform) -> tuple[np.ndarray, set]:
+    """States of one second from a height that ends on platform or base, and which geoms touched."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("hover").id)
+    for joint, value in platform.items():
+        data.joint(f"platform_{joint}").qpos = value
+    data.joint("crazyflie").qpos[:3] = start
+    data.actuator("thrust").ctrl[:] = 0.6 * V.hover_pwm
+    states, pairs = [], set()
+    for _ in range(250):
+        mujoco.mj_step(model, data)
+        states.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+        names = [sorted(model.geom(k).name for k in pair) for pair in data.contact.geom]
+        pairs |= {tuple(pair) for pair in names}
+    return np.array(states), pairs
+
+
+@pytest.mark.parametrize("start", [(0.1, 0.0, 1.5), (-0.41, 0.0, 1.2)])  # onto the slab, onto its lower edge
+@pytest.mark.parametrize("slope", [-25.7, 0.0, 45.0])
+def test_what_is_drawn_changes_no_physics(slope, start):
+    vehicle = dataclasses.replace(V, platform_inclination=math.radians(slope))
+    drawn, bare = build_spec(vehicle).compile(), build_spec(vehicle, visuals=False).compile()
+    assert (drawn.nskin, bare.nskin) == (1, 0)
+    for size in ("nq", "nv", "nu", "na", "nbody", "nmocap", "nsensordata"):
+        assert getattr(drawn, size) == getattr(bare, size)
+    (states, pairs), (expected, others) = run_of(drawn, start), run_of(bare, start)
+    np.testing.assert_array_equal(states, expected)
+    assert pairs == others and pairs
+
+
+def test_rays_pass_the_drawn_base():
+    """A rangefinder measures what collides: through the wedge between core and slab it sees the back wall."""
+    model = build_spec(V).compile()
+    data, hit = mujoco.MjData(model), np.zeros(1, np.int32)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_ray(model, data, np.array([0.1, -2.0, 1.05]), np.array([0.0, 1.0, 0.0]), None, 1, -1, hit, None)
+    assert model.geom(hit[0]).name == "back_wall"
+
+
+def test_what_is_drawn_changes_no_physics_of_a_moving_platform():
+    models = [build_spec(V, visuals=visuals, moving=True).compile() for visuals in (True, False)]
+    (states, pairs), (expected, others) = [run_of(m, (0.05, 0, 1.3), z=1.1, pitch=0.3) for m in models]
+    np.testing.assert_array_equal(states, expected)
+    assert pairs == others and pairs
+
+
+@pytest.mark.parametrize("slope", [-50, -45, -20, 0, 10, 45, 50])
+@pytest.mark.parametrize("azimuth", [0.0, 0.8])
+def test_the_drawn_base_is_closed_at_every_pose(slope, azimuth):
+    """Without compiling anew: its upper corners are on the slab's underside, the lower below the floor."""
+    model = build_spec(V).compile()
+    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, 200)
+    bodies = [model.body(name).mocapid[0] for name in geometry.PLATFORM_BODIES]
+    (position,), (turn,) = geometry.platform_poses([math.radians(slope)], [True], V, azimuth=[azimuth])
+    data.mocap_pos[bodies], data.mocap_quat[bodies] = position, turn
+    mujoco.mj_forward(model, data)
+    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    corners = np.reshape(scene.skinvert, (-1, 3))
+    top = corners[corners[:, 2] > 0.1]
+    slab = data.body("platform")
+    local = (top - slab.xpos) @ slab.xmat.reshape(3, 3)
+    np.testing.assert_allclose(local[:, 2], -V.platform_thickness, atol=1e-6)  # of single precision
+    run = V.slab_half_length * math.cos(math.radians(slope))
+    c, s = math.cos(azimuth), math.sin(azimuth)
+    sizes = np.abs(corners[:, :2] @ [[c, -s], [s, c]])
+    np.testing.assert_allclose(sizes, np.broadcast_to([run, V.platform_depth / 2], sizes.shape), atol=1e-6)
+    assert (corners[corners[:, 2] <= 0.1, 2] <= 0.0).all() and len(top) == 12 and len(corners) == 20
