@@ -1,6 +1,8 @@
 """Known causes in real flights: the file of rows, the judgement, and the counts; made-up flights only."""
 
 import dataclasses
+import re
+import tomllib
 from fnmatch import fnmatch
 from types import SimpleNamespace
 
@@ -10,6 +12,8 @@ import pytest
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
+from tests import ROOT
+from tests.proof import trust
 from tests.proof.causes import baselines, page, rows
 
 ROW = rows.Row(
@@ -174,3 +178,19 @@ def test_rough_regressions_have_back_what_was_put_in():
     assert baselines.wind([flight()], [flight(wind=4.0)]) == pytest.approx(4.0, rel=0.02)
     assert baselines.wind([flight()], [flight()]) == pytest.approx(0.0, abs=0.02)
     assert baselines.request([flight(m3=1.03)], [flight(m3=1.2)], 2) == pytest.approx(1.2 / 1.03 - 1.0)
+
+
+def test_the_recorded_counts_are_those_of_the_page():
+    """A column of the page's table is a group of the figure."""
+    text = (ROOT / "docs/evidence/known_causes.md").read_text("utf-8")
+    lines = {
+        "right sure": "causes of medium size or more",
+        "right": "the same, sure or",
+        "wrong sure": "sure names that",
+        "tuning": "parameter tuning",
+    }
+    recorded = tomllib.loads(trust.RECORDED.read_text("utf-8"))
+    for key, begin in lines.items():
+        cells = re.search(rf"^\| {begin}.*", text, re.MULTILINE)[0]
+        counts = [[int(a), int(b)] for a, b in re.findall(r"(\d+) of (\d+)", cells)]
+        assert counts == [group[key] for group in recorded.values()], begin
