@@ -79,13 +79,13 @@ def _simulated(
     final = [error[end] for end, (_, n) in zip(ends, segments) if n == longest]
     typical = math.sqrt(float(np.mean(np.square(final))))
     of = "" if known else " of free flight"
-    often = "once" if len(segments) == 1 else f"again every {horizon:g} s{of}"
+    often = "" if len(segments) == 1 else f", restarted at the measured state every {horizon:g} s{of}"
     return dataclasses.replace(
         measured,
         name=f"{measured.name}, simulated",
         kind=SIMULATED,
-        outcome=f"simulated {often} with the measured commands; {100 * typical:.1f} cm (root mean square) "
-        f"from the measured position after {longest * flight.dt:.3g} s",
+        outcome=f"simulated with the measured commands{often}; position error {100 * typical:.1f} cm (RMS) "
+        f"after {longest * flight.dt:.3g} s",
         t=flight.t[index],
         position=pose[:, :3],
         attitude=pose[:, 3:],

@@ -241,11 +241,11 @@ def draw(table: pd.DataFrame) -> Figure:
     """Return the change of the motor commands after known hardware changes."""
     y = np.arange(len(table))
     with styled():
-        figure = Figure(figsize=(9.6, 4.6), layout="constrained")
+        figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for axes, quantity, title in (
-            (left, "total", "PWM of all four motors, change [%]"),
-            (right, "M3", "PWM of motor M3 alone, change [%]"),
+            (left, "total", "change of PWM, all motors [%]"),
+            (right, "M3", "change of PWM, motor M3 [%]"),
         ):
             seen = table[quantity].abs() > table[f"{quantity}_half"]
             for which, colour, mark, words in (
@@ -263,9 +263,9 @@ def draw(table: pd.DataFrame) -> Figure:
         left.set_ylim(len(table) - 0.5, -0.5)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         figure.suptitle(
-            "CrazyPAD: motor commands in hover after a known change of the hardware, relative to\n"
-            f"the {NORMAL.replace('_', ' ')} of the same vehicle (E8, E9: vehicles; M1 to M4: motors; "
-            "W1: a weight, W3: a heavier one)",
+            "CrazyPAD: motor commands in hover after a known change, relative to the "
+            f"{NORMAL.replace('_', ' ')}\n"
+            "(E8, E9: vehicles; M1 to M4: motors; W1: a weight, W3: a heavier one)",
             size=10, x=0.01, ha="left",
         )  # fmt: skip
     return figure

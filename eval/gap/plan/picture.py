@@ -31,7 +31,7 @@ from inclined_landing.eval.gap.plan.words import InDoubt
 from inclined_landing.eval.gap.report.words import label
 from inclined_landing.models.vehicle import Vehicle
 
-WIDTH = 9.6  # inches
+WIDTH = 7.0  # inches
 _LETTERS = 18  # in a line of the name of an effect
 
 
@@ -39,14 +39,15 @@ def picture(plan: Plan, found: Sequence[InDoubt], platform: bool) -> Figure:
     """Return the figure; found: the effects in doubt; platform: the slab stands in the arena."""
     vehicle = plan.discrimination.vehicle
     with styled():
-        figure = Figure(figsize=(WIDTH, 5.1))
-        for k, title in ((1, "Path from above"), (2, "from the side")):
-            axes = panel(figure, 0.65 + 2.75 * (k - 1), 2.65, 2.1, 2.1)
+        rows = 0.36 * len(found) + 0.1
+        below = rows + 2.9
+        figure = Figure(figsize=(WIDTH, below + 3.1))
+        for k, title in ((1, "path from above"), (2, "path from the side")):
+            axes = panel(figure, 0.7 + 3.4 * (k - 1), below + 0.2, 2.6, 2.6)
             _path(axes, plan, vehicle, platform, k)
             axes.set_title(title, loc="left")
-        rows = min(0.42 * len(found) + 0.1, 1.5)
-        _probabilities(panel(figure, 7.1, 4.75 - rows, WIDTH - 7.3, rows), found)
-        _timeline(panel(figure, 0.65, 0.5, WIDTH - 1.35, 1.15), plan)
+        _probabilities(panel(figure, 1.7, 2.35, 2.6, rows), found)
+        _timeline(panel(figure, 0.7, 0.5, WIDTH - 1.5, 1.15), plan)
     return figure
 
 
@@ -101,7 +102,7 @@ def _probabilities(axes: Axes, found: Sequence[InDoubt]) -> None:
     axes.set(xlim=(0, 1), ylim=(len(found) - 0.5, -0.5), xticks=[0, 0.5, 1], xlabel="probability")
     axes.grid(axis="x")
     axes.set_title("Does the model lack it?", loc="left")
-    axes.legend(loc="upper left", bbox_to_anchor=(-0.05, -0.45 * axes.figure.dpi / axes.bbox.height))
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
 def _timeline(axes: Axes, plan: Plan) -> None:

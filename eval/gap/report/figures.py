@@ -41,7 +41,7 @@ from inclined_landing.eval.gap.result import (
 
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
-WIDTH = 9.6  # inches, of a page
+WIDTH = 7.4  # inches, of a page
 SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
 PANEL = 3.6  # of three
 SMALL = 0.1  # of the motion, error of predictions that are drawn as such
@@ -263,9 +263,9 @@ def residual(left: ResidualAnalysis) -> list[Figure]:
 
 def overview(d: Diagnosis, one: Track | None) -> Figure:
     """Return a flight with predictions before and after the correction, above the error by horizon."""
-    below = 3.35
+    below = 3.2
     figure = Figure(figsize=(WIDTH, below + (2.9 if one is not None else 0.0)))
-    draw_horizon(panel(figure, 0.75, 0.55, 6.6, 2.4), d.horizon, d.gap)
+    draw_horizon(panel(figure, 0.75, 0.55, WIDTH - 3.0, 2.4), d.horizon, d.gap)
     if one is not None:
         for k in range(2):
             left = 0.75 + 0.5 * WIDTH * k

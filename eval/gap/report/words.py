@@ -243,7 +243,8 @@ def product_sentence(e: NamedEffect) -> str:
     if e.product is None:
         return ""
     number, ends = quantity(e.product[0], "m/s2"), interval(e.product[1], "m/s2")
-    return f"The flights determine only {LIBRARY[e.name].product}: {number} ({ends}) in hover."
+    what, _, then = LIBRARY[e.name].product.partition("; ")
+    return f"The flights determine only {what}, {number} ({ends}) in hover; {then}."
 
 
 def _undecided(d: Diagnosis, name: str) -> Answer:

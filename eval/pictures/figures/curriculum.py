@@ -24,7 +24,8 @@ from inclined_landing.models.errors import UserError
 
 _START = (0.10, 0.42, 0.75)  # tint of the vehicles at their starts
 _COLUMNS = 2
-_PAGE, _LEFT, _RIGHT, _GAP = 10.0, 0.58, 0.10, 0.20  # in
+_PAGE, _LEFT, _RIGHT, _GAP = 7.4, 0.58, 0.10, 0.18  # in
+_FOOT = 0.66  # in; axis label and note
 _SCALE = 4.0  # of the drawn vehicles; a panel shows the whole width of the arena
 _LOWEST = 0.5  # m; the panels are cut off here, unless starts lie lower
 
@@ -55,28 +56,25 @@ def curriculum_figure(
     height = width * (z[1] - z[0]) / (x[1] - x[0])
     deep = height + 0.36
     with styled():
-        figure = Figure(figsize=(page, rows * deep + 0.48))
+        figure = Figure(figsize=(page, rows * deep + _FOOT))
         sprites = SpriteRenderer(v, scale=_SCALE, pixels=256)
         for k, (title, conditions) in enumerate(stages):
             row, column = divmod(k, columns)
             left = _LEFT + column * (width + _GAP)
-            axes = panel(figure, left, 0.46 + (rows - 1 - row) * deep, width, height)
+            axes = panel(figure, left, _FOOT + (rows - 1 - row) * deep, width, height)
             task.conditions = conditions
             rng = np.random.default_rng([seed, k])
             _draw_stage(axes, task, sprites, task.sample(rng, starts).state, x, z)
             axes.set_title(f"{k + 1}  {title}", loc="left", pad=4)
             axes.set_yticks(np.arange(np.ceil(2 * z[0]) / 2, z[1], 0.5))
-            if k == 0:
-                axes.text(
-                    *(0.988, 0.05, f"quadrotors drawn at {_SCALE:g}× size\ndashed: starts, green: goal"),
-                    transform=axes.transAxes, size=8.5, color=MUTED, ha="right",
-                )  # fmt: skip
             if column:
                 axes.set_ylabel("")
                 axes.tick_params(labelleft=False)
             if k + columns < len(stages):
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=False)
+        note = f"quadrotors drawn at {_SCALE:g}× size; dashed: starts; green: goal"
+        figure.text(1.0 - _RIGHT / page, 0.08 / figure.get_figheight(), note, color=MUTED, ha="right")
     return figure
 
 
@@ -100,6 +98,5 @@ def _draw_stage(axes: Axes, task: InclinedLanding, sprites: SpriteRenderer, stat
     axes.add_patch(Rectangle(corner, 2 * d, 2 * d, fc=GREEN, alpha=0.16, lw=0, zorder=4.4))
     axes.add_patch(Rectangle(corner, 2 * d, 2 * d, fill=False, ec=GREEN, lw=1.1, zorder=4.5, gid="goal box"))
     draw_vehicle(axes, sprites, goal, colour=GOAL_COLOUR, zorder=4.6, gid="target")
-    note = f"tilt {abs(np.degrees(inclination)):.0f}°, goal box ±{100 * d:.0f} cm"
-    note += "" if c.platform else "\nno platform"
+    note = f"tilt {abs(np.degrees(inclination)):.0f}°\ngoal box ±{100 * d:.0f} cm"
     axes.text(0.012, 0.05, note, transform=axes.transAxes, size=8.5, color=MUTED)

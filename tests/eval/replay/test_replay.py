@@ -167,7 +167,7 @@ def test_a_page_of_a_policy_and_a_log_with_a_hostile_name(tmp_path, landing, cap
     np.testing.assert_allclose(position, resimulate(steps).state[:, :3], atol=1e-6)
     velocity = np.frombuffer(base64.b64decode(flights[0]["velocity"]), "<f4").reshape(-1, 3)
     np.testing.assert_allclose(velocity[-1], steps.state[-1, VX : VX + 3], atol=1e-6)
-    assert "simulated again every 1 s" in capsys.readouterr().out
+    assert "restarted at the measured state every 1 s" in capsys.readouterr().out
     assert not re.search(r'(src|href)="?https?:', text)  # nothing is fetched
 
 
