@@ -184,7 +184,7 @@ def read_ranges(name: str | Path) -> Ranges:
                 raise UserError(f"{what}: {label} cannot vary between vehicles")
             fields[entries[label].field] = _of_entry(entries[label], value, what)
     if not (fields or effects or vehicles):
-        raise UserError(f"{what} has no range, like [effects.thrust_scale] with scale = [0.8, 1.1]")
+        raise UserError(f"{what} contains no range, such as scale = [0.8, 1.1] in [effects.thrust_scale]")
     return Ranges(data, file.nominal, fields, effects, probability, what, vehicles)
 
 

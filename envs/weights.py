@@ -195,7 +195,7 @@ class _Unpickler(pickle.Unpickler):
         """Return the replacement of one of the few names that torch writes."""
         if (module, name) not in _STAND_INS:
             named = shown(f"{module}.{name}", 60)
-            raise UserError(f"{self._what} holds {named}, where only dense tensors of floats are read")
+            raise UserError(f"{self._what} holds {named}; only dense tensors of floats are supported")
         return _STAND_INS[module, name]
 
     def persistent_load(self, reference: Any) -> _Storage:
@@ -322,7 +322,7 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
         )
     space = entry("observation_space").get(":type:")
     if space is not None and not str(space).endswith(".Box'>"):
-        raise UserError(f"policy {path} observes a {shown(space, 60)}, where only a Box is read")
+        raise UserError(f"policy {path} observes a {shown(space, 60)}; only a Box is supported")
     for end, one in _BOUNDS.items():
         bounds = str(entry("action_space").get(end, "")).strip("[]").split()
         if not all(re.fullmatch(one, bound) for bound in bounds):
@@ -375,7 +375,7 @@ def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
     unknown = next((name for name in tensors if not re.match(_TENSORS, name)), None)
     if unknown is not None:
         raise UserError(
-            f"policy {path} has {shown(unknown, 60)} in its network, where only dense layers are evaluated"
+            f"policy {path} has {shown(unknown, 60)} in its network; only dense layers are supported"
         )
     options = header.get("policy_kwargs") or {}
     if not isinstance(options, dict):

@@ -29,7 +29,7 @@ _NEXT = """\
 What to do next:
   landing-eval success landing    the whole success table (half a minute)
   landing-eval --help             contact studies, flight logs, figures ...
-  landing-train landing           a policy of your own in a minute; needs
+  landing-train landing           train a policy in a minute; needs
                                   pip install 'inclined-landing[train]'
 In Python:
   import gymnasium, inclined_landing

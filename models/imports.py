@@ -114,8 +114,8 @@ def private_folder() -> str:
         folder = tempfile.mkdtemp(prefix="inclined-landing-")
     except OSError as error:
         raise UserError(
-            "compiled functions can be kept nowhere: the package's folder, the home and the temporary folder "
-            "cannot be written; set NUMBA_CACHE_DIR to a folder that can"
+            "compiled functions cannot be cached: the package's folder, the home and the temporary folder "
+            "are not writable; set NUMBA_CACHE_DIR to a writable folder"
         ) from error
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

@@ -61,7 +61,7 @@ class Motion:
             if (found := getattr(self, name).shape) != shape:
                 raise UserError(f"a motion's {name} must have shape {shape}, not {found}")
         if (np.abs(self.amplitude[:, 3]).sum(axis=1) > _LARGEST_ROLL).any():
-            raise UserError(f"a platform rolls by {_LARGEST_ROLL} rad at most, its waves together")
+            raise UserError(f"the waves together may roll a platform by at most {_LARGEST_ROLL} rad")
 
     @classmethod
     def still(cls, n: int, waves: int = 1) -> Motion:

@@ -86,11 +86,11 @@ def test_all_the_way(path, own, tmp_path, capsys):
         ("nowhere.py:Hop", "", "task file nowhere.py does not exist"),
         ("pipe.py:Hop", "", "task file pipe.py is a pipe or device, not a file"),
         ("loop.py:Hop", "", "task file loop.py cannot be read: too many levels of symbolic links"),
-        ("hopping.py:", "", "is written module:Class or file.py:Class, not hopping.py:"),
+        ("hopping.py:", "", "as module:Class or file.py:Class, not hopping.py:"),
         ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
         ("hopping.py:np", "", "hopping.py has no class np derived"),
         ("hopping.py:Hop", "Hop.name = 'landing'", "has the name landing of a task of this package"),
-        ("hopping.py:Hop", "Hop.name = 'a b'", "has name 'a b'; it takes small letters and digits"),
+        ("hopping.py:Hop", "Hop.name = 'a b'", "has name 'a b'; use lowercase letters and digits"),
         ("hopping.py:Hop", "del Hop.action_names", "lacks action_names"),
         (
             "hopping.py:Hop",

@@ -30,7 +30,7 @@ def check_class(kind: type[Task], what: str) -> None:
     if lacking := lacking or [name for name in _NEEDED if not hasattr(kind, name)]:
         raise TaskError(f"{what} lacks {' and '.join(lacking)}")
     if not (isinstance(kind.name, str) and _NAME.fullmatch(kind.name)):
-        raise TaskError(f"{what} has name {shown(repr(kind.name), 40)}; it takes small letters and digits")
+        raise TaskError(f"{what} has name {shown(repr(kind.name), 40)}; use lowercase letters and digits")
     names: Any
     for title, names in (("observation_names", kind.observation_names), ("action_names", kind.action_names)):
         listed = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)

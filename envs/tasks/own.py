@@ -50,9 +50,7 @@ def import_named(path: str, what: str, kind: str):
     what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
     """
     if not would_import(path):
-        raise UserError(
-            f"a {what} of your own is written module:{kind} or file.py:{kind}, not {shown(path, 60)}"
-        )
+        raise UserError(f"write a custom {what} as module:{kind} or file.py:{kind}, not {shown(path, 60)}")
     source, _, name = path.rpartition(":")
     if source.endswith(".py"):
         storage.read_bytes(source, f"{what} file")  # no pipe, which has no end

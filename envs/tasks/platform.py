@@ -42,7 +42,7 @@ class LandingOptions(TaskOptions):
             named = "azimuth" if self.azimuth else "random_yaw"
             raise UserError(f"{named} needs dimensions=3: in the plane a vehicle cannot follow it")
         if self.fastest is None and self.swell:
-            raise UserError("swell is of moving platforms: give it fastest too, which may be 0")
+            raise UserError("swell applies to moving platforms: set fastest too (0 is allowed)")
         if self.fastest is not None and self.dimensions == 2:
             raise UserError("fastest needs dimensions=3: in the plane a vehicle cannot follow a platform")
 

@@ -80,7 +80,7 @@ def read_trajectory(path: Path) -> Trajectory:
     try:
         table = np.array([[float(row[k]) for k in columns] for row in rows[1:] if row])
     except (ValueError, IndexError):
-        raise UserError(f"{where} has a row without a number in every column") from None
+        raise UserError(f"{where} has a row in which a column has no number") from None
     if len(table) < 2 or not np.isfinite(table).all():
         raise UserError(f"{where} has fewer than two rows, or a number that is not finite")
     t, position, velocity = table[:, 0], table[:, 1:4], table[:, 11:14]

@@ -74,7 +74,7 @@ class RealConnection:
         if k > 0:
             print("Put the vehicle back, switch it off and on, press Enter: ", end="", flush=True)
             if not sys.stdin.readline():
-                raise UserError("standard input is closed, so that the vehicle cannot be put back")
+                raise UserError("standard input is closed, so no one can confirm the vehicle's position")
         radio = Radio(Crazyflie(), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
         return radio, self._clock, _positions(radio, self._capture)

@@ -209,8 +209,8 @@ def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: boo
     if not quaternion and not any(key in channels for key in ("roll", "pitch")):
         lacking = ", ".join(key for key in attitude if key not in channels)
         raise UserError(
-            f"{path}: no attitude column {lacking}; roll, pitch, yaw or qw, qx, qy, qz are needed, and where "
-            'they have other names, a mapping file says which is which, as qw = "q.3"'
+            f"{path}: no attitude column {lacking}; roll, pitch, yaw or qw, qx, qy, qz are needed; if they "
+            'have other names, a mapping file assigns them, for example qw = "q.3"'
         )
     if "cmd_thrust_pwm" not in channels:
         raise UserError(

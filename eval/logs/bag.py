@@ -128,8 +128,8 @@ def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
         except Exception as error:  # rosbags raises any kind on damaged bytes
             kind = shown(connections[0].msgtype)
             raise UserError(
-                f"topic {topic} ({kind}) cannot be decoded ({_reason(error)}); where the bag has no "
-                "definition of this type, `ros2 bag convert` to mcap adds it"
+                f"topic {topic} ({kind}) cannot be decoded ({_reason(error)}); if the bag does not "
+                "define this type, `ros2 bag convert` to mcap adds the definition"
             ) from error
         if count > MOST_ROWS:
             raise UserError(f"topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out")

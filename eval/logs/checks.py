@@ -34,7 +34,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
         findings += motion.check(good)
         share = hover_command(good) / FULL_COMMAND
         if share < LEAST_HOVER:
-            text = f"hovers at {100 * share:.0f} % of the full command, where Crazyflies need 50 to 90 %"
+            text = f"hovers at {100 * share:.0f} % of the full command; Crazyflies need 50 to 90 %"
             why = "is the unit right (for example newton instead of a fraction)?"
             findings.append(limit("cmd_thrust_pwm", f"{text}: {why}"))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))

@@ -85,7 +85,7 @@ def read(path: Path) -> Record:
             columns[column] = table[name].astype(float)
             times[column] = table["time"] * _TIME[version][1]
     if not columns:
-        raise UserError(f"{path}: a micro-SD log without events")
+        raise UserError(f"{path}: this micro-SD log contains no events")
     _decompress(columns, times)
     return Record(str(path), columns, times=times, notes=tuple(notes))
 
@@ -137,7 +137,7 @@ def _read_old(path: Path, data: bytes) -> Record:
         blocks.append(np.frombuffer(block, row))
         position += size + 5
     if not blocks:
-        raise UserError(f"{path}: a micro-SD log without a complete block")
+        raise UserError(f"{path}: this micro-SD log contains no complete block")
     table = np.concatenate(blocks)
     columns = {name: table[name].astype(float) for name in row.names[1:]}
     tick = table["tick"].astype(np.int64)

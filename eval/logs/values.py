@@ -75,7 +75,7 @@ def _check_time(log: FlightLog) -> Iterator[Finding]:
         text = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in time, the longest of {steps.max():.2g} s"
         text += f" at t = {log.t[worst]:.2f} s"
         if not log.pieces(SHORTEST):
-            yield refuse("t", f"{text}; no stretch of {SHORTEST:g} s without gaps is left")
+            yield refuse("t", f"{text}; between them, no interval is as long as {SHORTEST:g} s")
         else:
             yield limit("t", f"{text}: predictions stop at them")
 

@@ -65,8 +65,8 @@ def test_a_file_of_ranges(tmp_path):
 
 
 @pytest.mark.parametrize("text, sentence", [
-    ("", r"has no range, like \[effects.thrust_scale\] with scale = \[0.8, 1.1\]"),
-    ("nominal = 0.5", "has no range"),
+    ("", r"contains no range, such as scale = \[0.8, 1.1\] in \[effects.thrust_scale\]"),
+    ("nominal = 0.5", "contains no range"),
     ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
     ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; choose from 43 names, such as thrust_"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),

@@ -89,7 +89,7 @@ class RolloutWindows:
                     first.append(a)
         if not first:
             names = ", ".join(f.name for f in flights)
-            raise UserError(f"no stretch of {horizon:g} s in free flight in {names}")
+            raise UserError(f"{names}: no {horizon:g} s of uninterrupted free flight")
         return RolloutWindows(list(flights), np.array(flight_of, int), np.array(first, int), rows, dt)
 
     def __len__(self) -> int:

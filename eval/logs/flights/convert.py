@@ -76,7 +76,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
     if known.segments:
         if path.name not in known.segments:
             chosen = ", ".join(known.segments)
-            raise UserError(f"{path}: the flights of {name} are parts of {chosen}; of no other log")
+            raise UserError(f"{path}: the flights of {name} are parts of {chosen} only")
         start, stop = known.segments[path.name]
         table = table[(table["t"] >= start) & (table["t"] <= stop)]
     if len(table) < 2:

@@ -224,7 +224,7 @@ def _parse(name: str, data: dict, fingerprint: str) -> Scenario:
     tilt = np.abs(scenario.waves.amplitude[3:5]).sum() + abs(scenario.inclination)
     if tilt > math.radians(_STEEPEST):
         raise UserError(
-            f"slope, roll and pitch together reach {math.degrees(tilt):.0f} deg; {_STEEPEST:g} at most"
+            f"slope, roll and pitch together reach {math.degrees(tilt):.0f} deg; the limit is {_STEEPEST:g}"
         )
     hold, within = file.success.hold, file.success.within
     if hold >= within:

@@ -444,7 +444,7 @@ def test_files_of_one_flight_are_joined_by_a_plus_wherever_they_are(tmp_path, fo
         ("log07", bytes(4096), "only zero bytes"),
         ("a.csv", b"t,x,y\n0,0,0,1,0,2\n", "rows of different length"),
         ("a.csv", b"t,x,y,z,roll,cmd_thrust_pwm [N]\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "full = 0.6"),
-        ("a.csv", b"t,x,y,z,q.0,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n", 'as qw = "q.3"'),
+        ("a.csv", b"t,x,y,z,q.0,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n", 'for example qw = "q.3"'),
     ],
 )
 def test_files_of_other_kinds_are_refused_with_what_to_do(tmp_path, name, content, words):

@@ -63,7 +63,7 @@ def test_what_is_cut_off_costs_its_block(tmp_path, lost):
     assert len(record.columns["motor.f1"]) == (6 if lost < 47 else 3)  # 47 bytes a block
     assert "cut short" in record.notes[0]
     path.write_bytes(old_log(rows[:2], NAMES)[: -min(lost, 20)])
-    with pytest.raises(UserError, match="without a complete block"):
+    with pytest.raises(UserError, match="contains no complete block"):
         sd_card.read(path)
 
 
