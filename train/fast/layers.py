@@ -3,6 +3,7 @@
 A network is one vector of float32 weights, layer by layer (outputs, inputs) and then the bias, as torch has
 them, and the widths of its layers; an actor's ends with the logarithm of its standard deviations. Activations
 stand in blocks (width, BLOCK), samples last, so that every inner loop runs over a fixed number of neighbours.
+Products go by tiles of two rows and four columns, which fit into sixteen vector registers.
 Indices are unsigned, which saves the compiler a check for negative ones before each access.
 """
 
@@ -57,40 +58,32 @@ def _multiply(matrix, a, from_row, z, to_row):
     # z_j += sum_i w_ji a_i
     w, first, by_row, by_column, rows, columns = matrix
     j = _0
-    while j + _4 <= rows:
+    while j + _2 <= rows:
         z0 = (to_row + j) * _B
-        z1, z2, z3 = z0 + _B, z0 + _2 * _B, z0 + _3 * _B
+        z1 = z0 + _B
         i = _0
         while i + _4 <= columns:
             p = first + j * by_row + i * by_column
-            c0, c1, c2, c3 = _0, by_column, _2 * by_column, _3 * by_column
-            w00, w01, w02, w03 = w[p + c0], w[p + c1], w[p + c2], w[p + c3]
-            p += by_row
-            w10, w11, w12, w13 = w[p + c0], w[p + c1], w[p + c2], w[p + c3]
-            p += by_row
-            w20, w21, w22, w23 = w[p + c0], w[p + c1], w[p + c2], w[p + c3]
-            p += by_row
-            w30, w31, w32, w33 = w[p + c0], w[p + c1], w[p + c2], w[p + c3]
+            q = p + by_row
+            c1, c2, c3 = by_column, _2 * by_column, _3 * by_column
+            w00, w01, w02, w03 = w[p], w[p + c1], w[p + c2], w[p + c3]
+            w10, w11, w12, w13 = w[q], w[q + c1], w[q + c2], w[q + c3]
             a0 = (from_row + i) * _B
             a1, a2, a3 = a0 + _B, a0 + _2 * _B, a0 + _3 * _B
             for s in range(_B):
                 x0, x1, x2, x3 = a[a0 + s], a[a1 + s], a[a2 + s], a[a3 + s]
                 z[z0 + s] += w00 * x0 + w01 * x1 + w02 * x2 + w03 * x3
                 z[z1 + s] += w10 * x0 + w11 * x1 + w12 * x2 + w13 * x3
-                z[z2 + s] += w20 * x0 + w21 * x1 + w22 * x2 + w23 * x3
-                z[z3 + s] += w30 * x0 + w31 * x1 + w32 * x2 + w33 * x3
             i += _4
         while i < columns:
             p, a0 = first + j * by_row + i * by_column, (from_row + i) * _B
-            w0, w1, w2, w3 = w[p], w[p + by_row], w[p + _2 * by_row], w[p + _3 * by_row]
+            w0, w1 = w[p], w[p + by_row]
             for s in range(_B):
                 x = a[a0 + s]
                 z[z0 + s] += w0 * x
                 z[z1 + s] += w1 * x
-                z[z2 + s] += w2 * x
-                z[z3 + s] += w3 * x
             i += _1
-        j += _4
+        j += _2
     while j < rows:
         z0 = (to_row + j) * _B
         for i in range(columns):
@@ -124,36 +117,29 @@ def _outer(d, a, row, rows, from_row, columns, g, first):
     # g_ji += sum_s d_j a_i
     zero = np.float32(0)
     j = _0
-    while j + _4 <= rows:
+    while j + _2 <= rows:
         d0 = (row + j) * _B
-        d1, d2, d3 = d0 + _B, d0 + _2 * _B, d0 + _3 * _B
+        d1 = d0 + _B
         i = _0
         while i + _4 <= columns:
             a0 = (from_row + i) * _B
             a1, a2, a3 = a0 + _B, a0 + _2 * _B, a0 + _3 * _B
             g00 = g01 = g02 = g03 = g10 = g11 = g12 = g13 = zero
-            g20 = g21 = g22 = g23 = g30 = g31 = g32 = g33 = zero
             for s in range(_B):
                 x0, x1, x2, x3 = a[a0 + s], a[a1 + s], a[a2 + s], a[a3 + s]
-                y0, y1, y2, y3 = d[d0 + s], d[d1 + s], d[d2 + s], d[d3 + s]
+                y0, y1 = d[d0 + s], d[d1 + s]
                 g00, g01, g02, g03 = g00 + y0 * x0, g01 + y0 * x1, g02 + y0 * x2, g03 + y0 * x3
                 g10, g11, g12, g13 = g10 + y1 * x0, g11 + y1 * x1, g12 + y1 * x2, g13 + y1 * x3
-                g20, g21, g22, g23 = g20 + y2 * x0, g21 + y2 * x1, g22 + y2 * x2, g23 + y2 * x3
-                g30, g31, g32, g33 = g30 + y3 * x0, g31 + y3 * x1, g32 + y3 * x2, g33 + y3 * x3
             p = first + j * columns + i
             _add(g, p, g00, g01, g02, g03)
             _add(g, p + columns, g10, g11, g12, g13)
-            _add(g, p + _2 * columns, g20, g21, g22, g23)
-            _add(g, p + _3 * columns, g30, g31, g32, g33)
             i += _4
         while i < columns:
             p, a0 = first + j * columns + i, (from_row + i) * _B
             g[p] += _dot(d, d0, a, a0)
             g[p + columns] += _dot(d, d1, a, a0)
-            g[p + _2 * columns] += _dot(d, d2, a, a0)
-            g[p + _3 * columns] += _dot(d, d3, a, a0)
             i += _1
-        j += _4
+        j += _2
     while j < rows:
         for i in range(columns):
             g[first + j * columns + i] += _dot(d, (row + j) * _B, a, (from_row + i) * _B)
