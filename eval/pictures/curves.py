@@ -162,7 +162,6 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
                 _draw_curves(axes, dataclasses.replace(curve, column=column), shade, tables)
                 if name:
                     axes.plot([], [], color=shade, lw=2.0, label=name)
-                    axes.legend(loc="lower right")
             _format_axes(axes, curve)
         for axes in grid[-1]:
             axes.set_xlabel("environment steps [10⁶]")
@@ -250,11 +249,9 @@ def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
         axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
     if curve.reference:
         value, text = curve.reference
-        axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference")
-        axes.annotate(
-            text, (0.02, value), xycoords=axes.get_yaxis_transform(), xytext=(0, 2), size=8.5,
-            textcoords="offset points", ha="left", va="bottom",
-        )  # fmt: skip
+        axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference", label=text)
+    if any(not line.get_label().startswith("_") for line in axes.lines):  # those have no name
+        axes.legend(loc="upper right" if curve.logarithmic else "lower right")
     if curve.limits:
         axes.set_ylim(*curve.limits)
     if curve.logarithmic:

@@ -221,7 +221,7 @@ def test_one_run_is_one_line(tmp_path):
     np.testing.assert_allclose(line.get_ydata(), 100 * table["strict_success"])
     (paper,) = by_gid(axes[0].lines, "reference")
     np.testing.assert_allclose(paper.get_ydata(), 100 * 28 / 30)
-    assert "93.3 %" in axes[0].texts[0].get_text()
+    assert "93.3 %" in paper.get_label()
     assert not by_gid(axes[0].collections, "band")
     (shaded,) = by_gid(axes[3].patches, "curriculum")
     table = pd.read_csv(run / "learning.csv")
