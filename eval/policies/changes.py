@@ -252,13 +252,13 @@ def _comparisons(report: dict) -> list[str]:
 
 
 def _left_out(report: dict) -> list[str]:
-    """Return a sentence on the effects that the figure leaves out, if there are any."""
+    """Return a sentence on the effects that the figure omits, if there are any."""
     effects = {row["effect"] for row in report["effects"]}
     count = len(effects - {row["effect"] for row in report["effects"] if _costs(row)})
     if not count:
         return []
-    what = f"The figure leaves out {count} of {len(effects)} effects"
-    return [f"{what}, under which every policy landed in {100 * ENOUGH_MEDIUM:.0f} % or more of the flights."]
+    landed = f"every policy landed in {100 * ENOUGH_MEDIUM:.0f} % or more of the flights"
+    return [f"Under {count} of {len(effects)} effects {landed}; the figure of --out omits these effects."]
 
 
 def _answers(report: dict) -> list[str]:
