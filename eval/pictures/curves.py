@@ -250,7 +250,7 @@ def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
     if curve.reference:
         value, text = curve.reference
         axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference", label=text)
-    if any(not line.get_label().startswith("_") for line in axes.lines):  # those have no name
+    if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="upper right" if curve.logarithmic else "lower right")
     if curve.limits:
         axes.set_ylim(*curve.limits)
