@@ -58,7 +58,7 @@ from inclined_landing.envs.tasks.base import (
 )
 from inclined_landing.envs.tasks.platform import LandingOptions, in_platform
 from inclined_landing.models import geometry
-from inclined_landing.models.attitude import PITCH, VX, VZ, X, Y, Z
+from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
@@ -69,6 +69,7 @@ EASIEST_GOAL_SIZE = 0.25
 BOUND_MARGIN = 0.05  # closer than this to the arena's bounds counts as near them, m
 START_CLEARANCE = 0.05  # starts keep this distance to the platform, m
 START_MARGIN = 0.10  # and this one to the arena's bounds, m
+_UNMOVED = np.empty((0, 12))  # platforms that carry no bounds along
 LOWEST_START = 1.2  # random starts lie in the upper half of the arena, m
 PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
 PAPER_RESULTS = (
@@ -129,13 +130,15 @@ def _in_goal(state, goal, goal_size, inclination, out):
 
 
 @numba.njit(cache=True)
-def _near_bounds(state, axes, arena, margin, extra_room, out):
+def _near_bounds(state, platform, axes, arena, margin, extra_room, out):
     for k in range(len(axes)):
         axis = axes[k]
+        carried = axis != Z and len(platform) > 0
         m = margin if axis == Z else margin - extra_room
         low, high = arena[k, 0] + m, arena[k, 1] - m
         for i in range(len(state)):
-            out[i] |= state[i, axis] < low or state[i, axis] > high
+            place = state[i, axis] - platform[i, axis] if carried else state[i, axis]
+            out[i] |= place < low or place > high
     return out
 
 
@@ -310,13 +313,9 @@ class InclinedLanding(Task):
 
         The bounds are those of the axes that the vehicle moves along, carried along with a moving platform.
         """
-        state = context.state
-        if self.platform_moves:
-            state = state.copy()
-            state[:, : Y + 1] -= context.platform[:, : Y + 1]
-        return _near_bounds(
-            state, self._axes, self._arena, float(m), self.extra_room, np.zeros(len(state), bool)
-        )
+        platform = context.platform if self.platform_moves else _UNMOVED
+        room = self._axes, self._arena, float(m), self.extra_room
+        return _near_bounds(context.state, platform, *room, np.zeros(len(context.state), bool))
 
     def reached(self, context: StepContext) -> np.ndarray:
         """Return (n,) bool: which vehicles are in the goal box of their episode."""

@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from inclined_landing.models import equations, forces, geometry, held
+from inclined_landing.models import equations, forces, geometry, held, threads
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
@@ -45,6 +45,7 @@ from inclined_landing.models.plants.slung_load import write_load
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm; in a
 # period of 20 ms at once, turned by five times that, dt^2/8 of the change, 0.6 mm.
 _MARGIN = 1e-3  # m
+_SHARE = 1024  # vehicles: with fewer a thread is not worth its while
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
@@ -164,14 +165,22 @@ class HybridPlant(MujocoPlant):
             acting[0] = self._ctrl
         speeds = self.platforms.speeds if self.platforms else STILL
         period = _Period(acting, push, self.torque_needs_motors, speeds)
-        count = _fly(chosen, period, self._kernel_vehicles, self._platforms, self._engine, self._results)
-        near = self._results.for_engine[:count]
+        near = self._fly(chosen, period)
         if len(near):
             self._roll(None if len(near) == self.n else near)
         if self.platforms:
             self.platforms.follow(chosen)
         self.delays.push_state(self.state, chosen)
         return {}
+
+    def _fly(self, ids: np.ndarray, period: _Period) -> np.ndarray:
+        """Fly what the equations can of the vehicles `ids` (k,), in threads; return which are left."""
+        parts = threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
+        of_all = period, self._kernel_vehicles, self._platforms, self._engine, self._results
+        counts = threads.in_threads(lambda part: _fly(ids, *part, *of_all), parts)
+        return np.concatenate(
+            [self._results.for_engine[first : first + count] for (first, _), count in zip(parts, counts)]
+        )
 
     def _roll(self, ids, record=()):
         if self.platforms:  # in the engine they are still where its last step of a vehicle left them
@@ -188,11 +197,12 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def _fly(ids, period, vehicles, platforms, engine, results):
-    """Fly those of the vehicles `ids` by the equations that stay out of reach.
+def _fly(ids, first, last, period, vehicles, platforms, engine, results):
+    """Fly those of the vehicles `ids[first:last]` by the equations that stay out of reach.
 
-    Returns how many the engine has to fly; their numbers are in `results.for_engine`. The engine's arrays of
-    the others are what it would have made of them, without a warm start of its solver, which had no contact.
+    Returns how many the engine has to fly; their numbers are in `results.for_engine` from `first` on. The
+    engine's arrays of the others are what it would have made of them, without a warm start of its solver,
+    which had no contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     speeds, steps, length = (
@@ -204,7 +214,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
-    for row in range(len(ids)):
+    for row in range(first, last):
         i = ids[row]
         present = platforms.present[i]
         v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
@@ -271,7 +281,7 @@ def _fly(ids, period, vehicles, platforms, engine, results):
             step += 1
         if step < substeps or not _as_exact(y, dt):
             results.in_engine[i] = True
-            results.for_engine[count] = i
+            results.for_engine[first + count] = i
             count += 1
             continue
         if abs(y[YAW]) > math.pi:

@@ -14,7 +14,7 @@ from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VZ, WX, 
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import HybridPlant, MujocoPlant
+from inclined_landing.models.plants import HybridPlant, MujocoPlant, hybrid
 from inclined_landing.models.plants.recorder import Recorder
 
 V = load_vehicle()
@@ -209,3 +209,19 @@ def test_only_the_given_vehicles_fly():
     plant.advance(np.tile([V.hover_pwm, 0, 0, 0], (4, 1)), ids=np.array([1, 3]))
     np.testing.assert_array_equal(plant.state[[0, 2]], states[[0, 2]])
     assert (plant.state[[1, 3]] != states[[1, 3]]).any(axis=1).all()
+
+
+def test_threads_share_the_vehicles_without_a_change_of_bits(monkeypatch):
+    monkeypatch.setattr(hybrid, "_SHARE", 4)
+    plants = [HybridPlant(13, V, threads=threads) for threads in (1, 3)]
+    start, flown = population(13, 5), commands(40, 13, 5, smooth=True)
+    for plant in plants:
+        plant.reset(np.arange(13), start)
+    for command in flown:
+        for plant in plants:
+            plant.step(command)
+        one, three = plants
+        np.testing.assert_array_equal(one.state, three.state)
+        np.testing.assert_array_equal(one.contacts.near, three.contacts.near)
+        np.testing.assert_array_equal(one.in_engine, three.in_engine)
+    assert one.in_engine.any() and not one.in_engine.all()
