@@ -2,8 +2,7 @@
 
 A policy file is what `PPO.save` writes plus one entry, `inclined_landing.json`: task, task
 options, plant, seed, steps, command, versions. Reading it runs no code from the file: only the
-actor's weights are taken. `Policy.predict` evaluates the network row by row in a compiled loop, so
-that an action does not depend on how many others are computed with it.
+actor's weights are taken.
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ import shutil
 import zipfile
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
-import numba
 import numpy as np
 from msgspec import Meta, Struct
 
 from inclined_landing.envs import weights
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
+from inclined_landing.envs.network import Network, forward
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
@@ -43,19 +42,6 @@ SHIPPED = tuple(
 )
 _DEEPEST, _WIDEST = 16, 8192
 _Word = Annotated[str, Meta(max_length=99)]
-
-
-class _Network(NamedTuple):
-    """A `Policy` as the compiled loop takes it; fields as there."""
-
-    centre: np.ndarray
-    scale: np.ndarray
-    limit: float
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
-    activation: int  # index into ACTIVATIONS
-    squashed: bool
-    bound: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,14 +97,14 @@ class Policy:
                 f"policy {self.name} takes observations of {len(self.centre)} numbers, "
                 f"not an array of shape {observation.shape}"
             )
-        action = _forward(rows, self._network)
+        action = forward(rows, self._network)
         return action[0] if observation.ndim == 1 else action
 
     @functools.cached_property
-    def _network(self) -> _Network:
+    def _network(self) -> Network:
         activation = ACTIVATIONS.index(self.activation)
         scaling = self.centre, self.scale, self.limit
-        return _Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
+        return Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
 
     def with_fixed_vehicle(self) -> Policy:
         """Return the policy for its task's vehicle alone: vehicle parameters become biases of the first
@@ -144,36 +130,6 @@ class Policy:
             weights=(np.ascontiguousarray(first[:kept]), *others),
             biases=(self.biases[0] + scaled @ first[kept:], *self.biases[1:]),
         )
-
-
-@numba.njit(cache=True)
-def _forward(rows, network):
-    """Return the actions (n, a) of observations (n, o)."""
-    centre, scale, limit, weights, biases, activation, squashed, bound = network
-    widest = len(centre)
-    for bias in biases:
-        widest = max(widest, len(bias))
-    result = np.empty((len(rows), len(biases[len(biases) - 1])), np.float32)
-    x, y = np.empty(widest), np.empty(widest)
-    for r in range(len(rows)):
-        for i in range(len(centre)):
-            # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without
-            x[i] = min(limit, max(-limit, (rows[r, i] - centre[i]) / scale[i]))
-        for k in range(len(weights)):
-            w, b = weights[k], biases[k]
-            y[: len(b)] = b
-            for i in range(w.shape[0]):  # over inputs outside: vectorises in a fixed order
-                for j in range(w.shape[1]):
-                    y[j] += x[i] * w[i, j]
-            if k < len(weights) - 1:
-                for j in range(len(b)):
-                    y[j] = np.tanh(y[j]) if activation == 0 else max(y[j], 0.0)
-            x, y = y, x
-        for j in range(result.shape[1]):
-            if squashed:
-                x[j] = np.tanh(min(bound, max(-bound, x[j])))
-            result[r, j] = min(1.0, max(-1.0, x[j]))
-    return result
 
 
 def write_metadata(path: str | Path, metadata: dict) -> None:
