@@ -1,8 +1,8 @@
 """A dense network evaluated in float64 by a compiled loop: actions of many observations.
 
 Every row is computed in the same order, whatever the others are, so that an action does not depend on how
-many are computed with it. Rows go in blocks of ROWS, side by side in vector registers; what is left over, and
-a single observation, goes one by one.
+many are computed with it. Rows go in blocks of ROWS, side by side in vector registers; a few remaining rows,
+or a single one, go one by one.
 """
 
 from __future__ import annotations

@@ -57,17 +57,19 @@ class Preset:
     randomise: str | None  # ranges that each episode's vehicle is drawn from; None: one vehicle
     history: int  # past steps that the policy is given, to tell a vehicle or a platform's motion by
     all_commands: bool  # do actions reach every PWM, as some vehicles need; or what is around hover
-    evaluate_every: int  # iterations
-    more_steps: int  # added to min_steps
 
 
-NOMINAL = Preset(randomise=None, history=0, all_commands=False, evaluate_every=16, more_steps=0)
-DRAWN = Preset(randomise="robust", history=3, all_commands=True, evaluate_every=32, more_steps=700_000)
+NOMINAL = Preset(randomise=None, history=0, all_commands=False)
+DRAWN = Preset(randomise="robust", history=3, all_commands=True)
 # Touchdown over moving platforms: one vehicle, and a motion to be told.
-MOVING = Preset(randomise=None, history=3, all_commands=True, evaluate_every=16, more_steps=0)
+MOVING = Preset(randomise=None, history=3, all_commands=True)
+EVALUATE_EVERY, EVALUATE_DRAWN_EVERY = 16, 32  # iterations; the second in runs of a fixed length
 # Values in place of the task's training defaults. Landing drawn vehicles in space, where they differ in more:
 # with the rates of the plane one of three seeds learned it.
 SPACE: dict[str, Any] = {"rollout": 128, "learning_rate": 1e-3}
+# Landing vehicles drawn from the default ranges on one slope. With a lambda of 0.95 half a million steps land
+# 78 % of them, with this one 84 % (means of four seeds).
+ONE_SLOPE: dict[str, Any] = {"environments": 128, "rollout": 32, "gae_lambda": 0.85}
 # Touchdown in the plane begins with a landing policy, and explores more.
 PLANE: dict[str, Any] = {
     "start_from": "landing-nominal",
@@ -200,7 +202,7 @@ class TrainConfig:
     """Initial learning rate; the curriculum determines its decay."""
     gamma: Annotated[Discount | Literal["paper"] | None, tyro.conf.arg(metavar="NUMBER|paper")] = None
     """Discount factor; paper raises it from 0.97 to 0.99 over 800 000 steps, as the curriculum paper does."""
-    gae_lambda: Share = 0.95
+    gae_lambda: Share | None = None
     """Lambda of the generalised advantage estimate."""
     entropy: Share = 0.0
     """Weight of the entropy bonus."""
@@ -213,7 +215,7 @@ class TrainConfig:
 
     # --- what it writes on its way
     evaluate_every: Iterations | None = None
-    """Iterations between evaluations, 0 for none (default: 16; with randomised vehicles 32)."""
+    """Iterations between evaluations, 0 for none (default: 16; with randomised vehicles and --steps 32)."""
     checkpoint_every: Many = 20
     """Iterations between checkpoints."""
     report: bool = True
@@ -295,10 +297,11 @@ def resolve(config: TrainConfig) -> TrainConfig:
         training = dataclasses.replace(training, **PLANE)
     if is_drawn and dimensions == 3 and not by_law:
         training = dataclasses.replace(training, **SPACE)
+    elif is_drawn and config.randomise is None and config.steepest is None:
+        training = dataclasses.replace(training, **ONE_SLOPE)
     if config.nominal and config.randomise is not None:
         raise UserError("--nominal and --randomise cannot be combined")
     randomise = config.randomise or preset.randomise
-    pace = NOMINAL if randomise is None else DRAWN
 
     # The task's training defaults, but for what is given.
     named = [field.name for field in dataclasses.fields(Training)]
@@ -306,13 +309,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
-    values["evaluate_every"] = pace.evaluate_every if config.evaluate_every is None else config.evaluate_every
 
     # A policy to go on from flies as before: of the same task with its history, and with its actions and net.
     policy = None if learning.start_from == descent.NAME else learning.start_from
     same = policy if policy is not None and trained_task(policy) == kind.name else None
-    least = (training.min_steps if same is None else CARRIED_ON) + pace.more_steps
-    values |= _ending(config, training, least)
+    values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
+    if config.evaluate_every is None:
+        of_drawn = randomise is not None and "success" not in values
+        values["evaluate_every"] = EVALUATE_DRAWN_EVERY if of_drawn else EVALUATE_EVERY
     values["history"] = config.history
     if config.history is None:
         values["history"] = preset.history if same is None else history_length(same)

@@ -19,7 +19,9 @@ from inclined_landing.envs.tasks import setpoint, task_class, touchdown
 from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, LandingConditions
 from inclined_landing.models.errors import UserError, shown
 
-SETTLING = 400_000  # environment steps
+# Environment steps over which the learning rate falls in a run ended by success: usually, and on drawn
+# vehicles in the plane; and its share from then on.
+SETTLING, SETTLED = (400_000, 250_000), 0.1
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
@@ -35,15 +37,6 @@ PARTS = {
 RISING = "paper"  # how the paper's discount is called
 
 
-def settling(steps: int) -> float:
-    """Return the share of the learning rate `steps` after the task was complete, in a run ended by success.
-
-    It falls linearly, because policies that learn at full rate to the end are brittle, and stays at a tenth,
-    because the end is not known beforehand.
-    """
-    return max(0.1, 1.0 - steps / SETTLING)
-
-
 def rising_gamma(steps: int) -> float:
     """Return the paper's discount after `steps` environment steps: from 0.97 to 0.99 over 800 000."""
     return 0.97 + 0.02 * min(1.0, steps / 800_000)
@@ -55,13 +48,18 @@ def initial_gamma(gamma: float | str) -> float:
 
 
 class Curriculum:
-    """No curriculum: the task itself, constant discount, learning rate linear to zero (or `settling`).
+    """No curriculum: the task itself, constant discount, learning rate linear to zero.
+
+    In a run ended by success it falls linearly within `settling` steps after the task was complete, because
+    policies that learn at full rate to the end are brittle, and stays at SETTLED, because the end is not
+    known beforehand.
 
     Other curricula override this; `stage` returns the conditions of the moment.
     """
 
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
+    settling = SETTLING[0]
     kept: tuple[str, ...] = ()  # attributes that `state` has
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
@@ -115,7 +113,13 @@ class Curriculum:
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         """Return the share of the initial learning rate at `steps` of `total`; None: until success."""
-        return settling(steps) if total is None else max(0.0, 1.0 - steps / total)
+        if total is None:
+            return max(SETTLED, 1.0 - steps / self.settling)
+        return max(0.0, 1.0 - steps / total)
+
+    def settled(self, steps: int) -> bool:
+        """Return whether the learning rate of a run ended by success has fallen to SETTLED."""
+        return self.learning_rate_share(steps, None) <= SETTLED
 
     def skip(self) -> None:
         """Start at the end of a curriculum that follows success, because the policy has learned the task."""
@@ -155,7 +159,7 @@ class AdaptiveCurriculum(Curriculum):
     it, l goes back by `back`, as far as it takes: a policy that has learned to keep away from the platform
     has to meet the goal without one again. Episodes solved within two steps do not count. The learning rate
     stays constant until success at l = 1 exceeds the gate and then falls linearly to zero at the end of the
-    run (or is `settling`).
+    run (or to SETTLED).
     """
 
     name = "adaptive"
@@ -221,7 +225,7 @@ class AdaptiveCurriculum(Curriculum):
         if self.full_at is None:
             return 1.0
         if total is None:
-            return settling(steps - self.full_at)
+            return super().learning_rate_share(steps - self.full_at, None)
         if total <= self.full_at:
             return 1.0
         return max(0.0, (total - steps) / (total - self.full_at))
@@ -300,6 +304,9 @@ class PaperCurriculum(Curriculum):
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         return 1.0
+
+    def settled(self, steps: int) -> bool:
+        return True
 
     def log(self) -> dict[str, float]:
         return super().log() | _shown(self.conditions())
@@ -389,7 +396,7 @@ def make_curriculum(
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
     if isinstance(curriculum, AdaptiveCurriculum) and drawn:
-        curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
+        curriculum.gate, curriculum.floor, curriculum.settling = GATE[1], FLOOR[1], SETTLING[1]
     if without:
         curriculum.leave_out([part.strip() for part in without.split(",")])
     return curriculum

@@ -27,7 +27,7 @@ from inclined_landing.train.fast.ppo import FastPPO
 # copies; a vehicle with engine and records.
 _SAMPLE, _PAST, _VEHICLE = 100, 80, 20_000
 _EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
-_FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "log_std_init")
+_FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda", "log_std_init")
 
 
 def check_memory(config: TrainConfig) -> None:

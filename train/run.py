@@ -223,8 +223,11 @@ class Run:
             model.logger.close()
 
     def _evaluate_or_end(self, iteration: int) -> None:
-        if self.config.success is not None and self.curriculum.level < COMPLETE:
-            return  # policies that have not seen the whole task fail at it, at length
+        if self.config.success is not None:
+            if self.curriculum.level < COMPLETE:
+                return  # policies that have not seen the whole task fail at it, at length
+            if self.config.randomise is not None and not self.curriculum.settled(self.model.num_timesteps):
+                return  # the share of drawn vehicles still rises
         self.evaluate()
         if self.reached():
             raise _Reached

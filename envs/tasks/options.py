@@ -98,5 +98,7 @@ class Training(Record):
     """Initial; the curriculum says when it falls."""
     gamma: Annotated[float, Meta(gt=0, lt=1)] | str = 0.99
     """Discount, or "paper": from 0.97 to 0.99 over 800 000 steps."""
+    gae_lambda: Share = 0.95
+    """Lambda of the generalised advantage estimate."""
     log_std_init: Annotated[float, Meta(ge=-10, le=2)] = -0.4
     """Logarithm of the initial exploration noise."""

@@ -11,7 +11,6 @@ from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.errors import UserError
 from inclined_landing.train.curriculum import (
     PARTS,
-    SETTLING,
     AdaptiveCurriculum,
     Curriculum,
     PaperCurriculum,
@@ -144,9 +143,10 @@ def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
     for _ in range(2):  # to full difficulty, and success there
         episodes(c, 60)
         c.advance(100_000)
-    shares = [c.learning_rate_share(100_000 + k * SETTLING, None) for k in (0, 0.5, 1, 10)]
+    shares = [c.learning_rate_share(100_000 + k * c.settling, None) for k in (0, 0.5, 1, 10)]
     assert shares == pytest.approx([1.0, 0.5, 0.1, 0.1])
-    assert Curriculum(0.97).learning_rate_share(SETTLING // 2, None) == pytest.approx(0.5)
+    assert [c.settled(100_000 + steps) for steps in (0, c.settling // 2, c.settling)] == [False, False, True]
+    assert Curriculum(0.97).learning_rate_share(c.settling // 2, None) == pytest.approx(0.5)
 
 
 # --- paper -------------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def test_the_fixed_schedule_has_the_adaptive_levels_by_steps_alone():
     assert c.learning_rate_share(10**6, None) == 1.0  # as nothing has succeeded at the task
     episodes(c, 60)
     c.advance(2 * c.RAMP)
-    assert c.learning_rate_share(2 * c.RAMP + SETTLING, None) == 0.1
+    assert c.learning_rate_share(2 * c.RAMP + c.settling, None) == 0.1
 
 
 # --- all ---------------------------------------------------------------------------------------------
