@@ -12,8 +12,9 @@ The options are in `gym_env.py`. Public: `make_for` (a policy with its environme
 and `import_task`, `load_policy`, `save_policy`, `record_flights`.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from inclined_landing.models.imports import at_first_use
 
 if TYPE_CHECKING:
     from inclined_landing.envs.batch import BatchEnv
@@ -36,7 +37,7 @@ __all__ = [
     "save_policy",
 ]
 
-_AT_FIRST_USE = {  # what takes time to import, or is not installed with the environments alone
+_MODULES = {  # what takes time to import, or is not installed with the environments alone
     "BatchEnv": "batch",
     "BatchVecEnv": "sb3",
     "Task": "tasks",
@@ -48,9 +49,4 @@ _AT_FIRST_USE = {  # what takes time to import, or is not installed with the env
     "record_flights": "flights",
     "save_policy": "sb3",
 }
-
-
-def __getattr__(name: str):
-    if name not in _AT_FIRST_USE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_AT_FIRST_USE[name]}"), name)
+__getattr__ = at_first_use(__name__, _MODULES)

@@ -69,20 +69,6 @@ def check_friction(friction) -> np.ndarray:
     return _within(friction, 0.0, MOST_FRICTION, "friction")
 
 
-def check_solref(value) -> np.ndarray:
-    """Return solref (..., 2) if it is in one of MuJoCo's two formats, else raise UserError."""
-    value = np.asarray(value, float)
-    if value.shape[-1:] != (2,):
-        raise UserError(f"solref is two numbers, (time constant, damping ratio), not of shape {value.shape}")
-    standard = (value > 0).all(axis=-1)
-    direct = (value[..., 0] < 0) & (value[..., 1] <= 0)
-    if not (np.isfinite(value).all() and (standard | direct).all()):
-        raise UserError(
-            "solref must be (time constant, damping ratio), both positive, or (-stiffness, -damping)"
-        )
-    return value
-
-
 def check_foot_height(height, nominal: float) -> np.ndarray:
     """Return the feet's reach below the centre of mass [m] as an array, else raise UserError.
 

@@ -1,4 +1,4 @@
-"""Import hooks for installations that lack what other packages need.
+"""Imports at first use, and import hooks for installations that lack what other packages need.
 
 MuJoCo continues without an OpenGL that does not load, and numba caches compiled functions in the temporary
 folder if neither the package nor the home folder can be written. Neither is imported here.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import functools
+import importlib
 import importlib.util
 import os
 import shutil
@@ -22,6 +23,20 @@ from typing import Any
 from inclined_landing.models.errors import UserError
 
 Execute = Callable[[ModuleType], None]
+
+
+def at_first_use(package: str, modules: dict[str, str]) -> Callable[[str], Any]:
+    """Return the `__getattr__` of a package whose names are imported when they are asked for.
+
+    modules: the module in the package of each name.
+    """
+
+    def find(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(f"{package}.{modules[name]}"), name)
+
+    return find
 
 
 def around_import(name: str, around: Callable[[Execute, ModuleType], None]) -> None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from inclined_landing.models import contact
+import numpy as np
+
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
@@ -137,10 +138,24 @@ def _arena(v: Vehicle) -> Iterator[str]:
             yield f"arena.{axis} must be increasing, not {low:g} to {high:g} m"
 
 
+def check_solref(value) -> np.ndarray:
+    """Return solref (..., 2) if it is in one of MuJoCo's two formats, else raise UserError."""
+    value = np.asarray(value, float)
+    if value.shape[-1:] != (2,):
+        raise UserError(f"solref is two numbers, (time constant, damping ratio), not of shape {value.shape}")
+    standard = (value > 0).all(axis=-1)
+    direct = (value[..., 0] < 0) & (value[..., 1] <= 0)
+    if not (np.isfinite(value).all() and (standard | direct).all()):
+        raise UserError(
+            "solref must be (time constant, damping ratio), both positive, or (-stiffness, -damping)"
+        )
+    return value
+
+
 def _contact(v: Vehicle) -> Iterator[str]:
     first, second = v.contact_solref
     try:
-        contact.check_solref(v.contact_solref)
+        check_solref(v.contact_solref)
     except UserError as error:
         yield f"contact.{error}, not ({first:g}, {second:g})"
         return

@@ -5,7 +5,7 @@ Public, for custom training with Stable-Baselines3 (examples/): `ppo_kwargs`, `s
 calls.
 """
 
-from importlib import import_module
+from inclined_landing.models.imports import at_first_use
 
 __all__ = [
     "AdaptiveCurriculum",
@@ -17,7 +17,7 @@ __all__ = [
     "train",
 ]
 
-_AT_FIRST_USE = {  # torch takes seconds to import
+_MODULES = {  # torch takes seconds to import
     "AdaptiveCurriculum": "curriculum",
     "CurriculumCallback": "callbacks",
     "FastPPO": "fast.ppo",
@@ -26,9 +26,4 @@ _AT_FIRST_USE = {  # torch takes seconds to import
     "scaled_observation": "ppo",
     "train": "run",
 }
-
-
-def __getattr__(name: str):
-    if name not in _AT_FIRST_USE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_AT_FIRST_USE[name]}"), name)
+__getattr__ = at_first_use(__name__, _MODULES)

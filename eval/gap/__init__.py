@@ -4,8 +4,16 @@
 shows the gap before and after.
 """
 
-from inclined_landing.eval.gap.answer.rollout import measure_gap
-from inclined_landing.eval.gap.pipeline import diagnose
-from inclined_landing.eval.gap.result import Diagnosis
+from typing import TYPE_CHECKING
+
+from inclined_landing.models.imports import at_first_use
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.gap.answer.rollout import measure_gap
+    from inclined_landing.eval.gap.pipeline import diagnose
+    from inclined_landing.eval.gap.result import Diagnosis
 
 __all__ = ["Diagnosis", "diagnose", "measure_gap"]
+
+_MODULES = {"Diagnosis": "result", "diagnose": "pipeline", "measure_gap": "answer.rollout"}
+__getattr__ = at_first_use(__name__, _MODULES)

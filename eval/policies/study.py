@@ -22,9 +22,7 @@ from rich.progress import Progress
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.shared.tables import count_words, printer
 from inclined_landing.eval.base.claims import Section, show_sections
-from inclined_landing.eval.base.page import embedded, png, render
-from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.policies.tables import Panel, Row, draw_panels, outcomes_table
+from inclined_landing.eval.policies.tables import Panel, Row, outcomes_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 
@@ -136,6 +134,11 @@ class Study:
 
 def write_studies(folder: Path, studies: Sequence[Study]) -> None:
     """Write numbers, flights, figures and one page of all studies into a folder."""
+    # Here, because most commands that fly policies draw nothing.
+    from inclined_landing.eval.base.page import embedded, png, render
+    from inclined_landing.eval.base.style import save_figure
+    from inclined_landing.eval.policies.panels import draw_panels
+
     images = {}
     for study in studies:
         storage.write_json(folder / f"{study.name}.json", study.report)

@@ -34,7 +34,7 @@ from inclined_landing.models.plants.contacts import contact_sensors, read_contac
 from inclined_landing.models.plants.engine import Engine, differing_fields, held_histories
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plants.slung_load import load_joint, read_loads, write_loads
-from inclined_landing.models.plausible import ENGINE_STEP
+from inclined_landing.models.plausible import ENGINE_STEP, check_solref
 from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
@@ -209,7 +209,7 @@ class MujocoPlant(Plant):
                 raise UserError("give either restitution and contact time, or solref")
             solref = contact.solref(restitution, contact_time, self.vehicle.environment_gravity)
         if solref is not None:
-            rows[..., 1:3] = contact.check_solref(solref)
+            rows[..., 1:3] = check_solref(solref)
         if foot_height is not None:
             rows[..., 3] = contact.check_foot_height(foot_height, self.foot_height)
         self._contact[ids] = rows

@@ -11,6 +11,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.statistics import proportion, spread
 from inclined_landing.eval import cli
 from inclined_landing.eval.policies import changes, study, tables
+from inclined_landing.eval.policies.panels import draw_panels
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
@@ -133,7 +134,7 @@ def test_figures_show_every_number():
     lines = {"a": {0.9: proportion(9, 10), 1.0: proportion(10, 10)}, "b": {}}
     rows = {"a": {"wind": proportion(1, 2)}, "b": {"mass": proportion(2, 2)}}
     panels = [tables.Panel("Over thrust", lines, "thrust [1]"), tables.Panel("Effects", rows)]
-    left, right = tables.draw_panels(panels, "strict success").axes
+    left, right = draw_panels(panels, "strict success").axes
     (line,) = [line for line in left.lines if line.get_gid() == "share"]
     np.testing.assert_allclose(line.get_xydata(), [[0.9, 90], [1.0, 100]])
     assert [text.get_text() for text in right.get_yticklabels()] == ["wind", "mass"]
