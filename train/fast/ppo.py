@@ -251,7 +251,7 @@ class FastPPO(PPO):
 
     def _evaluate(self, critic: _FlatNetwork, observations: np.ndarray, values: np.ndarray) -> None:
         """Write the critic's values (n,) of observations (n, o)."""
-        scaling = self._scaling()
+        scaling, observations = self._scaling(), np.ascontiguousarray(observations)
         middle = len(values) // (2 * layers.BLOCK) * layers.BLOCK
 
         def part(k: int) -> None:
