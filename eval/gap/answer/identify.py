@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy.special import stdtrit  # quantiles of Student's t
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
@@ -351,7 +351,7 @@ def _fits(
 
 def _half_width(problem: Problem, known: ParameterEstimate) -> float:
     """Return the half-width of a 95 % interval."""
-    return float(stdtrit(max(1, problem.groups - 1), 0.975)) * known.error
+    return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
 
 
 def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tuple[Identified, ...]:

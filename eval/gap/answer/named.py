@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.special import stdtrit  # quantiles of Student's t
+from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
@@ -237,7 +237,7 @@ def _estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estim
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     problem = found.problem
     sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
-    quantile = stdtrit(max(1, problem.groups - 1), 0.975)
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
@@ -282,7 +282,7 @@ def _product(found: SetPosterior, values: Values, name: str) -> tuple[float, tup
 
     here, step = made(at), 0.1 * np.sqrt(covariance.diagonal())
     slope = np.array([(made(at + move) - here) / x for move, x in zip(np.diag(step), step)])
-    half = float(stdtrit(max(1, problem.groups - 1), 0.975) * np.sqrt(slope @ covariance @ slope))
+    half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
     return here, (max(0.0, here - half), here + half)
 
 

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numba
 import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
 
-from inclined_landing.eval.base.smoothing import smoothed, weights
 from inclined_landing.eval.gap.flights.windows import (
     SMOOTHING,
     MeasuredFlight,
@@ -136,10 +136,10 @@ def _smoothed_states(flight: MeasuredFlight) -> np.ndarray:
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
-    state[:, :3] = smoothed(flight.position, wide, 2)
+    state[:, :3] = savgol_filter(flight.position, wide, 2, axis=0)
     state[:, VX : VX + 3] = flight.velocity
-    state[:, ROLL : ROLL + 3] = smoothed(flight.attitude, narrow, 2)
-    rates = smoothed(flight.attitude, narrow, 2, 1, dt)
+    state[:, ROLL : ROLL + 3] = savgol_filter(flight.attitude, narrow, 2, axis=0)
+    rates = savgol_filter(flight.attitude, narrow, 2, deriv=1, delta=dt, axis=0)
     _turning(state, rates)
     return state
 
@@ -159,7 +159,7 @@ def start_state_noise(flight: MeasuredFlight) -> np.ndarray:
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     factor = [
-        np.linalg.norm(weights(n, 2, n // 2, d, dt))
+        np.linalg.norm(savgol_coeffs(n, 2, deriv=d, delta=dt))
         for n, d in ((wide, 0), (wide, 1), (narrow, 0), (narrow, 1))
     ]
     p, a = flight.noise[:3], flight.noise[3:6]

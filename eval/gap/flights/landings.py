@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import savgol_coeffs
 
-from inclined_landing.eval.base.smoothing import weights
 from inclined_landing.eval.gap.flights.windows import measurement_noise
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, WX, body_rates
@@ -120,9 +120,9 @@ def _landing(
     length -= 1 - length % 2
     window = pose[first + ahead - length + 1 : first + ahead + 1]
     place = length - 1 - ahead
-    of_rows = [weights(length, 2, place, d, dt) for d in (0, 1)]
-    value, rate = (w @ window for w in of_rows)
-    gain = [np.linalg.norm(w) for w in of_rows]
+    weights = [savgol_coeffs(length, 2, deriv=d, delta=dt, pos=place, use="dot") for d in (0, 1)]
+    value, rate = (w @ window for w in weights)
+    gain = [np.linalg.norm(w) for w in weights]
     start = np.zeros(STATE_SIZE)
     start[:3], start[VX : VX + 3] = value[:3], rate[:3]
     start[ROLL : ROLL + 3] = value[3:]

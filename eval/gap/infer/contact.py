@@ -18,7 +18,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.special import chdtrc, logsumexp
+from scipy import stats
+from scipy.special import logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
@@ -261,10 +262,10 @@ class _ContactModel:
 
     def _log_prior(self, sizes: np.ndarray, j: int, width: float) -> np.ndarray:
         """Return the log prior (m,) of effect j at sizes (m,): its spike, or its slab with a wide tail."""
-        normal = _log_normal(sizes, width)
+        normal = stats.norm.logpdf(sizes, scale=width)
         if width != self.slab[j]:
             return normal
-        wide = _log_normal(sizes, TAIL[1] * width)
+        wide = stats.norm.logpdf(sizes, scale=TAIL[1] * width)
         return np.logaddexp(math.log1p(-TAIL[0]) + normal, math.log(TAIL[0]) + wide)
 
     def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
@@ -369,11 +370,6 @@ class _ContactModel:
         return errors[0] - self.slopes @ small
 
 
-def _log_normal(sizes: np.ndarray, deviation: float) -> np.ndarray:
-    """Return the log density of a normal distribution around 0 at sizes (m,)."""
-    return -0.5 * (sizes / deviation) ** 2 - math.log(deviation) - 0.5 * math.log(2.0 * math.pi)
-
-
 def _subdivided(sizes: np.ndarray, parts: int) -> np.ndarray:
     """Return a grid (m,) with every interval of `sizes` divided into `parts`."""
     inner = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(sizes)]
@@ -429,5 +425,5 @@ def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, i
         a = np.einsum("ic,icqp,icqs->cps", weight[own], slopes, slopes)
         h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, residual[own])
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
-        values.append(chdtrc(COMMON_MODES, squares))
+        values.append(stats.chi2.sf(squares, COMMON_MODES))
     return float(min(1.0, np.min(values) * np.size(values)))

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, confounding
@@ -134,8 +134,9 @@ class _GroupContrast:
     def p_value(self, members: np.ndarray) -> np.ndarray:
         """Return the p-values (s,) of groups (s, n) by an F test: F = (gain / d) / mean square."""
         d = len(self.known)
-        ratio = self.difference(members)[0] / d / self.mean_square(members)
-        return special.fdtrc(d, self.degrees_of_freedom, np.maximum(0.0, ratio))
+        return stats.f.sf(
+            self.difference(members)[0] / d / self.mean_square(members), d, self.degrees_of_freedom
+        )
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -236,7 +237,7 @@ def _described_split(
     differences, at = [], 0
     for name in chosen:
         one, own = _conditional_test(table, split, [], name), slice(at, at := at + len(table.own[name]))
-        times = special.stdtrit(one.degrees_of_freedom, 0.975) * math.sqrt(one.mean_square)
+        times = stats.t.ppf(0.975, one.degrees_of_freedom) * math.sqrt(one.mean_square)
         differences.append(_difference(problem, name, confounded[name], size[own], times * half[own], values))
     names = [f.name for f in problem.flights]
     return InconsistentFlights(
@@ -279,7 +280,7 @@ def _conditional_test(
         gain = max(0.0, float(more - less))
         share = float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
     mean_square, d = float(part.mean_square(members)[0]), len(own)
-    p_value = float(special.fdtrc(d, part.degrees_of_freedom, gain / d / mean_square))
+    p_value = float(stats.f.sf(gain / d / mean_square, d, part.degrees_of_freedom))
     # Variance unknown (Student t):  log L = (nu + d) / 2 log(1 + gain / (nu s^2))
     nu = part.degrees_of_freedom
     likelihood = 0.5 * (nu + d) * math.log1p(gain / mean_square / nu)

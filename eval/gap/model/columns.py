@@ -13,8 +13,8 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
-import numba
 import numpy as np
+from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.models.attitude import LAG, STATE_SIZE
@@ -289,23 +289,12 @@ def _moved(second: np.ndarray, what: str, flight: MeasuredFlight) -> np.ndarray:
     return np.vstack([np.zeros((2, 3)), np.cumsum(np.cumsum(bent, axis=0), axis=0)])
 
 
-@numba.njit(cache=True)
-def first_order_lag(values, keep):
-    """Return values (n,) through a first-order lag from 0, of which the share `keep` is left after a row."""
-    # y_k = keep y_k-1 + (1 - keep) x_k
-    out, y = np.empty(len(values)), 0.0
-    for k in range(len(values)):
-        y = keep * y + (1.0 - keep) * values[k]
-        out[k] = y
-    return out
-
-
 def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
     """Return the quantity (m,) of order one that a model error is proportional to."""
     if what == "load":
         pwm = flight.command[:, 0]
         share = np.exp(-flight.dt / _MOTOR)
-        lagged = first_order_lag(pwm - pwm[0], share) + pwm[0]
+        lagged = lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
         return (lagged / _HOVER - 1.0) / _LOAD
     if what == "speed":
         return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
-from inclined_landing.eval.gap.model.columns import first_order_lag
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
@@ -260,7 +260,7 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     steps = gaussian_filter1d(steps, SMOOTHING * RATE, mode="nearest")
     for lag in lags:
         keep = math.exp(-1.0 / (lag * RATE))
-        steps = first_order_lag(steps, keep)
+        steps = lfilter([1.0 - keep], [1.0, -keep], steps)
     return steps
 
 
