@@ -77,5 +77,5 @@ def test_a_folder_that_others_can_write_is_not_used(temporary, planted):
 
 def test_no_place_at_all_is_one_sentence(temporary, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", "/proc")
-    with pytest.raises(UserError, match="set NUMBA_CACHE_DIR to a folder that can"):
+    with pytest.raises(UserError, match="set NUMBA_CACHE_DIR to a writable folder"):
         imports.private_folder()
