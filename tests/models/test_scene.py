@@ -174,7 +174,7 @@ def test_what_is_drawn_changes_no_physics_of_a_moving_platform():
 @pytest.mark.parametrize("slope", [-50, -45, -20, 0, 10, 45, 50])
 @pytest.mark.parametrize("azimuth", [0.0, 0.8])
 def test_the_drawn_base_is_closed_at_every_pose(slope, azimuth):
-    """Without compiling anew: its upper corners are on the slab's underside, the lower below the floor."""
+    """Without recompiling: its upper corners are on the slab's underside, the lower below the floor."""
     model = build_spec(V).compile()
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, 200)
     bodies = [model.body(name).mocapid[0] for name in geometry.PLATFORM_BODIES]

@@ -431,7 +431,7 @@ def test_a_run_ends_at_two_good_evaluations_in_a_row(tmp_path, scores):
 
 def test_on_drawn_vehicles_a_run_ends_when_their_share_rises_no_more(tmp_path, monkeypatch):
     """With the vehicle of the model landed twice in a row; and it says the share."""
-    settled = iter([False, False] + 7 * [True])  # until then there is no evaluation
+    settled = iter([False, False] + 7 * [True])  # nothing is evaluated until then
     monkeypatch.setattr(Curriculum, "settled", lambda *_: next(settled))
     nominal = iter([1.0, 1.0, 0.98, 1.0, 1.0, 1.0, 1.0])
     drawn = iter(
