@@ -118,7 +118,7 @@ def _allowed(now, turns, rests, poles, limits, v):
     )
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, error_model="numpy")
 def fly(s, v, period, largest_angle, largest_rate):
     """Advance a STEP for which `only_loops` holds, its integrated vector and time, by `period` [s] if it may.
 

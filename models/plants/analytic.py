@@ -76,7 +76,7 @@ class AnalyticPlant(Plant):
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
-        commands = np.ascontiguousarray(commands, dtype=float)
+        commands = np.array(commands, float, order="C")  # writable: one compiled kernel for all callers
         dt = self.control_period / self.substeps
         if self.disturbance is not None:
             self.disturbance.push(self.state, self.attitude == "rate_loop")
