@@ -13,6 +13,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from operator import attrgetter
+from typing import NamedTuple
 
 import mujoco
 import mujoco.batch
@@ -21,6 +22,41 @@ import numpy as np
 _engines: weakref.WeakSet[Engine] = weakref.WeakSet()
 _forking = threading.Lock()
 _locked: list[Engine] = []  # during a fork
+
+
+class Columns(NamedTuple):
+    """Where in a row of `Engine.state` (n, s) its components begin, for kernels.
+
+    They take whole rows, because views of the columns have another layout where n is 1, for which everything
+    would be compiled once more.
+    """
+
+    time: int
+    qpos: int
+    qvel: int
+    act: int
+    history: int
+    warmstart: int
+    ctrl: int
+    mocap_pos: int
+    nv: int  # number of degrees of freedom, size of qvel and warmstart
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Columns:
+        """Columns of a model's simulations: components come in the order of their bits."""
+        bits = mujoco.mjtState
+        wanted = (
+            *(
+                bits.mjSTATE_TIME,
+                bits.mjSTATE_QPOS,
+                bits.mjSTATE_QVEL,
+                bits.mjSTATE_ACT,
+                bits.mjSTATE_HISTORY,
+            ),
+            *(bits.mjSTATE_WARMSTART, bits.mjSTATE_CTRL, bits.mjSTATE_MOCAP_POS),
+        )
+        before = [int(bits.mjSTATE_INTEGRATION) & (int(bit) - 1) for bit in wanted]
+        return cls(*(mujoco.mj_stateSize(model, mask) for mask in before), model.nv)
 
 
 class Engine(mujoco.batch.Batch):

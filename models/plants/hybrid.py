@@ -37,6 +37,7 @@ import numpy as np
 
 from inclined_landing.models import equations, forces, geometry, held, threads
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
+from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
 from inclined_landing.models.plants.slung_load import write_load
@@ -81,20 +82,14 @@ class _Platforms(NamedTuple):
 
     platform: np.ndarray  # (n, 12)
     present: np.ndarray  # (n,) bool
-    position: np.ndarray  # (n, b, 3) m, of the engine's mocap bodies
-    bodies: np.ndarray  # (4,) which of them are geometry.PLATFORM_BODIES
+    bodies: np.ndarray  # (4,) which of the engine's mocap bodies are geometry.PLATFORM_BODIES
 
 
 class _Engine(NamedTuple):
-    """Arrays of the engine that a control period changes."""
+    """The engine."""
 
-    qpos: np.ndarray  # (n, nq)
-    qvel: np.ndarray  # (n, nv)
-    act: np.ndarray  # (n, 3) lag, integrals of roll and pitch
-    ctrl: np.ndarray  # (n, 4)
-    time: np.ndarray  # (n,)
-    warmstart: np.ndarray  # (n, nv)
-    history: np.ndarray  # (n, h)
+    state: np.ndarray  # (n, s), which a control period changes
+    at: Columns
     samples: np.ndarray  # (actuators,) length of each one's history
     addresses: np.ndarray  # (actuators,) where it begins
     load_joint: np.ndarray  # (2,) of `slung_load.load_joint`
@@ -139,15 +134,9 @@ class HybridPlant(MujocoPlant):
 
     def _bind(self, batch):
         super()._bind(batch)
-        self._engine = _Engine(
-            *(self._qpos, self._qvel, self._act, self._ctrl, self._time, self._warmstart),
-            # Without one, which no actuator has then: memory of its layout, for one compiled kernel.
-            np.empty((self.n, 2))[:, :1] if self._history is None else self._history,
-            self.model.actuator_history[:, 0],
-            self.model.actuator_historyadr,
-            self._load_joint,
-        )
-        self._platforms = _Platforms(self.platform, self.present, self._mocap_pos, self._mocap)
+        histories = self.model.actuator_history[:, 0], self.model.actuator_historyadr
+        self._engine = _Engine(batch.state, self._columns, *histories, self._load_joint)
+        self._platforms = _Platforms(self.platform, self.present, self._mocap)
 
     def advance(self, commands, ids=None, record=()):
         """`step` without its check, for the vehicles `ids` (k,) alone; see `MujocoPlant.advance`."""
@@ -205,18 +194,16 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
     which had no contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    speeds, steps, length = (
-        period.platform_speeds,
-        np.zeros(1, equations.STEP),
-        vehicles.substeps * vehicles.timestep,
-    )
-    moving, rates, integral = len(speeds.most) > 0, np.empty(6), engine.act[:, 1:]
+    speeds, steps, length = period.platform_speeds, np.zeros(1, equations.STEP), substeps * dt
+    at, moving, rates = engine.at, len(speeds.most) > 0, np.empty(6)
+    integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
     for row in range(first, last):
         i = ids[row]
-        present = platforms.present[i]
+        present, flown = platforms.present[i], engine.state[i]
+        time = flown[at.time]
         v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
         s = steps[0]
         y, u, ambient = s.y, s.command, s.ambient
@@ -226,18 +213,18 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             s.torque_limits[k] = v.attitude.yaw_torque_limit if k == 2 else v.attitude.torque_limit
             if not vehicles.torque_limited:
                 s.torque_limits[k] = math.inf
-            elif period.torque_needs_motors and not engine.ctrl[i, PWM] > 0.0:
+            elif period.torque_needs_motors and not flown[at.ctrl + PWM] > 0.0:
                 s.torque_limits[k] = 0.0
         for b in range(len(poses)):
             for k in range(3):
-                poses[b, k] = platforms.position[i, platforms.bodies[b], k]
+                poses[b, k] = flown[at.mocap_pos + 3 * platforms.bodies[b] + k]
         approach, known = 0.0, True  # m that the slab can have come nearer in a time step; is it the least
         if moving:
             poses[0, X], poses[0, Y], poses[0, Z] = platform[i, X], platform[i, Y], platform[i, Z]
             if not present:
                 poses[0, Z] = geometry.PARKED
             approach, known = dt * speeds.most[i], False
-        ambient[forces.TIME], ambient[forces.VOLTAGE] = engine.time[i], math.nan
+        ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
         lowered = max(0.0, vehicles.contact[i, 3] - vehicles.foot_height - v.effects.foot_height)
@@ -258,7 +245,7 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
                     step = substeps
                 else:
                     equations.pack_state(state, i, y)
-                    ambient[forces.TIME] = engine.time[i]
+                    ambient[forces.TIME] = time
         while out_of_reach and step < substeps:
             if step == 0 or not constant:
                 _take_command(u, period.commands, step, i, vehicles.command_range)
@@ -268,14 +255,14 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             vx, vy, vz = y[VX], y[VY], y[VZ]
             before = dt * _size(vx, vy, vz)
             if not known and _spare(clear, step, approach) <= before:
-                approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
+                approach, known = dt * fastest(i, time, present, speeds, rates), True
             if not (_spare(clear, step, approach) > before and _as_exact(y, dt)):
                 break
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
             moved = _moved(vx, vy, vz, y, dt)
             if not known and _spare(clear, step, approach) <= moved:
-                approach, known = dt * fastest(i, engine.time[i], present, speeds, rates), True
+                approach, known = dt * fastest(i, time, present, speeds, rates), True
             if not _spare(clear, step, approach) > moved:
                 break
             step += 1
@@ -293,9 +280,9 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             for part in range(3):
                 results.near[i, surface, part] = results.touch[i, surface, part] = False
                 results.force[i, surface, part] = 0.0
-        _write(i, state, substeps, dt, engine)
+        _write(flown, state[i], substeps, dt, engine)
         if len(results.load) > 0:
-            write_load(results.load[i], engine.load_joint, engine.qpos[i], engine.qvel[i])
+            write_load(results.load[i], engine.load_joint, flown, at)
     return count
 
 
@@ -336,36 +323,35 @@ def _spare(clear, step, approach):
 
 
 @numba.njit(cache=True, inline="always")
-def _write(i, state, substeps, dt, engine):
-    """Write vehicle i as in state (n, 13), after some time steps of `dt` [s], into the engine's arrays."""
-    qpos, qvel = engine.qpos, engine.qvel
+def _write(row, state, substeps, dt, engine):
+    """Write a vehicle's state (13,), after some time steps of `dt` [s], into its row (s,) of the engine."""
+    at = engine.at
     for k in range(3):
-        qpos[i, k], qvel[i, k], qvel[i, 3 + k] = state[i, k], state[i, VX + k], state[i, WX + k]
-    w, x, y, z = quaternion(state[i, ROLL], state[i, PITCH], state[i, YAW])
-    qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = w, x, y, z
-    engine.act[i, 0] = state[i, LAG]
+        row[at.qpos + k], row[at.qvel + k], row[at.qvel + 3 + k] = state[k], state[VX + k], state[WX + k]
+    w, x, y, z = quaternion(state[ROLL], state[PITCH], state[YAW])
+    row[at.qpos + 3], row[at.qpos + 4], row[at.qpos + 5], row[at.qpos + 6] = w, x, y, z
+    row[at.act] = state[LAG]
     for _ in range(substeps):
         for k in range(len(engine.samples)):
-            _note(
-                i, engine.history, engine.samples[k], engine.addresses[k], engine.ctrl[i, k], engine.time[i]
-            )
-        engine.time[i] += dt
-    for k in range(engine.warmstart.shape[1]):
-        engine.warmstart[i, k] = 0.0
+            begin = at.history + engine.addresses[k]
+            _note(row, begin, engine.samples[k], row[at.ctrl + k], row[at.time])
+        row[at.time] += dt
+    for k in range(at.nv):
+        row[at.warmstart + k] = 0.0
 
 
 @numba.njit(cache=True, inline="always")
-def _note(i, history, count, at, command, time):
-    """Write the command of an actuator at a time [s] into row i of the engine's history (n, h).
+def _note(row, begin, count, command, time):
+    """Write the command of an actuator at a time [s] into its history, which begins there in the row.
 
-    Its layout from the actuator's address `at` on: a user's number, index of the newest sample, times, values
-    of `count` samples; none where it has no delay.
+    Its layout: a user's number, index of the newest sample, times, values of `count` samples; none where it
+    has no delay.
     """
     if count > 0:
-        newest = (int(history[i, at + 1]) + 1) % count
-        history[i, at + 1] = newest
-        history[i, at + 2 + newest] = time
-        history[i, at + 2 + count + newest] = command
+        newest = (int(row[begin + 1]) + 1) % count
+        row[begin + 1] = newest
+        row[begin + 2 + newest] = time
+        row[begin + 2 + count + newest] = command
 
 
 @numba.njit(cache=True, inline="always")

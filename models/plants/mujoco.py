@@ -31,7 +31,7 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
 from inclined_landing.models.plants.contacts import contact_sensors, read_contacts
-from inclined_landing.models.plants.engine import Engine, differing_fields, held_histories
+from inclined_landing.models.plants.engine import Columns, Engine, differing_fields, held_histories
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plants.slung_load import load_joint, read_loads, write_loads
 from inclined_landing.models.plausible import ENGINE_STEP, check_solref
@@ -137,9 +137,9 @@ class MujocoPlant(Plant):
     def _bind(self, batch: Engine) -> None:
         """Take an engine, and the arrays of it that the plant reads and writes."""
         self._batch, bind = batch, batch.bind
-        self._qpos, self._qvel, self._act = bind("qpos"), bind("qvel"), bind("act")
+        self._columns = Columns.of(self.model)
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
-        self.integral = self._act[:, 1:]
+        self.integral = bind("act")[:, 1:]
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._warning = batch.warning
         self._history = bind("history") if self.model.nhistory else None
@@ -265,7 +265,7 @@ class MujocoPlant(Plant):
         if ids.dtype == bool:
             ids = np.flatnonzero(ids)
         state = np.ascontiguousarray(state, dtype=float)
-        _write_state(ids, state, self._qpos, self._qvel, self._act)
+        _write_state(ids, state, self.batch.state, self._columns)
         self._ctrl[ids] = 0.0
         self._warmstart[ids] = 0.0
         self._time[ids] = 0.0
@@ -282,7 +282,7 @@ class MujocoPlant(Plant):
     def _write_loads(self, ids) -> None:
         """Write `load` of the vehicles `ids` into the engine's joints, next to their attitudes and rates."""
         if len(self.load):
-            write_loads(ids, self.load, self._load_joint, self._qpos, self._qvel)
+            write_loads(ids, self.load, self._load_joint, self.batch.state, self._columns)
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
         """Advance every vehicle by one control period under commands (n, 4).
@@ -348,9 +348,8 @@ class MujocoPlant(Plant):
         wanted = self._ctrl
         if self.delays.of_commands:
             wanted = self.delays.acting(0.0, self.control_period / self.substeps)
-        _synchronise_rates(
-            self._qpos, self._qvel, wanted, self._constants, self.perturbation, kept, self.integral
-        )
+        rows = self.batch.state, self._columns
+        _synchronise_rates(*rows, wanted, self._constants, self.perturbation, kept)
         self._write_loads(self._everyone[ids])  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -366,9 +365,9 @@ class MujocoPlant(Plant):
             self.batch.rollout(self.substeps, record=("sensordata",), ids=ids, out=seen, **push)
         c, zone = self.contacts, self.keep_out > 0.0
         read_contacts(seen["sensordata"], stepped, self.contact_sensors, zone, c.near, c.touch, c.force)
-        _read_state(stepped, self._qpos, self._qvel, self._act, self.state)
+        _read_state(stepped, self.batch.state, self._columns, self.state)
         if len(self.load):
-            read_loads(stepped, self.load, self._load_joint, self._qpos, self._qvel)
+            read_loads(stepped, self.load, self._load_joint, self.batch.state, self._columns)
         return seen if record else {}
 
     def _disturb(self, disturbance: Disturbance, ids) -> np.ndarray:
@@ -428,35 +427,42 @@ def _diverged(warning, state):
 
 
 @numba.njit(cache=True)
-def _write_state(ids, state, qpos, qvel, act):
+def _write_state(ids, state, engine, at):
+    """Write states (k, 13) as those of the vehicles `ids` into the engine's rows (n, s); at: `Columns`."""
     for k in range(len(ids)):
-        i, s = ids[k], state[k]
+        row, s, qpos, qvel = engine[ids[k]], state[k], at.qpos, at.qvel
         for j in range(3):
-            qpos[i, j], qvel[i, j], qvel[i, 3 + j] = s[j], s[VX + j], s[WX + j]
-        qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6] = quaternion(s[ROLL], s[PITCH], s[YAW])
-        act[i, 0] = s[LAG]
+            row[qpos + j], row[qvel + j], row[qvel + 3 + j] = s[j], s[VX + j], s[WX + j]
+        w, x, y, z = quaternion(s[ROLL], s[PITCH], s[YAW])
+        row[qpos + 3], row[qpos + 4], row[qpos + 5], row[qpos + 6] = w, x, y, z
+        row[at.act] = s[LAG]
 
 
 @numba.njit(cache=True)
-def _read_state(ids, qpos, qvel, act, state):
+def _read_state(ids, engine, at, state):
+    """Write the states of the vehicles `ids` in the engine's rows (n, s) into state (n, 13)."""
     for i in ids:
-        q, s = qpos[i], state[i]
+        row, s, qpos, qvel = engine[i], state[i], at.qpos, at.qvel
         for j in range(3):
-            s[j], s[VX + j], s[WX + j] = q[j], qvel[i, j], qvel[i, 3 + j]
-        s[ROLL], s[PITCH], s[YAW] = euler_angles(q[3], q[4], q[5], q[6])
-        s[LAG] = act[i, 0]
+            s[j], s[VX + j], s[WX + j] = row[qpos + j], row[qvel + j], row[qvel + 3 + j]
+        q = row[qpos + 3 : qpos + 7]
+        s[ROLL], s[PITCH], s[YAW] = euler_angles(q[0], q[1], q[2], q[3])
+        s[LAG] = row[at.act]
 
 
 @numba.njit(cache=True)
-def _synchronise_rates(qpos, qvel, ctrl, vehicle, p, kept, integral):
-    for i in range(qpos.shape[0]):
+def _synchronise_rates(engine, at, commands, vehicle, p, kept):
+    """Write the body rates of the first-order loops under commands (n, 4) into the engine's rows (n, s)."""
+    for i in range(len(engine)):
         if kept[i]:
             continue
-        v = vehicle[i if len(vehicle) > 1 else 0]
-        roll, pitch, yaw = euler_angles(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
-        x, y, z = qvel[i, 0], qvel[i, 1], qvel[i, 2]
+        row, v = engine[i], vehicle[i if len(vehicle) > 1 else 0]
+        q = row[at.qpos + 3 : at.qpos + 7]
+        roll, pitch, yaw = euler_angles(q[0], q[1], q[2], q[3])
+        x, y, z = row[at.qvel], row[at.qvel + 1], row[at.qvel + 2]
         shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
-        errors = attitude_loops.angle_errors(shown[0], shown[1], ctrl[i], v, p[i])
-        rates = attitude_loops.loop_rates(errors, (integral[i, 0], integral[i, 1]), ctrl[i], v, p[i])
+        errors = attitude_loops.angle_errors(shown[0], shown[1], commands[i], v, p[i])
+        integrals = row[at.act + 1], row[at.act + 2]
+        rates = attitude_loops.loop_rates(errors, integrals, commands[i], v, p[i])
         a, b, d = attitude_loops.saturated(rates, v)
-        qvel[i, 3], qvel[i, 4], qvel[i, 5] = body_rates(roll, pitch, a, b, d)
+        row[at.qvel + 3], row[at.qvel + 4], row[at.qvel + 5] = body_rates(roll, pitch, a, b, d)

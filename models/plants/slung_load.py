@@ -14,16 +14,18 @@ def load_joint(model: mujoco.MjModel) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def write_load(load, joint, qpos, qvel):
-    """Write a slung load (6,), see `Plant.load`, into a vehicle's rows qpos and qvel; see `load_joint`.
+def write_load(load, joint, row, columns):
+    """Write a slung load (6,), see `Plant.load`, into a vehicle's row (s,) of the engine; see `load_joint`.
 
-    The joint has the load's attitude and rates in those of the vehicle. About the string it does not turn.
+    columns: `engine.Columns`. The joint has the load's attitude and rates in those of the vehicle. About the
+    string it does not turn.
     """
     q, w = np.array((load[0], load[1], load[2])), np.array((load[3], load[4], load[5]))
     # Shortest turn from straight down to q: (1 - q_z, (0, 0, -1) x q), normalised; upside down any half turn.
     turn = np.array((1.0 - q[2], q[1], -q[0], 0.0))
     size = math.sqrt((turn**2).sum())
     turn = turn / size if size > 1e-9 else np.array((0.0, 1.0, 0.0, 0.0))
+    qpos, qvel = row[columns.qpos :], row[columns.qvel :]
     # q_joint = conj(q_vehicle) q_load
     a, b, c, d = qpos[3], -qpos[4], -qpos[5], -qpos[6]
     at, dof = joint[0], joint[1]
@@ -52,20 +54,22 @@ def matrix(q):
 
 
 @numba.njit(cache=True)
-def write_loads(ids, load, joint, qpos, qvel):
+def write_loads(ids, load, joint, engine, columns):
+    """Write the slung loads (n, 6) of the vehicles `ids` into the engine's rows (n, s); see `write_load`."""
     for i in ids:
-        write_load(load[i], joint, qpos[i], qvel[i])
+        write_load(load[i], joint, engine[i], columns)
 
 
 @numba.njit(cache=True)
-def read_loads(ids, load, joint, qpos, qvel):
-    """Write the slung loads (n, 6) of the vehicles `ids` from the engine's arrays."""
+def read_loads(ids, load, joint, engine, columns):
+    """Write the slung loads (n, 6) of the vehicles `ids` from the engine's rows (n, s)."""
     for i in ids:
         at, dof = joint[0], joint[1]
-        turned = matrix(qpos[i, at : at + 4])
-        world = matrix(qpos[i, 3:7]) @ turned
+        qpos, qvel = engine[i, columns.qpos :], engine[i, columns.qvel :]
+        turned = matrix(qpos[at : at + 4])
+        world = matrix(qpos[3:7]) @ turned
         # q = -R_load e_z; q' = w x q with w = R_load (w_joint + R_joint' w_vehicle)
-        carried = turned.T @ np.array((qvel[i, 3], qvel[i, 4], qvel[i, 5]))
-        w = world @ np.array((qvel[i, dof], qvel[i, dof + 1], qvel[i, dof + 2])) + world @ carried
+        carried = turned.T @ np.array((qvel[3], qvel[4], qvel[5]))
+        w = world @ np.array((qvel[dof], qvel[dof + 1], qvel[dof + 2])) + world @ carried
         q = -world[:, 2]
         load[i, :3], load[i, 3:] = q, np.cross(w, q)
