@@ -56,7 +56,7 @@ class Columns(NamedTuple):
             *(bits.mjSTATE_WARMSTART, bits.mjSTATE_CTRL, bits.mjSTATE_MOCAP_POS),
         )
         before = [int(bits.mjSTATE_INTEGRATION) & (int(bit) - 1) for bit in wanted]
-        return cls(*(mujoco.mj_stateSize(model, mask) for mask in before), model.nv)
+        return cls._make([*(mujoco.mj_stateSize(model, mask) for mask in before), model.nv])
 
 
 class Engine(mujoco.batch.Batch):
