@@ -44,18 +44,8 @@ class Columns(NamedTuple):
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Columns:
         """Columns of a model's simulations: components come in the order of their bits."""
-        bits = mujoco.mjtState
-        wanted = (
-            *(
-                bits.mjSTATE_TIME,
-                bits.mjSTATE_QPOS,
-                bits.mjSTATE_QVEL,
-                bits.mjSTATE_ACT,
-                bits.mjSTATE_HISTORY,
-            ),
-            *(bits.mjSTATE_WARMSTART, bits.mjSTATE_CTRL, bits.mjSTATE_MOCAP_POS),
-        )
-        before = [int(bits.mjSTATE_INTEGRATION) & (int(bit) - 1) for bit in wanted]
+        bits = [int(getattr(mujoco.mjtState, f"mjSTATE_{name.upper()}")) for name in cls._fields[:-1]]
+        before = [int(mujoco.mjtState.mjSTATE_INTEGRATION) & (bit - 1) for bit in bits]
         return cls._make([*(mujoco.mj_stateSize(model, mask) for mask in before), model.nv])
 
 
