@@ -204,6 +204,21 @@ def platform_distance(x, y, z, turns, position, boxes, sizes):
     return nearest
 
 
+def platform_reach(vehicle: Vehicle) -> float:
+    """Return how far [m] slab and base reach beyond the vertical through their centre, and above that."""
+    return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness)
+
+
+@numba.njit(cache=True, inline="always")
+def least_distance(x, y, z, centre, reach):
+    """Return a lower bound of `platform_distance` [m] of a point, from the centre (3,) of the platform.
+
+    reach: from `platform_reach`.
+    """
+    dx, dy = x - centre[0], y - centre[1]
+    return max(z - centre[2], math.sqrt(dx * dx + dy * dy)) - reach
+
+
 @numba.njit(cache=True, error_model="numpy")
 def _clearances(state, inclination, azimuth, position, which, fleet, within, out):
     """Write the smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""

@@ -10,11 +10,12 @@ A vehicle is out of reach in a time step, or in a period that is flown at once, 
 shapes is farther from every surface than its centre can move in it, by `_MARGIN`; slab and base count with
 the keep-out zone. The engine sees contacts at the beginning of a time step and at the three other stages of
 RK4, whose positions are within one step of the speeds of that step: the speeds at its two ends, plus their
-difference for what the acceleration does between. A moving platform is taken where it was at the period's
-beginning, and nearer by what any of its points can have moved since: at a speed that its motion never exceeds
-(`Speeds.most`), or, where that is too near, at one that it does not exceed in this period (`fastest`). So no
-contact that the engine would see is missed, and contacts, forces and the zone are always the engine's own. In
-the engine a platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
+difference for what the acceleration does between. Over a moving platform all of this is seen along with it,
+at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
+points can stray from there since: at a speed that its motion never exceeds (`Moving.most`), or, where that is
+too near, at one that it does not exceed in this period (`strays`). So no contact that the engine would see is
+missed, and contacts, forces and the zone are always the engine's own. In the engine a platform is put where
+it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -39,7 +40,7 @@ from inclined_landing.models import equations, forces, geometry, held, threads
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
-from inclined_landing.models.plants.platforms import STILL, Speeds, fastest
+from inclined_landing.models.plants.platforms import STILL, Moving, follow, strays
 from inclined_landing.models.plants.slung_load import write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
@@ -58,7 +59,7 @@ class _Period(NamedTuple):
     commands: np.ndarray  # (substeps, n, 4) that act in each time step, or (1, n, 4) in all of them
     push: np.ndarray  # (n, 6) or STILL, see `equations.Conditions`
     torque_needs_motors: bool
-    platform_speeds: Speeds  # or STILL
+    moving: Moving  # platforms, or STILL
 
 
 class _Vehicles(NamedTuple):
@@ -83,6 +84,7 @@ class _Platforms(NamedTuple):
     platform: np.ndarray  # (n, 12)
     present: np.ndarray  # (n,) bool
     bodies: np.ndarray  # (4,) which of the engine's mocap bodies are geometry.PLATFORM_BODIES
+    reach: float  # m, from `geometry.platform_reach`
 
 
 class _Engine(NamedTuple):
@@ -136,7 +138,8 @@ class HybridPlant(MujocoPlant):
         super()._bind(batch)
         histories = self.model.actuator_history[:, 0], self.model.actuator_historyadr
         self._engine = _Engine(batch.state, self._columns, *histories, self._load_joint)
-        self._platforms = _Platforms(self.platform, self.present, self._mocap)
+        reach = geometry.platform_reach(self.vehicle)
+        self._platforms = _Platforms(self.platform, self.present, self._mocap, reach)
 
     def advance(self, commands, ids=None, record=()):
         """`step` without its check, for the vehicles `ids` (k,) alone; see `MujocoPlant.advance`."""
@@ -152,13 +155,12 @@ class HybridPlant(MujocoPlant):
                 acting[k] = self.delays.acting(k * step, step)
         else:
             acting[0] = self._ctrl
-        speeds = self.platforms.speeds if self.platforms else STILL
-        period = _Period(acting, push, self.torque_needs_motors, speeds)
-        near = self._fly(chosen, period)
+        moving = self.platforms.moving if self.platforms else STILL
+        near = self._fly(chosen, _Period(acting, push, self.torque_needs_motors, moving))
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        if self.platforms:
-            self.platforms.follow(chosen)
+            if self.platforms:
+                self.platforms.follow(near)
         self.delays.push_state(self.state, chosen)
         return {}
 
@@ -194,8 +196,8 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
     which had no contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
-    speeds, steps, length = period.platform_speeds, np.zeros(1, equations.STEP), substeps * dt
-    at, moving, rates = engine.at, len(speeds.most) > 0, np.empty(6)
+    motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
+    at, moving, rates, now = engine.at, len(motions.most) > 0, np.empty(6), np.empty((3, 6))
     integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
     boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
@@ -218,12 +220,16 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         for b in range(len(poses)):
             for k in range(3):
                 poses[b, k] = flown[at.mocap_pos + 3 * platforms.bodies[b] + k]
-        approach, known = 0.0, True  # m that the slab can have come nearer in a time step; is it the least
+        approach, known = 0.0, True  # m that the slab strays nearer in a time step; is it the least
+        px, py, pz, drift = 0.0, 0.0, 0.0, 0.0  # velocity of the platform, its size [m/s]
         if moving:
             poses[0, X], poses[0, Y], poses[0, Z] = platform[i, X], platform[i, Y], platform[i, Z]
             if not present:
                 poses[0, Z] = geometry.PARKED
-            approach, known = dt * speeds.most[i], False
+            else:
+                px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
+                drift, approach = _size(px, py, pz), dt * motions.most[i]
+                known = approach == 0.0
         ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
@@ -231,17 +237,26 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(state, i, y)
         equations.take_states(s, results.load, integral, i, v)
-        turns = geometry.platform_turns(platform[i, ROLL], platform[i, PITCH], platform[i, YAW])
         out_of_reach, step = not (moving and present and v.effects.ground_effect != 0.0), 0
         solvable = held.only_loops(s, v)
         if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
             _take_command(u, period.commands, 0, i, vehicles.command_range)
-            distance = geometry.platform_distance(y[X], y[Y], y[Z], turns, poses, boxes, sizes)
-            spare = _spare((distance - vehicles.keep_out, y[Z], radius), substeps - 1, approach)
-            vx, vy, vz = y[VX], y[VY], y[VZ]
-            if spare > length * _size(vx, vy, vz) and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
-                if spare > _moved(vx, vy, vz, y, length):
+            here, height = (y[X], y[Y], y[Z]), y[Z] - length * drift
+            wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
+            before, last, exact = length * _size(wx, wy, wz), substeps - 1, False
+            # Few are so near that the distance itself is needed.
+            distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
+            spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+            if not spare > before:
+                distance, exact = _distance(here, platform[i], poses, boxes, sizes), True
+                spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+            if spare > before and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
+                moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, length)
+                if not (exact or spare > moved):
+                    distance = _distance(here, platform[i], poses, boxes, sizes)
+                    spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+                if spare > moved:
                     step = substeps
                 else:
                     equations.pack_state(state, i, y)
@@ -249,20 +264,23 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         while out_of_reach and step < substeps:
             if step == 0 or not constant:
                 _take_command(u, period.commands, step, i, vehicles.command_range)
-            # Distance to spare > dt |v| before the step, and > dt (max(|v|, |v'|) + |v' - v|) after it.
-            distance = geometry.platform_distance(y[X], y[Y], y[Z], turns, poses, boxes, sizes)
-            clear = distance - vehicles.keep_out, y[Z], radius
-            vx, vy, vz = y[VX], y[VY], y[VZ]
-            before = dt * _size(vx, vy, vz)
+            # Distance to spare > dt |w| before the step, and > dt (max(|w|, |w'|) + |w' - w|) after it, w the
+            # velocity relative to the platform's centre.
+            t = step * dt
+            here = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
+            distance = _distance(here, platform[i], poses, boxes, sizes)
+            clear = distance - vehicles.keep_out, y[Z] - dt * drift, radius
+            wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
+            before = dt * _size(wx, wy, wz)
             if not known and _spare(clear, step, approach) <= before:
-                approach, known = dt * fastest(i, time, present, speeds, rates), True
+                approach, known = dt * strays(i, time, present, motions, rates), True
             if not (_spare(clear, step, approach) > before and _as_exact(y, dt)):
                 break
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
-            moved = _moved(vx, vy, vz, y, dt)
+            moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, dt)
             if not known and _spare(clear, step, approach) <= moved:
-                approach, known = dt * fastest(i, time, present, speeds, rates), True
+                approach, known = dt * strays(i, time, present, motions, rates), True
             if not _spare(clear, step, approach) > moved:
                 break
             step += 1
@@ -283,6 +301,8 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         _write(flown, state[i], substeps, dt, engine)
         if len(results.load) > 0:
             write_load(results.load[i], engine.load_joint, flown, at)
+        if moving:
+            follow(i, flown[at.time] + motions.begun[i], motions.waves, motions.rest, platform, now)
     return count
 
 
@@ -309,10 +329,18 @@ def _size(x, y, z):
 
 
 @numba.njit(cache=True, inline="always")
-def _moved(vx, vy, vz, y, dt):
-    """Return how far [m] a vehicle has moved in `dt` [s] at most, from its velocity before to y after."""
-    before, after = _size(vx, vy, vz), _size(y[VX], y[VY], y[VZ])
-    return dt * (max(before, after) + _size(y[VX] - vx, y[VY] - vy, y[VZ] - vz))
+def _moved(wx, wy, wz, x, y, z, dt):
+    """Return how far [m] a vehicle has moved in `dt` [s] at most, from its velocity before to (x, y, z)
+    after.
+    """
+    return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
+
+
+@numba.njit(cache=True)
+def _distance(here, platform, poses, boxes, sizes):
+    """Return the distance [m] of a point (x, y, z) to a platform in state (12,)."""
+    turns = geometry.platform_turns(platform[ROLL], platform[PITCH], platform[YAW])
+    return geometry.platform_distance(here[0], here[1], here[2], turns, poses, boxes, sizes)
 
 
 @numba.njit(cache=True, inline="always")

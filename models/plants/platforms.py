@@ -23,8 +23,9 @@ import numpy as np
 from inclined_landing.models import motion
 from inclined_landing.models.attitude import ROLL, Z
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.geometry import PARKED
+from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
+from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.vehicle import Vehicle
 
 _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the order of motion.MODES
@@ -50,19 +51,21 @@ class _Joints(NamedTuple):
     inertia: float  # kg, kg m2
 
 
-class Speeds(NamedTuple):
-    """What `fastest` needs to know of n platforms; of none in a plant whose platforms stand still."""
+class Moving(NamedTuple):
+    """What kernels need to know of n moving platforms; of none in a plant whose platforms stand still."""
 
     most: np.ndarray  # (n,) m/s, a bound for all times, see `_most`
     begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
     waves: motion.Waves
+    rest: np.ndarray  # (n, 12) their states where they do not move
     late: float  # s, as in _Clock
     period: float  # s
     reach: float  # m, of the slab from its centre
 
 
 _NONE = Motion.still(0).arrays
-STILL = Speeds(np.empty(0), np.empty(0), _NONE, 0.0, 0.0, 0.0)  # so that one compiled kernel serves both
+# So that one compiled kernel serves both.
+STILL = Moving(np.empty(0), np.empty(0), _NONE, np.empty((0, PLATFORM_SIZE)), 0.0, 0.0, 0.0)
 
 
 class Platforms:
@@ -92,9 +95,7 @@ class Platforms:
         self._period = substeps * step
         self._most = np.zeros(n)
         self._forces = np.zeros((n, substeps, model.nv))
-        self._reach = math.hypot(
-            vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness
-        )
+        self._reach = platform_reach(vehicle)
         self._moved()
 
     def bind(self, batch) -> None:
@@ -106,7 +107,8 @@ class Platforms:
     def _moved(self) -> None:
         """Take the arrays of the motion, which may be others after more waves were given."""
         self._waves = self.motion.arrays
-        self.speeds = Speeds(self._most, self.begun, self._waves, self._clock.late, self._period, self._reach)
+        lengths = self._clock.late, self._period, self._reach
+        self.moving = Moving(self._most, self.begun, self._waves, self.rest, *lengths)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what a snapshot of the plant needs of them."""
@@ -135,7 +137,7 @@ class Platforms:
 
     def bound(self, ids=slice(None)) -> None:
         """Update the bounds of the speeds of the platforms `ids` after a change of their motions."""
-        _most(self._everyone[ids], self.speeds, self._most)
+        _most(self._everyone[ids], self.moving, self._most)
 
     def at(self, times) -> np.ndarray:
         """Return states (n, 12) of the platforms at times (n,) or a number [s] since the vehicles' reset."""
@@ -157,53 +159,65 @@ class Platforms:
 
 
 @numba.njit(cache=True)
-def fastest(i, time, present, speeds, rates):
-    """Return a bound of the speed [m/s] of any point of platform i in the period that begins at `time` [s].
+def strays(i, time, present, moving, rates):
+    """Return a bound [m/s] of how quickly any point of platform i leaves the path of a steady platform.
 
-    The speed of the centre now and what the largest acceleration of its motion adds, and as much for the
-    angles, each of which turns about an axis, times the reach of the slab. rates (6,): for intermediate
-    results.
+    That has, from the period's beginning at `time` [s] on, the velocity that the platform's centre has then.
+    After t [s] of the period no point is farther than t times the bound from where it would be there. rates
+    (6,): for intermediate results.
     """
-    rates[:] = 0.0
     if present:
-        motion.rate(i, time + speeds.begun[i] - speeds.late, speeds.waves, rates)
-    return _bound(i, speeds, rates)
+        motion.rate(i, time + moving.begun[i] - moving.late, moving.waves, rates)
+    else:
+        rates[:] = 0.0
+    return _bound(i, moving, rates)
 
 
 @numba.njit(cache=True, inline="always")
-def _bound(i, speeds, rates):
-    """Return the bound of `fastest` from the rates (6,) at the period's beginning."""
-    waves, square, turning = speeds.waves, 0.0, 0.0
+def _bound(i, moving, rates):
+    """Return the bound of `strays` from the rates (6,) at the period's beginning.
+
+    The centre strays by a t^2/2 <= t (a T/2), a the largest acceleration of its motion and T the period. Each
+    angle turns the platform about an axis by up to |rate| t + a t^2/2, and moves its points by as much times
+    the reach of the slab. In a single-step integrator speeds lag by half a step, and grow by whole ones.
+    """
+    waves, square, turning = moving.waves, 0.0, 0.0
     for mode in range(6):
         gained = 0.0
         for k in range(waves.amplitude.shape[2]):
             gained += abs(waves.amplitude[i, mode, k]) * waves.frequency[i, mode, k] ** 2
-        speed = abs(rates[mode]) + speeds.period * gained
+        gained *= 0.5 * moving.period + 2.0 * moving.late
         if mode < 3:
-            square += speed**2
+            square += gained**2
         else:
-            turning += speed
-    return math.sqrt(square) + speeds.reach * turning
+            turning += abs(rates[mode]) + gained
+    return math.sqrt(square) + moving.reach * turning
 
 
 @numba.njit(cache=True)
-def _most(ids, speeds, out):
-    """Write the bound of `fastest` for all times into `out` (n,): with all waves at their fastest at once."""
-    waves, rates = speeds.waves, np.empty(6)
+def _most(ids, moving, out):
+    """Write the bound of `strays` for all times into `out` (n,): with all waves at their fastest at once."""
+    waves, rates = moving.waves, np.zeros(6)
     for i in ids:
-        for mode in range(6):
-            rates[mode] = abs(waves.velocity[i, mode]) if mode < 3 else 0.0
+        for mode in range(3, 6):
+            rates[mode] = 0.0
             for k in range(waves.amplitude.shape[2]):
                 rates[mode] += abs(waves.amplitude[i, mode, k] * waves.frequency[i, mode, k])
-        out[i] = _bound(i, speeds, rates) * (1.0 + 1e-9)  # rounding
+        out[i] = _bound(i, moving, rates) * (1.0 + 1e-9)  # rounding
 
 
 @numba.njit(cache=True)
 def _follow(ids, clock, waves, rest, platform):
     now = np.empty((3, 6))
     for i in ids:
-        motion.displacement(i, clock.time[i] + clock.begun[i], waves, now)
-        motion.write_state(i, now, rest, platform)
+        follow(i, clock.time[i] + clock.begun[i], waves, rest, platform, now)
+
+
+@numba.njit(cache=True, inline="always")
+def follow(i, t, waves, rest, platform, now):
+    """Write where its motion has platform i at t [s] into `platform` (n, 12), by way of `now` (3, 6)."""
+    motion.displacement(i, t, waves, now)
+    motion.write_state(i, now, rest, platform)
 
 
 @numba.njit(cache=True)

@@ -92,6 +92,7 @@ CASES = {
     "low feet": {"foot_height": 0.03},
     "implicitfast": {"integrator": "implicitfast"},
     "moving": {"moving": True},
+    "moving, implicitfast": {"moving": True, "integrator": "implicitfast"},
     "moving, with ground effect": {"moving": True, "pool": [many_effects(delays=False)], "present": 0.9},
 }
 
