@@ -12,7 +12,9 @@ import numpy as np
 
 from inclined_landing.models.attitude import (
     PITCH,
+    PITCH_COMMAND,
     ROLL,
+    ROLL_COMMAND,
     VX,
     VZ,
     WX,
@@ -28,6 +30,8 @@ from inclined_landing.models.attitude import (
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
 HEADING_SIZE = SLOPE_PITCH + 1
+_QUARTER = 0.5 * math.pi
+_NO_TURN = 1e-15  # rad: what rounding leaves of one, and of the angles
 
 
 def turned(state: np.ndarray, angle) -> np.ndarray:
@@ -62,6 +66,8 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
 @numba.njit(cache=True, inline="always")
 def yaw_turned(roll, pitch, turn):
     """Return roll and pitch [rad] of a vehicle with the same thrust axis and a yaw less by `turn` [rad]."""
+    if abs(turn) < _NO_TURN and max(abs(roll), abs(pitch)) < _QUARTER:
+        return roll, pitch
     # Thrust axis without the yaw: (sin theta, -sin phi cos theta, cos phi cos theta), turned about z
     (sin, cos), (sr, cr), (ahead, flat) = sine_cosine(turn), sine_cosine(roll), sine_cosine(pitch)
     left, up = -sr * flat, cr * flat
@@ -101,47 +107,69 @@ def heading_frame(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _vehicle_commands(angles, gain, limit, state, platform):
-    for i in range(len(angles)):
-        turn = platform[i, YAW] - state[i, YAW]
-        turned = yaw_turned(gain * angles[i, 0], gain * angles[i, 1], turn)
-        for k in range(2):
-            angles[i, k] = min(limit, max(-limit, turned[k] / gain))
-    return angles
-
-
-def vehicle_commands(
-    angles: np.ndarray, gain: float, limit: float, state: np.ndarray, platform: np.ndarray
-) -> np.ndarray:
-    """Return roll and pitch commands (n, 2) [rad] in the vehicles' yaw, of ones in their heading frames.
+def turn_commands(commands, gain, limit, state, platform):
+    """Turn roll and pitch of commands (n, 4) from the heading frames to the vehicles' yaw.
 
     gain: steady attitude over the command that leads to it; limit [rad]: of each command. state (n, 13),
     platform (n, 12).
     """
-    return _vehicle_commands(np.array(angles, float), gain, limit, state, platform)
+    for i in range(len(commands)):
+        turn = platform[i, YAW] - state[i, YAW]
+        roll, pitch = commands[i, ROLL_COMMAND], commands[i, PITCH_COMMAND]
+        roll, pitch = yaw_turned(gain * roll, gain * pitch, turn)
+        roll, pitch = roll / gain, pitch / gain
+        commands[i, ROLL_COMMAND] = min(limit, max(-limit, roll))
+        commands[i, PITCH_COMMAND] = min(limit, max(-limit, pitch))
 
 
 def platform_motion(platform: np.ndarray) -> np.ndarray:
     """Return velocity [m/s] and rates [rad/s] (n, 6) of platforms (n, 12) along the axes of
     `heading_frame`.
     """
-    return write_platform_motion(platform, np.empty((len(platform), 6)))
+    out = np.empty((len(platform), 6))
+    _platform_motions(platform, out)
+    return out
 
 
 @numba.njit(cache=True)
-def write_platform_motion(platform, out):
-    """Write `platform_motion` into `out` (n, 6), whose numbers may be shorter; return it."""
+def _platform_motions(platform, out):
     for i in range(len(platform)):
-        d = platform[i]
-        yaw = sin, cos = sine_cosine(d[YAW])
+        _write_platform_motion(platform[i], out[i])
+
+
+@numba.njit(cache=True, inline="always")
+def _write_platform_motion(d, out):
+    """Write `platform_motion` of one platform (12,) into `out` (6,)."""
+    yaw = sin, cos = sine_cosine(d[YAW])
+    out[0], out[1] = cos * d[VX] + sin * d[VX + 1], cos * d[VX + 1] - sin * d[VX]
+    out[2] = d[VZ]
+    a, b, c = d[WX], d[WX + 1], d[WX + 2]
+    if a != 0.0 or b != 0.0 or c != 0.0:
         r = rotation_entries(sine_cosine(d[ROLL]), sine_cosine(d[PITCH]), yaw)
-        wx = r[0] * d[WX] + r[1] * d[WX + 1] + r[2] * d[WX + 2]
-        wy = r[3] * d[WX] + r[4] * d[WX + 1] + r[5] * d[WX + 2]
-        out[i, 0], out[i, 1] = cos * d[VX] + sin * d[VX + 1], cos * d[VX + 1] - sin * d[VX]
-        out[i, 3], out[i, 4] = cos * wx + sin * wy, cos * wy - sin * wx
-        out[i, 2] = d[VZ]
-        out[i, 5] = r[6] * d[WX] + r[7] * d[WX + 1] + r[8] * d[WX + 2]
-    return out
+        wx = r[0] * a + r[1] * b + r[2] * c
+        wy = r[3] * a + r[4] * b + r[5] * c
+        out[3], out[4] = cos * wx + sin * wy, cos * wy - sin * wx
+        out[5] = r[6] * a + r[7] * b + r[8] * c
+    else:
+        out[3] = out[4] = out[5] = 0.0
+
+
+@numba.njit(cache=True)
+def observe(state, platform, columns, out):
+    """Write `columns` (c,) of `heading_frame` into `out` (n, c or more), and `platform_motion` behind them.
+
+    The motion is written where `out` has room for it.
+    """
+    seen, motion, count = np.empty(HEADING_SIZE), np.empty(6), len(columns)
+    moves = out.shape[1] > count
+    for i in range(len(state)):
+        in_heading_frame(state[i], platform[i], seen)
+        for k in range(count):
+            out[i, k] = seen[columns[k]]
+        if moves:
+            _write_platform_motion(platform[i], motion)
+            for k in range(6):
+                out[i, count + k] = motion[k]
 
 
 def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+import numba
 import numpy as np
 
 from inclined_landing.envs.tasks.options import TaskOptions, Training
@@ -96,6 +97,24 @@ class Evaluation:
     def reward(self) -> np.ndarray:
         """(n,) sum of the terms."""
         return sum(self.terms.values(), np.zeros(len(self.success)))
+
+
+_NO_CENTRES = np.empty(0)
+
+
+@numba.njit(cache=True)
+def _commands(actions, channels, pwm_centres):
+    """Return `Task.commands` of channels (a, 6); pwm_centres (n,), or empty."""
+    out = np.zeros((len(actions), COMMAND_SIZE))
+    for k in range(len(channels)):
+        column, centre = int(channels[k, 0]), channels[k, 1]
+        span, low, high, idle = channels[k, 2], channels[k, 3], channels[k, 4], channels[k, 5]
+        given = column == PWM and len(pwm_centres) > 0
+        for i in range(len(actions)):
+            if actions[i, k] > idle:
+                middle = pwm_centres[i] if given else centre
+                out[i, column] = min(high, max(low, middle + span * actions[i, k]))
+    return out
 
 
 VEHICLE_KINDS = {"nominal": "nominal vehicle", "drawn": "varied vehicles"}  # scored apart in a randomised run
@@ -219,6 +238,12 @@ class Task(abc.ABC):
             found.append(Channel(name, ACTIONS[name], *numbers))
         return tuple(found)
 
+    @functools.cached_property
+    def _channel_rows(self) -> np.ndarray:
+        """(a, 6) column, centre, span, low, high and idle of each channel; idle -inf where there is none."""
+        rows = [(c.column, c.centre, c.span, c.low, c.high, c.idle) for c in self.channels]
+        return np.array([[-math.inf if x is None else x for x in row] for row in rows])
+
     @property
     def per_vehicle_hover(self) -> bool:
         """Return whether action 0 is the hover of each vehicle (`pwm_centre="own"`), not one PWM for all."""
@@ -229,12 +254,8 @@ class Task(abc.ABC):
 
         pwm_centre (n,): the PWM at thrust action 0 of each vehicle, where it is not the task's.
         """
-        u = np.zeros((len(actions), COMMAND_SIZE))
-        for channel, action in zip(self.channels, actions.T):
-            centre = channel.centre if pwm_centre is None or channel.column != PWM else pwm_centre
-            command = np.clip(centre + channel.span * action, channel.low, channel.high)
-            u[:, channel.column] = command if channel.idle is None else command * (action > channel.idle)
-        return u
+        centres = _NO_CENTRES if pwm_centre is None else np.asarray(pwm_centre, float)
+        return _commands(np.ascontiguousarray(actions, float), self._channel_rows, centres)
 
     def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) along the axes of the vehicles in states (n, 13) over platforms (n, 12).

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs import swell as swells
-from inclined_landing.envs.tasks.base import Start, StepContext
+from inclined_landing.envs.tasks.base import Start
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE
 from inclined_landing.envs.tasks.space import SpaceLanding
 from inclined_landing.models import surface
@@ -34,6 +34,7 @@ class MovingLanding(SpaceLanding):
     observation_names = (*SEEN, *SEEN_MOVING)
     observation_scale = np.append(SEEN_SCALE, SEEN_MOVING_SCALE)
     platform_moves = True
+    observed_motion = len(SEEN_MOVING)
 
     table = "moving"
 
@@ -47,14 +48,6 @@ class MovingLanding(SpaceLanding):
     def plant_options(self) -> dict[str, Any]:
         """A plant with moving platforms."""
         return {"moving": True}
-
-    def observe(self, context: StepContext) -> np.ndarray:
-        """Return observations (n, o), float32: over the slope, and the platforms' own motion."""
-        over = super().observe(context)
-        seen = np.empty((len(over), over.shape[1] + len(SEEN_MOVING)), np.float32)
-        seen[:, : over.shape[1]] = over
-        surface.write_platform_motion(context.platform, seen[:, over.shape[1] :])
-        return seen
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:
         super()._draw_platforms(rng, start)

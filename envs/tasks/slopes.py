@@ -19,8 +19,6 @@ about the attitude of a vehicle that stands on the slope. Steep slopes need atti
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 
@@ -33,7 +31,7 @@ from inclined_landing.models.errors import UserError, shown
 # Columns of the heading frame, and their typical sizes.
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
 SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
-_PLANAR = [SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")]
+_PLANAR = np.array([SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")])
 
 
 @numba.njit(cache=True)
@@ -41,12 +39,16 @@ def _in_goal(state, platform, goal_size, is_planar, out):
     """In the plane y, vy and roll are not bounded: policies there cannot counteract sideways forces."""
     seen = np.empty(surface.HEADING_SIZE)
     for i in range(len(state)):
-        s, d = state[i], platform[i]
         place, _, speed, _, angle = goal_box(goal_size[i])
+        height = state[i, Z] - platform[i, Z]
+        # The height first, over any slope: it needs no angles, and few pass.
+        out[i] = abs(height) < place + GOAL_HEIGHT and abs(state[i, VZ] - platform[i, VZ]) < speed
+        if not out[i]:
+            continue
+        s, d = state[i], platform[i]
         roll, pitch = d[ROLL], d[PITCH]  # of a vehicle that stands there
         x, y, z = surface.normal_at_rest(roll, pitch)
-        # The height first: it needs no turning, and few pass.
-        out[i] = abs(s[Z] - d[Z] - GOAL_HEIGHT * z) < place and abs(s[VZ] - d[VZ]) < speed
+        out[i] = abs(height - GOAL_HEIGHT * z) < place
         if out[i]:
             surface.in_heading_frame(s, d, seen)
             out[i] = (
@@ -74,7 +76,8 @@ class SlopeLanding(InclinedLanding):
     observes_slope = True
     table = "slopes"
     goal_height = GOAL_HEIGHT  # over the surface along its normal, m
-    columns: Any = _PLANAR  # of the heading frame, those that are observed
+    columns = _PLANAR  # of the heading frame, those that are observed
+    observed_motion = 0  # numbers of the platforms' own motion that are observed
     least = -1.0  # inclination that is drawn, as a share of `steepest`
 
     def _usual_inclination(self) -> float:
@@ -114,8 +117,9 @@ class SlopeLanding(InclinedLanding):
         """Return observations (n, o), float32; the platforms of the moment are needed."""
         if context.platform is None:
             raise UserError(f"this {self.name} task observes the slope; pass the platform to observe")
-        seen = surface.heading_frame(context.state, context.platform)[:, self.columns]
-        return seen.astype(np.float32)
+        seen = np.empty((len(context.state), len(self.columns) + self.observed_motion), np.float32)
+        surface.observe(context.state, context.platform, self.columns, seen)
+        return seen
 
     def in_goal(self, state, goal_size, platform=None, inclination=None) -> np.ndarray:
         """Return (n,) bool: which states (n, 13) are in the goal box along the normal of platforms (n,

@@ -21,7 +21,7 @@ import numpy as np
 from inclined_landing.envs.tasks.base import Start
 from inclined_landing.envs.tasks.slopes import SEEN, SEEN_SCALE, SlopeLanding
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW
+from inclined_landing.models.attitude import YAW
 from inclined_landing.models.vehicle import Vehicle
 
 FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m
@@ -38,7 +38,7 @@ class SpaceLanding(SlopeLanding):
     start_axes = ("x", "y", "z")
     film_starts = FILM_STARTS
     figure_starts = MappingProxyType({"trajectory": FILM_STARTS[0]})
-    columns = slice(None)
+    columns = np.arange(len(SEEN))
     least = 0.0
 
     def __init__(self, vehicle: Vehicle | None = None, **options: Any):
@@ -50,9 +50,8 @@ class SpaceLanding(SlopeLanding):
 
     def body_commands(self, commands: np.ndarray, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
         """Return `commands` (n, 4) with attitudes turned from the surface's heading to the vehicles'."""
-        both, v = slice(ROLL_COMMAND, PITCH_COMMAND + 1), self.vehicle
-        limits = v.attitude_gain, v.command_angle_limit
-        commands[:, both] = surface.vehicle_commands(commands[:, both], *limits, state, platform)
+        limits = self.vehicle.attitude_gain, self.vehicle.command_angle_limit
+        surface.turn_commands(commands, *limits, state, platform)
         return commands
 
     def _draw_platforms(self, rng: np.random.Generator, start: Start) -> None:

@@ -46,10 +46,15 @@ def test_the_seen_attitude_has_the_vehicles_thrust_axis():
 def test_commands_lead_to_the_attitude_that_was_meant():
     """Where no limit is met: a vehicle with gain times the turned command shows gain times the meant one."""
     state, platform = somewhere(200)
-    meant, gain = RNG.uniform(-0.4, 0.4, (200, 2)), 1.1
-    state[:, [ROLL, PITCH]] = gain * surface.vehicle_commands(meant, gain, 1.0, state, platform)
+    commands, gain = RNG.uniform(-0.4, 0.4, (200, 4)), 1.1
+    state[:20, YAW] = platform[:20, YAW]  # some have it already
+    meant, others = commands[:, 1:3].copy(), commands[:, [0, 3]].copy()
+    surface.turn_commands(commands, gain, 1.0, state, platform)
+    state[:, [ROLL, PITCH]] = gain * commands[:, 1:3]
     assert np.abs(surface.heading_frame(state, platform)[:, [ROLL, PITCH]] - gain * meant).max() < 1e-13
-    assert np.abs(surface.vehicle_commands(meant, gain, 0.1, state, platform)).max() <= 0.1
+    assert (commands[:, [0, 3]] == others).all() and np.abs(commands[:20, 1:3] - meant[:20]).max() < 1e-15
+    surface.turn_commands(commands, gain, 0.1, state, platform)
+    assert np.abs(commands[:, 1:3]).max() <= 0.1
 
 
 def test_the_thrust_axis_turns_as_its_rate_says():
