@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
 from inclined_landing.models.motion import MODES, Motion
@@ -27,19 +28,35 @@ def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarra
     """Return motions of k platforms: travel at 0 to fastest [m/s], and waves of `swell` times the sizes
     above, but roll and pitch together by at most room (k,) [rad].
     """
-    k = len(room)
-    # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.
-    shape = (k, len(MODES), WAVES)
-    speed, heading = fastest * rng.random(k), rng.uniform(-math.pi, math.pi, k)
-    frequency = 2.0 * math.pi / np.exp(rng.uniform(*_LOGARITHMS, shape))
-    share, amplitude, velocity = swell * rng.random(shape), np.zeros(shape), np.zeros((k, 3))
-    amplitude[:, 2] = share[:, 2] * np.minimum(HEAVE_SPEED / frequency[:, 2], HEAVE)
-    largest = np.minimum(TILT_RATE / frequency[:, 3:5], TILT)
-    amplitude[:, 3:5] = share[:, 3:5] * largest
-    reduced = np.minimum(1.0, room / np.maximum(largest_tilt(amplitude), 1e-9))
-    amplitude[:, 3:5] = share[:, 3:5] * reduced[:, None, None] * largest
-    velocity[:, 0], velocity[:, 1] = speed * np.cos(heading), speed * np.sin(heading)
-    return Motion.unchecked(velocity, amplitude, frequency, rng.uniform(-math.pi, math.pi, shape))
+    k, shape = len(room), (len(room), len(MODES), WAVES)
+    travel, (log_period, share, phase) = rng.random((2, k)), rng.random((3, *shape))
+    period = np.exp(_LOGARITHMS[0] + (_LOGARITHMS[1] - _LOGARITHMS[0]) * log_period)
+    motion = Motion.unchecked(np.zeros((k, 3)), np.zeros(shape), 2.0 * math.pi / period, phase)
+    _draw(travel, share, float(fastest), float(swell), room, motion.arrays)
+    return motion
+
+
+@numba.njit(cache=True)
+def _draw(travel, share, fastest, swell, room, waves):
+    """Write what `draw` returns, from numbers in [0, 1): travel (2, k), share and phase (k, 6, W)."""
+    for i in range(len(room)):
+        speed, heading = fastest * travel[0, i], -math.pi + 2.0 * math.pi * travel[1, i]
+        waves.velocity[i, 0], waves.velocity[i, 1] = speed * math.cos(heading), speed * math.sin(heading)
+        # Each wave is A sin(w t + phi): A = min(v_max / w, A_max), so that speed and amplitude stay bounded.
+        tilt = np.zeros(2)
+        for mode in range(6):
+            for w in range(share.shape[2]):
+                omega, size = waves.frequency[i, mode, w], swell * share[i, mode, w]
+                waves.phase[i, mode, w] = -math.pi + 2.0 * math.pi * waves.phase[i, mode, w]
+                if mode == 2:
+                    waves.amplitude[i, mode, w] = size * min(HEAVE_SPEED / omega, HEAVE)
+                elif mode == 3 or mode == 4:
+                    tilt[mode - 3] += size * min(TILT_RATE / omega, TILT)
+        reduced = min(1.0, room[i] / max(math.hypot(tilt[0], tilt[1]), 1e-9))
+        for mode in range(3, 5):
+            for w in range(share.shape[2]):
+                largest = min(TILT_RATE / waves.frequency[i, mode, w], TILT)
+                waves.amplitude[i, mode, w] = swell * share[i, mode, w] * reduced * largest
 
 
 def largest_tilt(amplitude: np.ndarray) -> np.ndarray:

@@ -16,7 +16,8 @@ import mujoco
 import numba
 import numpy as np
 
-from inclined_landing.models.attitude import rotation_entries, sine_cosine
+from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation_entries, sine_cosine
+from inclined_landing.models.surface import normal_at_rest
 from inclined_landing.models.vehicle import Vehicle
 
 PARTS = ("feet", "body", "rotors")
@@ -248,6 +249,37 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
                 distance = _box_distance(dx, dy, dz, turns, boxes, sizes, b) - radius
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
+
+
+@numba.njit(cache=True)
+def _platform_clearances(state, platform, present, half, thickness, fleet, out):
+    n = len(state)
+    inclination, azimuth, height = platform[:, PITCH].copy(), platform[:, YAW].copy(), platform[:, 2].copy()
+    position, quaternion, distances = np.zeros((n, 4, 3)), np.zeros((n, 4, 4)), np.empty((n, 3, 3))
+    for i in range(n):
+        if platform[i, ROLL] != 0.0:
+            x, y, z = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
+            inclination[i] = math.atan2(math.sqrt(x * x + y * y), z)
+            azimuth[i] += math.atan2(y, x)
+    _platform_poses(inclination, azimuth, height, present, half, thickness, position, quaternion)
+    for i in range(n):
+        for b in range(4):
+            position[i, b, 0] += platform[i, 0]
+            position[i, b, 1] += platform[i, 1]
+    _clearances(state, inclination, azimuth, position, np.zeros(n, np.int64), fleet, math.inf, distances)
+    for i in range(n):
+        out[i] = distances[i, :2].min()
+
+
+def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Fleet) -> np.ndarray:
+    """Return the distance (n,) [m] of vehicles in states (n, 13) to their platforms (n, 12); inf if absent.
+
+    Under a platform stands a base as in `platform_poses`, for the slope that it has. Negative where shapes
+    overlap.
+    """
+    size, out = (vehicle.slab_half_length, vehicle.platform_thickness), np.empty(len(state))
+    _platform_clearances(state, platform, np.asarray(present, bool), *size, shapes, out)
+    return out
 
 
 def clearances(

@@ -80,17 +80,14 @@ class Motion:
 
     def __getitem__(self, ids) -> Motion:
         """Return copies of the motions of the platforms `ids`, an index array, a mask or a slice."""
-        return Motion(self.velocity[ids], self.amplitude[ids], self.frequency[ids], self.phase[ids])
+        return Motion.unchecked(*(np.array(values[ids]) for values in self.arrays))
 
     def __setitem__(self, ids, motion: Motion) -> None:
         """Give the platforms `ids` (k,) the k motions, however many waves these have."""
         here, there = self.amplitude.shape[2], motion.amplitude.shape[2]
-        self.velocity[ids] = motion.velocity
-        for name in ("amplitude", "frequency", "phase"):
-            if there > here:
-                setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, there - here))))
-            waves = getattr(self, name)
-            waves[ids, :, :there], waves[ids, :, there:] = getattr(motion, name), 0.0
+        for name in ("amplitude", "frequency", "phase") if there > here else ():
+            setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, there - here))))
+        _replace(np.arange(len(self))[ids], motion.arrays, self.arrays)
 
     @property
     def arrays(self) -> Waves:
@@ -120,6 +117,22 @@ def _times(times, n: int) -> np.ndarray:
     out = np.empty(n)
     out[:] = times
     return out
+
+
+@numba.njit(cache=True)
+def _replace(ids, new, waves):
+    """Write the motions `new` of k platforms over those of the platforms `ids` (k,) in `waves`."""
+    count = new.amplitude.shape[2]
+    for row in range(len(ids)):
+        i = ids[row]
+        for k in range(3):
+            waves.velocity[i, k] = new.velocity[row, k]
+        for mode in range(6):
+            for k in range(waves.amplitude.shape[2]):
+                given = k < count
+                waves.amplitude[i, mode, k] = new.amplitude[row, mode, k] if given else 0.0
+                waves.frequency[i, mode, k] = new.frequency[row, mode, k] if given else 0.0
+                waves.phase[i, mode, k] = new.phase[row, mode, k] if given else 0.0
 
 
 @numba.njit(cache=True, inline="always")

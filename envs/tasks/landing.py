@@ -288,12 +288,8 @@ class InclinedLanding(Task):
 
     def start_clearance(self, start: Start) -> np.ndarray:
         """Return the distance (k,) of the real shapes to the platform [m]; inf without a platform."""
-        start = self.at_standstill(start)
-        azimuth = 0.0 if start.azimuth is None else start.azimuth
-        slope = start.inclination
-        position, _ = geometry.platform_poses(slope, start.present, self.vehicle, azimuth=azimuth)
-        distance = geometry.clearances(start.state, slope, position, self._fleet, azimuth=azimuth)
-        return distance[:, :2].min(axis=(1, 2))
+        platform = start.platforms(self.vehicle)
+        return geometry.platform_clearances(start.state, platform, start.present, self.vehicle, self._fleet)
 
     def at_standstill(self, start: Start) -> Start:
         """Return the starts relative to platforms in their usual place: here unchanged."""

@@ -178,9 +178,13 @@ class HybridPlant(MujocoPlant):
             self.platforms.place(self._everyone if ids is None else ids, self.present)
         return super()._roll(ids, record)
 
+    def _place_platforms(self, ids):
+        if self.platforms:  # those in the engine wait until it needs them
+            self.platforms.follow(self._everyone[ids])
+
     def save(self):
         """Everything a later bit-for-bit replay needs."""
-        self._place_platforms(self._everyone)
+        super()._place_platforms(self._everyone)
         return super().save()
 
 

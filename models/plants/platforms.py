@@ -122,17 +122,16 @@ class Platforms:
 
     def stop(self, ids, rest: np.ndarray) -> None:
         """Stop the platforms `ids` at `rest` (k, 12)."""
-        self.rest[ids], self.begun[ids] = rest, 0.0
-        for array in self._waves:
-            array[ids] = 0.0
-        self._most[ids] = 0.0
+        _stop(self._everyone[ids], rest, self.moving)
 
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
         if len(moves) != len(self.rest[ids]):
             raise UserError(f"{len(self.rest[ids])} platforms need as many motions, not {len(moves)}")
+        before = self.motion.amplitude
         self.motion[ids], self.begun[ids] = moves, time
-        self._moved()
+        if self.motion.amplitude is not before:
+            self._moved()
         self.bound(ids)
 
     def bound(self, ids=slice(None)) -> None:
@@ -192,6 +191,17 @@ def _bound(i, moving, rates):
         else:
             turning += abs(rates[mode]) + gained
     return math.sqrt(square) + moving.reach * turning
+
+
+@numba.njit(cache=True)
+def _stop(ids, rest, moving):
+    """Stop the platforms `ids` (k,) at `rest` (k, 12)."""
+    waves = moving.waves
+    for row in range(len(ids)):
+        i = ids[row]
+        moving.rest[i], moving.begun[i], moving.most[i] = rest[row], 0.0, 0.0
+        waves.velocity[i] = 0.0
+        waves.amplitude[i] = waves.frequency[i] = waves.phase[i] = 0.0
 
 
 @numba.njit(cache=True)
