@@ -296,5 +296,5 @@ def clearances(
     angles = np.empty((2, len(state)))
     angles[0], angles[1] = inclination, azimuth
     out = np.empty((len(state), 3, 3)) if out is None else out
-    _clearances(state, *angles, position, which, fleet, float(within), out)
+    _clearances(np.ascontiguousarray(state), *angles, position, which, fleet, float(within), out)
     return out
