@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from scipy.ndimage import gaussian_filter
 
 from inclined_landing.eval.base.style import INK, MUTED, halo, styled
@@ -158,13 +159,12 @@ def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
             if there
         ]
         empty: dict[str, Any] = {"facecolor": "white", "edgecolor": "#9aa5b1", "hatch": "////", "lw": 0}
-        for i, j in np.argwhere(total == 0):
-            corner, size = (
-                (one.x_edges[j], one.y_edges[i]),
-                (np.diff(one.x_edges)[j], np.diff(one.y_edges)[i]),
-            )
-            for axes in (left, right):
-                axes.add_patch(Rectangle(corner, *size, gid="empty", **empty))
+        i, j = np.nonzero(total == 0)
+        x, y = one.x_edges, one.y_edges
+        around = (x[j], y[i]), (x[j + 1], y[i]), (x[j + 1], y[i + 1]), (x[j], y[i + 1])
+        cells = np.array(around).transpose(2, 0, 1)
+        for axes in (left, right):
+            axes.add_collection(PolyCollection(cells, gid="empty", **empty))
         handles += [Patch(**empty, label="no landings")] * (not total.all())
         handles += _lines(left, one, fixed, (0.5,))
         _lines(right, one, fixed, (0.1, 0.5, 0.9) if one.levels else (0.5,))
