@@ -32,7 +32,7 @@ from inclined_landing.models.scene import build_spec
 
 V = load_vehicle()
 METRES, DEGREES = FLIGHT_LIMITS["rate_loop"]
-N = 8
+N = 4
 COMMANDS = full_steps(V, N, np.random.default_rng(4))[:150]
 TOUCHDOWN = [name for name, effect in LIBRARY.items() if effect.contact]
 # Flights high above everything show the others.

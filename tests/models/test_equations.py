@@ -104,6 +104,11 @@ def test_the_lag_is_the_papers_discrete_motor_function():
     assert worst < 1e-3 * V.thrust_per_pwm * pwm
 
 
+def column(values):
+    """Values as a column of a wider array, which the gap workflow's compiled functions take."""
+    return np.column_stack([values, values])[:, 0]
+
+
 def test_the_exact_steps_are_the_equations():
     """Lag, angle and yaw under held commands, as the gap workflow steps them, against RK4."""
     v = dataclasses.replace(
@@ -121,8 +126,8 @@ def test_the_exact_steps_are_the_equations():
         flown.append(state[0])
     flown = np.array(flown)
     # RK4 with B h = 0.025 errs by 4e-10 of each change; 30 periods of changes up to 0.5 rad, 2 rad/s.
-    still = np.zeros(len(commands))
-    roll = attitude_loops.angle_steps(0, commands[:, 1], still, 0.1, dt, packed)
+    still = column(np.zeros(len(commands)))
+    roll = attitude_loops.angle_steps(0, commands[:, 1].copy(), still, 0.1, dt, packed)
     np.testing.assert_allclose(flown[:, ROLL], roll, atol=1e-8)
     np.testing.assert_allclose(flown[:, YAW], attitude_loops.yaw_steps(commands[:, 3], dt, packed), atol=1e-8)
     lag = forces.lags(commands[:, 0], dt, packed)
@@ -139,7 +144,7 @@ def test_damping_moves_the_poles_to_the_roots_of_its_equation(damping):
     t, k = np.arange(31) * 0.02, v.attitude_gain
     residues = poles[::-1] / (poles - poles[::-1])  # of the step response 1 + sum of residue exp(pole t)
     exact = 0.3 * k * (1.0 + (residues[:, None] * np.exp(poles[:, None] * t)).sum(axis=0).real)
-    steps = attitude_loops.angle_steps(1, np.full(30, 0.3), np.zeros(30), 0.0, 0.02, forces.pack(v))
+    steps = attitude_loops.angle_steps(1, np.full(30, 0.3), column(np.zeros(30)), 0.0, 0.02, forces.pack(v))
     np.testing.assert_allclose(steps, exact, atol=1e-12)
     end = fly(hovering(), [v.hover_pwm, 0, 0.3, 0], 0.6, 1200, rate_loop=True, vehicle=v)[0]
     assert end[PITCH] == pytest.approx(exact[-1], rel=1e-8)  # (B h)^4 / 120 of each step's change
@@ -158,7 +163,8 @@ def test_the_angle_step_of_any_loop_follows_the_equations(damping, saturation, e
     a, b, dt, packed = 1 / v.attitude_time_constant, v.attitude_bandwidth, 0.02, forces.pack(v)
     commands = np.random.default_rng(3).uniform(-0.4, 0.4, 30)
     moment = -v.effects_com_offset[1] * v.body_mass * v.environment_gravity / v.body_inertia[0]
-    angle, integral = attitude_loops.integrated_steps(0, commands, np.full(30, moment), 0.1, dt, packed).T
+    twist = column(np.full(30, moment))
+    angle, integral = attitude_loops.integrated_steps(0, commands, twist, 0.1, dt, packed).T
     state, held = hovering(), np.array([[-moment / (a * b * 2.0), 0.0]])
     state[0, ROLL], flown = 0.1, []
     conditions = equations.Conditions(packed, neutral(1), forces.free_air(1), integral=held)
@@ -174,7 +180,7 @@ def test_the_angle_step_of_any_loop_follows_the_equations(damping, saturation, e
 def test_the_exact_angle_step_where_the_poles_meet():
     """It is continuous in the bandwidth, with a torque too."""
     tau, rng = V.attitude_time_constant, np.random.default_rng(4)
-    command, twist = rng.uniform(-0.4, 0.4, 50), rng.uniform(-1, 1, 50)
+    command, twist = rng.uniform(-0.4, 0.4, 50), column(rng.uniform(-1, 1, 50))
     angles = [
         attitude_loops.angle_steps(
             1, command, twist, 0.1, 0.02, forces.pack(dataclasses.replace(V, attitude_bandwidth=b / tau))

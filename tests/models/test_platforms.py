@@ -129,7 +129,7 @@ def test_landings_are_the_same_seen_from_a_moving_frame(kind):
     contacts with a time constant of 10 ms forget what they are given: 1e-12 m.
     """
     rng = np.random.default_rng(4)
-    n, travel = 24, np.array([0.8, -0.5, 0.25])
+    n, travel = 12, np.array([0.8, -0.5, 0.25])
     states = np.zeros((n, 13))
     states[:, : Z + 1] = rng.uniform([-0.25, -0.15, 1.45], [0.25, 0.15, 1.6], (n, 3))
     states[:, VX : VZ + 1] = rng.normal(size=(n, 3)) * 0.4
@@ -150,7 +150,7 @@ def test_landings_are_the_same_seen_from_a_moving_frame(kind):
         ends[-1][:, VX : VZ + 1] -= speed
     moved = np.abs(ends[1] - ends[0])[:, : Z + 1].max(axis=1)
     on_it = plant.contacts.touch[:, 0].any(axis=1)
-    assert on_it.sum() > 8
+    assert on_it.sum() >= 4
     assert moved[on_it].max() < 1e-12
 
 

@@ -32,7 +32,7 @@ def test_turned_together_vehicle_and_surface_look_the_same():
 def test_the_seen_attitude_has_the_vehicles_thrust_axis():
     state, platform = somewhere(200)
     seen = surface.heading_frame(state, platform)
-    angles = np.column_stack([seen[:, [ROLL, PITCH]], platform[:, YAW]])
+    angles = np.ascontiguousarray(np.column_stack([seen[:, [ROLL, PITCH]], platform[:, YAW]]))
     own = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))[:, :, Z]
     assert np.abs(rotations(angles)[:, :, Z] - own).max() < 1e-13
     same = state.copy()

@@ -23,6 +23,7 @@ from inclined_landing.train import cli
 from inclined_landing.train.sweep import command, jobs
 from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped
 from inclined_landing.train.sweep.result import sum_up, take
+from tests.campaign import damage
 from tests.training import assert_same_policy
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
@@ -111,7 +112,7 @@ def sweep(*words) -> int:
     return cli.main(["sweep", "pretended.toml", *words])
 
 
-def test_every_command_is_done_once_for_every_run_then_all_together(begun, capsys):
+def test_every_command_is_done_once_for_every_run_then_all_together(place, capsys):
     cores = len(os.sched_getaffinity(0))
     assert sweep("--jobs", "1") == 0
     done = calls()
@@ -232,8 +233,8 @@ def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys,
     assert "--on ray needs Ray, which is not installed; pip install" in capsys.readouterr().err
 
 
+@damage.examples(10)
 @given(data=st.data())
-@settings(max_examples=30, deadline=None)
 def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tmp_path_factory):
     odd = st.recursive(
         st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)

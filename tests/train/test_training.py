@@ -170,7 +170,7 @@ def test_a_run_of_other_options_goes_on(tmp_path):
         Run(TrainConfig(out=folder, resume=True))
 
 
-@pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8, 7), "stock")])
+@pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8), "stock")])
 def test_networks_of_other_sizes(net_arch, update, tmp_path):
     """They are trained, evaluated, read, flown, and gone on with."""
     folder, _ = train(config(tmp_path / "a", net_arch=net_arch, update=update, evaluate_every=4, steps=128))
@@ -181,9 +181,9 @@ def test_networks_of_other_sizes(net_arch, update, tmp_path):
 
 
 def test_policy_files_need_no_training_code(landing_run):
-    """A fresh interpreter that only knows envs and eval reads and flies the policy."""
+    """A fresh interpreter without PyTorch that only knows envs and eval reads and flies the policy."""
     code = (
-        "import sys, numpy as np\n"
+        "import sys, numpy as np; sys.modules['torch'] = None\n"
         "from inclined_landing.envs.policy import load_policy\n"
         f"policy = load_policy({str(landing_run[0] / 'final.zip')!r})\n"
         "assert policy.predict(np.zeros((2, 5))).shape == (2, 2)\n"

@@ -69,8 +69,25 @@ def broken(policy, answer):
 
 
 def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies, tmp_path):
-    _, report, world = flown(policies, tmp_path)
+    """The first set-point unlocks the thrust, the last ones stop the motors: lost packets must not matter."""
+    lost = {"arm": 3, "stop": 8}
+
+    def lossy(pilot):
+        up = pilot.radio.crazyflie._world.up
+        link = up.arrival
+
+        def arrival(time):
+            when = "stop" if pilot.phase is Phase.OVER else "arm"
+            lost[when] -= 1
+            return None if lost[when] >= 0 else link(time)
+
+        up.arrival = arrival
+
+    _, report, world = flown(policies, tmp_path, before=lossy)
     assert report.outcome == "goal box" and not report.touched and report.error is None
+    assert max(lost.values()) < 0
+    running = world.trace.time[world.trace.command[:, 0] > 0.0]
+    assert abs(running[-1] - (world.time - pilot_module.AFTER_FLIGHT_TIME)) < 0.1
     assert np.linalg.norm(report.start[[0, 2]] - NEAR) < TOLERANCE + 0.01
     assert abs(report.goal[1]) < 0.05, "y is held"
     truth = world.trace
@@ -89,28 +106,6 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     assert log.command[0, 0] == 0.0 and log.command[-1, 0] == 0.0 and log.command[:, 0].max() > 30_000
     measured = prepare(log, load_vehicle(), platform=True)
     assert len(measured.starts) >= 5 and np.isfinite(measured.voltage).all()
-
-
-def test_commands_that_must_arrive_are_sent_again(policies):
-    """The first set-point unlocks the thrust, the last ones stop the motors: lost packets must not matter."""
-    lost = {"arm": 3, "stop": 8}
-
-    def lossy(pilot):
-        up = pilot.radio.crazyflie._world.up
-        link = up.arrival
-
-        def arrival(time):
-            when = "stop" if pilot.phase is Phase.OVER else "arm"
-            lost[when] -= 1
-            return None if lost[when] >= 0 else link(time)
-
-        up.arrival = arrival
-
-    _, report, world = flown(policies, before=lossy)
-    assert report.outcome == "goal box" and max(lost.values()) < 0
-    running = world.trace.time[world.trace.command[:, 0] > 0.0]
-    cut = world.time - pilot_module.AFTER_FLIGHT_TIME
-    assert abs(running[-1] - cut) < 0.1
 
 
 def reference(seconds=3.0, reach=0.3):
@@ -196,11 +191,10 @@ def test_a_touchdown_comes_to_rest_by_its_own_command(name, policies):
     assert world.trace.touching[-1, 0] and np.linalg.norm(world.trace.state[-1, 3:6]) < 0.05
 
 
-@pytest.mark.parametrize(
-    ("name", "slope"), [("landing-3d", -15), pytest.param("landing-slopes", 10, marks=pytest.mark.slow)]
-)
-def test_policies_of_any_slope_fly_over_that_of_the_arena(name, slope, tmp_path, capsys):
-    words = ["fly", name, "--simulated", "--start=1.5,1.8", "--inclination", str(slope), "--seed=3"]
+@pytest.mark.slow
+def test_a_policy_of_any_slope_flies_over_that_of_the_arena(tmp_path, capsys):
+    """Another one: test_the_command_writes_what_happened."""
+    words = ["fly", "landing-slopes", "--simulated", "--start=1.5,1.8", "--inclination", "10", "--seed=3"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     assert "; at rest on the slope" in capsys.readouterr().out
 
@@ -387,9 +381,11 @@ def test_motion_capture_that_is_silent_or_refuses_is_said(code, limit, said, tmp
 
 
 def test_the_command_writes_what_happened(tmp_path, capsys):
-    words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "out"), "--seed=2"]
-    assert cli.main(words) == 0
-    assert "Of 1 flight, 1 reached the goal box (1 without" in capsys.readouterr().out
+    """Of a policy of any slope over that of the arena."""
+    words = ["fly", "landing-3d", "--simulated", "--start=1.5,1.8", "--inclination", "-15", "--seed=3"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "Of 1 flight, 1 reached the goal box (1 without" in said and "; at rest on the slope" in said
     told = json.loads((tmp_path / "out" / "fly.json").read_text("utf-8"))
     assert told["flights"][0]["landed"] and told["flights"][0]["log"] == "flight_01.csv"
     for wrong in (
@@ -399,7 +395,8 @@ def test_the_command_writes_what_happened(tmp_path, capsys):
         ["--setpoint=landing"],
         ["--fault=mocap-frozen@0"],  # the checks fail
     ):
-        assert cli.main([*words[:4], "--out", str(tmp_path / "new"), *wrong]) == 2
+        words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "new")]
+        assert cli.main([*words, *wrong]) == 2
     for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=poses:1"], ["fly", "--seed=1"]):
         assert cli.main(wrong) == 2
     assert not (tmp_path / "new").exists()

@@ -27,8 +27,6 @@ from inclined_landing.eval.gap.model.columns import BASE, Candidates
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
 from inclined_landing.eval.gap.pipeline import steady_force
-from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report.words import how_much
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models import effects, equations, forces
@@ -140,7 +138,7 @@ def test_nothing_hidden(matched):
     ],
 )
 def test_hidden_effect_is_named(name, values):
-    d = quick(flights({name: values}, seed=2))
+    d = quick(flights({name: values}, seed=2, count=3, seconds=6.0))
     assert [e.name for e in d.effects] == [name]
     assert d.verdict == "effects"
     for parameter, truth in values.items():
@@ -157,16 +155,10 @@ def test_two_hidden_effects_are_named():
 
 
 def test_equal_delays_are_one_late_measurement():
-    d = quick(flights({"thrust_delay": {"delay": 0.02}, "attitude_delay": {"delay": 0.02}}, seed=4))
+    both = {"thrust_delay": {"delay": 0.02}, "attitude_delay": {"delay": 0.02}}
+    d = quick(flights(both, seed=4, count=3, seconds=6.0))
     assert [e.name for e in d.effects] == ["mocap_delay"]
     assert d.effects[0].parameters["delay"].value == pytest.approx(0.02, abs=0.003)
-
-
-def test_thrust_and_mass_are_one_class(weak):
-    d = quick(weak)
-    assert {"thrust_scale", "mass"} <= set(d.effects[0].members)
-    told, _ = most_informative_flight(PlanInput.of(d, VEHICLE, VehiclePosterior.of_file(None, VEHICLE)))
-    assert "Weigh the vehicle" in told
 
 
 @pytest.mark.slow
@@ -200,7 +192,7 @@ def test_what_no_effect_explains_is_said():
         angles = np.sign(u[1:3]) * np.maximum(np.abs(u[1:3]) - 0.06, 0.0)
         return np.array([u[0], *angles, u[3]])
 
-    d = quick(flights(distort=dead_zone, seed=5))
+    d = quick(flights(distort=dead_zone, seed=5, count=3, seconds=6.0))
     assert d.verdict == ("effects" if d.explained > d.residual.repeats else "unknown")
     assert d.residual.unexplained and "repeats from flight to flight" in how_much(d)
     assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.residual.depends_on}
@@ -242,7 +234,7 @@ def test_names_that_do_not_predict_better_are_dropped(wrong):
 
 def test_what_differs_between_flights_is_not_named():
     each = [{"thrust_scale": {"scale": s}} for s in (0.9, 1.1, 0.95, 1.12, 0.93)]
-    d = quick(flights(each=each, count=5, seed=6))
+    d = quick(flights(each=each, count=5, seed=6, seconds=5.0))
     assert not {"thrust_scale", "mass", "thrust_bias"} & {e.name for e in d.effects}
 
 
@@ -324,7 +316,7 @@ def test_identification_recovers_the_attitude_loop():
         "attitude_time_constant": {"scale": 0.6},
         "thrust_scale": {"scale": 0.9},
     }
-    r = identify(flights(truth, seed=8), VEHICLE)
+    r = identify(flights(truth, seed=8, count=3, seconds=6.0), VEHICLE)
     found = {p.name: p for p in r.parameters}
     assert found["attitude gain k"].value == pytest.approx(0.8 * VEHICLE.attitude_gain, rel=0.02)
     assert found["attitude time constant tau"].value == pytest.approx(
@@ -337,13 +329,13 @@ def test_identification_recovers_the_attitude_loop():
 
 @pytest.fixture(scope="module")
 def flown_alike():
-    """Ten flights of one vehicle of the independent simulator, and what the first five make of it."""
+    """Eight flights of one vehicle of the independent simulator, and what the first four make of it."""
     rng = np.random.default_rng(1)
     reality, charge = simulator.draw("cascade", rng), {"battery_voltage": (-0.15, 0.15)}
     logs = generate.logs(
-        generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=10, seconds=8.0), voltage=True
+        generate.fly_all(Drawn({}, {}, spread=charge), rng, reality, count=8, seconds=6.0), voltage=True
     )
-    return logs, identify(logs[:5], VEHICLE)
+    return logs, identify(logs[:4], VEHICLE)
 
 
 def test_what_the_reference_never_met_is_no_error_of_it():
@@ -378,8 +370,8 @@ def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
 @pytest.mark.parametrize(
     "part",
     [
-        pytest.param(slice(0, 5), marks=pytest.mark.slow, id="the same flights"),
-        pytest.param(slice(5, 10), id="other flights"),
+        pytest.param(slice(0, 4), marks=pytest.mark.slow, id="the same flights"),
+        pytest.param(slice(4, 8), id="other flights"),
     ],
 )
 def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike, part):
@@ -460,7 +452,7 @@ def test_no_wind_is_named_for_a_vehicle_without_drag():
 
 def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
     """Held commands are dated up to 100 ms wrong, which looks like other lags too."""
-    logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2)
+    logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2, count=3, seconds=6.0)
     lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.doubted]
     assert lags and all(LIBRARY[e.name].is_lag and not e.sure for e in lags)
     assert all("Flights of fewer than 30 rows per second" in e.note for e in lags)

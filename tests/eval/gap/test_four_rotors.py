@@ -122,7 +122,7 @@ def test_requests_in_some_flights_only_are_left_out():
 
 
 def test_flights_without_attitude_commands_show_translation_alone():
-    log = flown(V, 5)
+    log = flown(V, 5, seconds=8.0)
     silent = dataclasses.replace(log, command=np.c_[log.command[:, 0], np.full((len(log), 3), np.nan)])
     flight = prepare(dataclasses.replace(silent, requests=None), V)
     assert flight.logged.tolist() == [True] * 3 + [False] * 3
@@ -176,7 +176,7 @@ def test_how_a_battery_was_put_in_is_shared_by_the_flights_of_a_day():
 
 def with_measured_speeds(seed: int, sensor: float = 1.0) -> FlightLog:
     """A flight whose thrust is that of four rotor speeds; the sensor of M3 shows a share of its speed."""
-    log = flown(V, seed, seconds=6.0)
+    log = flown(V, seed, seconds=4.0)
     squares = np.repeat(log.command[:, :1], 4, axis=1) * [1.05, 0.95, 1.0, 1.0]  # PWM goes with the square
     squares[:, 2] *= sensor**2
     command = np.c_[squares.mean(axis=1), np.full((len(log), 3), np.nan)]

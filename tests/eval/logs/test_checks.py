@@ -86,13 +86,13 @@ def found(log: FlightLog, decision: str) -> list[str]:
     return [finding.text for finding in check_log(log) if finding.decision == decision]
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("heading", [0.0, 2.5])
+@pytest.mark.parametrize("seed, heading", [(0, 0.0), (1, 2.5), (2, -1.0)])
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 3e-3])
 def test_nothing_is_wrong_with_an_ordinary_flight(seed, heading, noise):
     log = flight(seed, heading=heading, noise=noise)
-    assert found(log, "refuse") == found(log, "limit") == []
-    notes = " ".join(found(log, "info"))
+    findings = check_log(log)
+    assert {finding.decision for finding in findings} == {"info"}
+    notes = " ".join(finding.text for finding in findings)
     # To a row and the noise: the estimate is in steps of 10 ms.
     assert any(f"attitude follows its command after {ms} ms" in notes for ms in (70, 80, 90)), notes
     assert any(f"thrust follows its command after {ms} ms" in notes for ms in (30, 40, 50, 60, 70)), notes

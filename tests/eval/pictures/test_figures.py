@@ -64,9 +64,15 @@ def middle(image):
     return np.array([0.5 * (left + right), 0.5 * (bottom + top)])
 
 
-def test_curves_are_the_flight():
+@pytest.fixture(scope="module")
+def drawn():
+    """The figure of `landing_flight`."""
+    return trajectory_figure(landing_flight(), copies=6)
+
+
+def test_curves_are_the_flight(drawn):
     flight = landing_flight()
-    _, pitch, pwm = trajectory_figure(flight).axes
+    _, pitch, pwm = drawn.axes
     lines = {line.get_label(): line for axes in (pitch, pwm) for line in axes.lines}
     expected = {
         "pitch": np.degrees(flight.state[:, 7]),
@@ -81,9 +87,9 @@ def test_curves_are_the_flight():
     np.testing.assert_allclose(lines["inclination"].get_ydata(), np.degrees(SLOPE))
 
 
-def test_copies_stand_where_the_vehicle_was():
+def test_copies_stand_where_the_vehicle_was(drawn):
     flight = landing_flight()
-    scene, pitch, _ = trajectory_figure(flight, copies=6).axes
+    scene, pitch, _ = drawn.axes
     copies = by_gid(scene.images, "copy")
     samples = [int(image.get_gid().split()[1]) for image in copies]
     assert samples[0] == 0 and samples[-1] == 60 and 3 <= len(samples) <= 6
@@ -110,19 +116,19 @@ def test_platform_has_the_scene_s_shape():
     np.testing.assert_allclose(base[2:, 1], 0.0)
 
 
-def test_figure_tells_how_the_flight_ended():
-    def texts(**changes):
-        figure = trajectory_figure(landing_flight(**changes), copies=2)
+def test_figure_tells_how_the_flight_ended(drawn):
+    def texts(figure):
         return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
 
-    assert "drawn at 3× size" in texts()
-    assert "goal box after 1.20 s" in texts()
-    assert "goal box not reached, platform touched before" in texts(success=False, touched=True)
+    assert "drawn at 3× size" in texts(drawn)
+    assert "goal box after 1.20 s" in texts(drawn)
+    touched = trajectory_figure(landing_flight(success=False, touched=True), copies=2)
+    assert "goal box not reached, platform touched before" in texts(touched)
 
 
 def test_setpoint_flight_is_seen_from_two_sides():
     flight = setpoint_flight()
-    side, front, attitude, _ = trajectory_figure(flight).axes
+    side, front, attitude, _ = trajectory_figure(flight, copies=3).axes
     for axes, plane in ((side, [0, 2]), (front, [1, 2])):
         for image in by_gid(axes.images, "copy"):
             k = int(image.get_gid().split()[1])
@@ -146,8 +152,8 @@ def test_stamp_tilts_as_the_vehicle_does():
         assert not cover[[0, -1]].any() and not cover[:, [0, -1]].any()  # the whole vehicle is in it
 
 
-def test_png_and_pdf(tmp_path):
-    figure = trajectory_figure(landing_flight(), copies=5)
+def test_png_and_pdf(drawn, tmp_path):
+    figure = drawn
     png = save_figure(figure, tmp_path / "new" / "way.png")
     with Image.open(png) as image:
         assert image.format == "PNG"
@@ -356,15 +362,15 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
     out = tmp_path / "two.mp4"
     size = ["--width", "96", "--height", "64", "--backend", "ray"]
     starts = ["--start", "-1.5,1.6", "--start", "1,2"]
-    arguments = [*size, *starts, "--plant", "analytic", "--slow", "0.25", "--gif"]
+    arguments = [*size, *starts, "--plant", "analytic", "--slow", "0.1", "--gif"]
     assert cli.main(["video", hover_policy, "--out", str(out), *arguments]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["two.gif", "two.mp4"]
     for name, rate in (("two.mp4", 50.0), ("two.gif", 25.0)):
         reader = imageio_ffmpeg.read_frames(str(tmp_path / name))
         meta = next(reader)
         assert tuple(meta["size"]) == (96, 64) and meta["fps"] == pytest.approx(rate)
-        # two flights of 6 s at four times the speed, 1 s of rest after each
-        assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 4 + 1.0), abs=0.1)
+        # two flights of 6 s at ten times the speed, 1 s of rest after each
+        assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 10 + 1.0), abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -73,8 +73,9 @@ def test_the_policy_of_varied_vehicles_lands_with_another_thrust(name, plant):
     assert min(condition["grid"]["strict"]["share"] for condition in report["conditions"]) >= 0.97
 
 
-def test_setpoint_is_reached():
-    error = evaluate(load_policy("setpoint"))["conditions"][0]["error"]
+@every(["setpoint"])
+def test_setpoint_is_reached(name, plant):
+    error = evaluate(load_policy(name), plant=plant)["conditions"][0]["error"]
     assert error["mean"] < 0.05  # m, after 3 s, from 200 random starts
 
 
