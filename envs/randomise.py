@@ -17,8 +17,9 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
     mass = [0.027, 0.032]
     inertia = [[1.5e-5, 1.8e-5], [1.5e-5, 1.8e-5], [2.6e-5, 3.2e-5]]
 
-Entries are set first and effects applied on top, in their order. Every number of a pool is spread evenly over
-its range, independent of the others. Entries that all vehicles of a plant share have no range: commands,
+Entries are set first and effects applied on top, in their order. Every number of a pool is spread over its
+range, independent of the others: evenly where policies are judged, and more densely towards its ends where
+they are trained. Entries that all vehicles of a plant share have no range: commands,
 arena, and the platform except for its surface_height (the effects platform_height and platform_tilt move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
@@ -85,17 +86,28 @@ class Ranges:
     what: str  # in sentences
     vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
-    def draw(self, vehicle: Vehicle, seed: int, count: int = POOL) -> list[Vehicle]:
-        """Draw `count` vehicles from a seed; raises UserError if one of them is impossible."""
+    def draw(
+        self, vehicle: Vehicle, seed: int, count: int = POOL, *, for_training: bool = False
+    ) -> list[Vehicle]:
+        """Draw `count` vehicles from a seed; raises UserError if one of them is impossible.
+
+        for_training: numbers have the arcsine distribution over their range, with 41 % of them in its outer
+        tenths, instead of the uniform one with 20 %. The hardest vehicles are there, and policies do not
+        extrapolate to them.
+        """
         rng = np.random.default_rng([_STREAM, seed])
 
         def spread(low: float, high: float) -> np.ndarray:
             return low + (high - low) * (rng.permutation(count) + rng.random(count)) / count
 
-        entries = {f: np.stack([spread(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
+        def numbers(low: float, high: float) -> np.ndarray:
+            u = spread(0.0, 1.0)
+            return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if for_training else u)
+
+        entries = {f: np.stack([numbers(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
         present = {name: spread(0.0, 1.0) < chance for name, chance in self.probability.items()}
         sizes = {
-            name: {parameter: spread(*r) for parameter, r in ranges.items()}
+            name: {parameter: numbers(*r) for parameter, r in ranges.items()}
             for name, ranges in self.effects.items()
         }
         last = len(self.vehicles) - 1.0
@@ -110,12 +122,38 @@ class Ranges:
                 if present[name][k]:
                     values = {parameter: float(column[k]) for parameter, column in columns.items()}
                     member = LIBRARY[name].apply(member, values)
+            drawn.append(member)
+        self._check(drawn)
+        return drawn
+
+    def each_alone(self, vehicle: Vehicle) -> list[Vehicle]:
+        """Return vehicles with one deviation each; raises UserError if one of them is impossible.
+
+        An effect has its plausible size, or one vehicle the lower and one the upper ends of its ranges where
+        these do not include that. An entry has either end of its range. Named vehicles follow as they are.
+        """
+        alone = []
+        for name, ranges in self.effects.items():
+            size = LIBRARY[name].plausible
+            within = all(low <= size[parameter] <= high for parameter, (low, high) in ranges.items())
+            ends = [{parameter: r[end] for parameter, r in ranges.items()} for end in (0, 1)]
+            sizes = [{p: size[p] for p in ranges}] if within else ends
+            alone += [LIBRARY[name].apply(vehicle, values) for values in sizes]
+        for name, ranges in self.fields.items():
+            one = not isinstance(getattr(vehicle, name), tuple)
+            for end in (0, 1):
+                numbers = tuple(r[end] for r in ranges)
+                alone.append(vehicle.changed(**{name: numbers[0] if one else numbers}))
+        alone += [between(self.vehicles, float(k), vehicle) for k in range(len(self.vehicles))]
+        self._check(alone)
+        return alone
+
+    def _check(self, vehicles: Sequence[Vehicle]) -> None:
+        for vehicle in vehicles:
             try:
-                check_vehicle(member)
+                check_vehicle(vehicle)
             except UserError as error:
                 raise UserError(f"{self.what} contains impossible vehicles: {error}") from error
-            drawn.append(member)
-        return drawn
 
 
 def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle:

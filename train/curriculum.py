@@ -21,7 +21,7 @@ from inclined_landing.models.errors import UserError, shown
 
 # Environment steps over which the learning rate falls in a run ended by success: usually, and on drawn
 # vehicles in the plane; and its share from then on.
-SETTLING, SETTLED = (400_000, 250_000), 0.1
+SETTLING, SETTLED = (400_000, 350_000), 0.1
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
@@ -124,6 +124,9 @@ class Curriculum:
     def skip(self) -> None:
         """Start at the end of a curriculum that follows success, because the policy has learned the task."""
 
+    def learn_again(self) -> None:
+        """Go back to the initial learning rate, where it follows success: the policy improves no more."""
+
     def gamma(self, steps: int) -> float:
         """Return the discount factor of the next rollout, after `steps` environment steps."""
         return rising_gamma(steps) if self._gamma == RISING else float(self._gamma)
@@ -159,7 +162,7 @@ class AdaptiveCurriculum(Curriculum):
     it, l goes back by `back`, as far as it takes: a policy that has learned to keep away from the platform
     has to meet the goal without one again. Episodes solved within two steps do not count. The learning rate
     stays constant until success at l = 1 exceeds the gate and then falls linearly to zero at the end of the
-    run (or to SETTLED).
+    run, or to SETTLED and starts again if the run then improves no more short of success.
     """
 
     name = "adaptive"
@@ -220,6 +223,9 @@ class AdaptiveCurriculum(Curriculum):
 
     def skip(self) -> None:
         self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
+
+    def learn_again(self) -> None:
+        self.full_at = None  # until success passes the gate, which it does at the next rollout
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:
         if self.full_at is None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS
+from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.envs.tasks.own import blame
 from inclined_landing.models.attitude import LAG
@@ -23,33 +25,37 @@ ENDING_STARTS = 256  # of evaluations that end a run
 
 
 class PeriodicEvaluation:
-    """Random starts of a stream of its own, hybrid plant in RK4, no training aids.
+    """Random starts of a stream of its own, others each time, hybrid plant in RK4, no training aids.
 
-    Of a randomised run two of three flights have a vehicle of another pool than the training's, hovering at
-    first: the score is that of all flights, followed by that of each kind.
+    Of a randomised run two of three flights have a vehicle with one deviation, see `Ranges.each_alone`, and
+    hover at first: the score is that of all flights, followed by that of each kind.
     """
 
     def __init__(self, config: TrainConfig, vehicle: Vehicle):
-        self.task = ppo.build_task(config)
-        rng = np.random.default_rng(ppo.evaluation_seed(config))
+        self.task, self.seed = ppo.build_task(config), ppo.evaluation_seed(config)
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         count += 0 if config.randomise is None else count // 2
-        self.starts = self.task.evaluation_starts(rng, count)
-        drawn = ppo.drawn(config, vehicle, ppo.evaluation_seed(config), 2 * (count // 3))
-        self.plant = make_plant(
-            "hybrid", count, vehicle, threads=config.threads, **drawn | self.task.plant_options
-        )
+        options: dict[str, Any] = {"threads": config.threads, **self.task.plant_options}
+        if config.randomise is not None:
+            pool = read_ranges(config.randomise).each_alone(self.task.vehicle)
+            options |= ppo.pool_options(pool, self.seed)
+        self.plant = make_plant("hybrid", count, vehicle, **options)
         if self.plant.pool:
             others = np.flatnonzero(np.arange(count) % 3)
-            self.plant.assign(others, 1 + np.arange(len(others)))
-            self.starts.state[:, LAG] *= self.plant.hover_share
+            self.plant.assign(others, 1 + np.arange(len(others)) % len(self.plant.pool))
 
-    def score(self, policy: Policy) -> dict:
-        """Return the task's score of flights from all starts."""
-        flights = record_flights(policy, self.plant, self.starts, steps=self.task.judged_steps)
+    def starts(self, number: int) -> Start:
+        """Return the starts of one of the run's evaluations, the first being 0."""
+        starts = self.task.evaluation_starts(np.random.default_rng([self.seed, number]), self.plant.n)
+        starts.state[:, LAG] *= self.plant.hover_share
+        return starts
+
+    def score(self, policy: Policy, number: int) -> dict:
+        """Return the task's score of flights from the starts of one of the run's evaluations."""
+        flights = record_flights(policy, self.plant, self.starts(number), steps=self.task.judged_steps)
         score = self.task.score(flights)
         if self.plant.pool:
-            kinds = {"nominal": flights[::3], "drawn": [f for k, f in enumerate(flights) if k % 3]}
+            kinds = {"nominal": flights[::3], "varied": [f for k, f in enumerate(flights) if k % 3]}
             for kind, some in kinds.items():
                 found = self.task.score(some)
                 columns = ("score", self.task.score_curve.column)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import psutil
@@ -11,7 +12,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.history import input_centre, input_scale
-from inclined_landing.envs.randomise import POOL, read_ranges
+from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre
@@ -48,18 +49,19 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
     task = build_task(config)
-    options |= drawn(config, task.vehicle, config.seed) | task.plant_options
+    nominal = None
+    if config.randomise is not None:
+        ranges = read_ranges(config.randomise)
+        nominal = ranges.nominal
+        options |= pool_options(ranges.draw(task.vehicle, config.seed, for_training=True), config.seed)
+    options |= task.plant_options
     assert config.environments is not None
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
-    nominal = None if config.randomise is None else read_ranges(config.randomise).nominal
     return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
 
 
-def drawn(config: TrainConfig, vehicle: Vehicle, seed: int, count: int = POOL) -> dict[str, Any]:
-    """Return options of a plant with `count` vehicles that a randomised run draws from `seed`, else {}."""
-    if config.randomise is None:
-        return {}
-    pool = read_ranges(config.randomise).draw(vehicle, seed, count)
+def pool_options(pool: Sequence[Vehicle], seed: int) -> dict[str, Any]:
+    """Return options of a plant whose vehicles are chosen from a pool; seed: of their disturbances."""
     moved = any(any(v.disturbance_acceleration) or any(v.disturbance_angular) for v in pool)
     return {"pool": pool} | ({"disturbance": seed} if moved else {})
 

@@ -25,6 +25,7 @@ from torch.utils.tensorboard import SummaryWriter
 from inclined_landing.envs.policy import Policy, load_policy, write_metadata
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -54,8 +55,9 @@ from inclined_landing.train.record import (
 
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]
-# Share of drawn vehicles that two evaluations land more than the two before, or it rises no more.
-RISING = 0.01
+# Evaluations at the lowest learning rate of which the second half is better than the first by less than this
+# share rise no more.
+PATIENCE, RISING = 4, 0.01
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
@@ -227,15 +229,17 @@ class Run:
             if self.curriculum.level < COMPLETE:
                 return  # policies that have not seen the whole task fail at it, at length
             if self.config.randomise is not None and not self.curriculum.settled(self.model.num_timesteps):
-                return  # the share of drawn vehicles still rises
+                return  # the share of varied vehicles still rises
         self.evaluate()
         if self.reached():
             raise _Reached
+        if self.config.success is not None and self._rises_no_more():
+            self.curriculum.learn_again()
 
     def evaluate(self) -> None:
         """Fly the deterministic policy from the evaluation's starts: hybrid plant, no training aids."""
         self.clock.switch("evaluation")
-        score = self.evaluation.score(self._policy())
+        score = self.evaluation.score(self._policy(), len(self.evaluations))
         if not self.evaluations or score["score"] >= max(e["score"] for e in self.evaluations):
             self.best = self.policy_file()
             storage.write_bytes(self.folder / "best.zip", self.best)
@@ -292,7 +296,7 @@ class Run:
             "cpu_seconds": round(self.clock.cpu, 2),
             "steps_per_second": steps / max(1e-9, self.clock.spent["training"]),
             "evaluations": {
-                "starts": len(self.evaluation.starts.state),
+                "starts": self.evaluation.plant.n,
                 "final": self.evaluations[-1] if self.evaluations else None,
                 "best": best,
                 "first_at_99_percent": next((e for e in self.evaluations if e["score"] >= TARGET), None),
@@ -322,19 +326,20 @@ class Run:
     def reached(self) -> bool:
         """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
 
-        In a randomised run it must be reached with the nominal vehicle, and stop rising with drawn ones.
+        In a randomised run it must be reached with the nominal vehicle and with varied ones.
         """
         config, last = self.config, self.evaluations[-2:]
         if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
             return False
         complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
-        which = "score" if config.randomise is None else "score_nominal"
-        if not all(e["steps"] in complete and e[which] >= config.success for e in last):
-            return False
-        if config.randomise is None:
-            return True
-        drawn = [e["score_drawn"] for e in self.evaluations[-4:]]
-        return len(drawn) == 4 and sum(drawn[2:]) <= sum(drawn[:2]) + 2.0 * RISING
+        kinds = ["score"] if config.randomise is None else [f"score_{kind}" for kind in VEHICLE_KINDS]
+        return all(e["steps"] in complete and min(e[k] for k in kinds) >= config.success for e in last)
+
+    def _rises_no_more(self) -> bool:
+        """Return whether the last evaluations at the lowest learning rate have stopped rising."""
+        settled = [e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])][-PATIENCE:]
+        half = PATIENCE // 2
+        return len(settled) == PATIENCE and sum(settled[half:]) <= sum(settled[:half]) + half * RISING
 
     def _how_it_ended(self) -> str:
         """Return how the run ended, in one sentence."""
@@ -343,14 +348,13 @@ class Run:
             return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
         asked = f"two evaluations in a row at {100 * config.success:g} %"
         if config.randomise is not None:
-            varied = f" (last {100 * self.evaluations[-1]['score_drawn']:.0f} %)" if self.evaluations else ""
-            asked += f" with the nominal vehicle, and no further rise with varied vehicles{varied},"
+            asked += " with the nominal and with varied vehicles"
         if self.reached():
             return f"{asked} after {steps} steps"
         last = f"the last one gave {self.evaluation.words(self.evaluations[-1])}"
         most = f" of at most {config.max_steps}" if not self._over() else ""
         level = f"the curriculum stood at level {self.curriculum.level:.2f}"
-        return f"ended without {asked.rstrip(',')}: after {steps} steps{most} {last}, and {level}"
+        return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
 
     def policy_file(self) -> bytes:
         """Return the present policy with its metadata, as a file."""

@@ -117,7 +117,8 @@ def _commands(actions, channels, pwm_centres):
     return out
 
 
-VEHICLE_KINDS = {"nominal": "nominal vehicle", "drawn": "varied vehicles"}  # scored apart in a randomised run
+# Scored apart in a randomised run.
+VEHICLE_KINDS = {"nominal": "nominal vehicle", "varied": "varied vehicles"}
 
 
 @dataclasses.dataclass(frozen=True)

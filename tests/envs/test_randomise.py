@@ -108,6 +108,32 @@ def test_a_pool_fills_its_ranges(tmp_path):
     assert all(v.changed(body_mass=V.body_mass) != v for v in pool)
 
 
+def test_a_pool_for_training_is_denser_towards_the_ends(tmp_path):
+    """Arcsine distribution: 2/pi asin(sqrt(u)) of the numbers lie below u of the range, to a hundredth."""
+    pool = written(tmp_path).draw(V, 0, 100, for_training=True)
+    mass = np.array([v.body_mass for v in pool])
+    for u in (0.05, 0.1, 0.3, 0.5, 0.9):
+        assert abs((mass < 0.03 + 0.01 * u).mean() - 2.0 / np.pi * np.arcsin(np.sqrt(u))) <= 0.01
+
+
+def test_deviations_alone(tmp_path):
+    """At plausible sizes, else at both ends of the ranges; entries at both ends; named vehicles."""
+    file = tmp_path / "ranges.toml"
+    file.write_text(
+        'vehicles = ["crazyflie-2.0", "crazyflie-2.1"]\n[effects.mass]\nscale = [0.9, 1.2]\n'
+        "[effects.thrust_scale]\nscale = [0.9, 1.1]\n[body]\nmass = [0.03, 0.04]\n",
+        "utf-8",
+    )
+    mass, lower, upper, light, heavy, *named = read_ranges(file).each_alone(V)
+    assert mass == LIBRARY["mass"].apply(V, {"scale": 1.08})
+    assert [lower, upper] == [LIBRARY["thrust_scale"].apply(V, {"scale": x}) for x in (0.9, 1.1)]
+    assert [light, heavy] == [V.changed(body_mass=x) for x in (0.03, 0.04)]
+    assert [v.body_mass for v in named] == [load_vehicle("crazyflie-2.0").body_mass, V.body_mass]
+    robust = read_ranges("robust")
+    alone = [effect.apply(V, effect.plausible) for name, effect in LIBRARY.items() if name in robust.effects]
+    assert {repr(v) for v in robust.each_alone(V)} == {repr(v) for v in alone}
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_every_episode_draws_its_vehicle(plant, tmp_path):
     ranges = written(tmp_path)

@@ -238,7 +238,7 @@ def test_one_run_is_one_line(tmp_path):
 def test_nominal_and_varied_vehicles_are_two_curves(tmp_path):
     run = write_run(tmp_path / "a")
     table = pd.read_csv(run / "evaluations.csv")
-    kinds = {"strict_success_nominal": 1.0, "strict_success_drawn": table["strict_success"] / 2}
+    kinds = {"strict_success_nominal": 1.0, "strict_success_varied": table["strict_success"] / 2}
     table.assign(**kinds).to_csv(run / "evaluations.csv", index=False)
     axes = learning_curves([run]).axes[0]
     nominal, varied = by_gid(axes.lines, "run")
