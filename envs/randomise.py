@@ -130,7 +130,7 @@ class Ranges:
         """Return vehicles with one deviation each; raises UserError if one of them is impossible.
 
         An effect has its plausible size, or one vehicle the lower and one the upper ends of its ranges where
-        these do not include that. An entry has either end of its range. Named vehicles follow as they are.
+        these do not include that. An entry has either end of its range. The file's vehicles follow.
         """
         alone = []
         for name, ranges in self.effects.items():
