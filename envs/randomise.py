@@ -100,14 +100,14 @@ class Ranges:
         def spread(low: float, high: float) -> np.ndarray:
             return low + (high - low) * (rng.permutation(count) + rng.random(count)) / count
 
-        def numbers(low: float, high: float) -> np.ndarray:
+        def values_in(low: float, high: float) -> np.ndarray:
             u = spread(0.0, 1.0)
             return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if for_training else u)
 
-        entries = {f: np.stack([numbers(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
+        entries = {f: np.stack([values_in(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
         present = {name: spread(0.0, 1.0) < chance for name, chance in self.probability.items()}
         sizes = {
-            name: {parameter: numbers(*r) for parameter, r in ranges.items()}
+            name: {parameter: values_in(*r) for parameter, r in ranges.items()}
             for name, ranges in self.effects.items()
         }
         last = len(self.vehicles) - 1.0
@@ -139,10 +139,10 @@ class Ranges:
             ends = [{parameter: r[end] for parameter, r in ranges.items()} for end in (0, 1)]
             sizes = [{p: size[p] for p in ranges}] if within else ends
             alone += [LIBRARY[name].apply(vehicle, values) for values in sizes]
-        for name, ranges in self.fields.items():
+        for name, entries in self.fields.items():
             one = not isinstance(getattr(vehicle, name), tuple)
             for end in (0, 1):
-                numbers = tuple(r[end] for r in ranges)
+                numbers = tuple(r[end] for r in entries)
                 alone.append(vehicle.changed(**{name: numbers[0] if one else numbers}))
         alone += [between(self.vehicles, float(k), vehicle) for k in range(len(self.vehicles))]
         self._check(alone)

@@ -233,7 +233,7 @@ class Run:
         self.evaluate()
         if self.reached():
             raise _Reached
-        if self.config.success is not None and self._rises_no_more():
+        if self.config.success is not None and not self._succeeds() and self._rises_no_more():
             self.curriculum.learn_again()
 
     def evaluate(self) -> None:
@@ -324,12 +324,17 @@ class Run:
         return self.reached() or self.model.num_timesteps >= self.config.most_steps()
 
     def reached(self) -> bool:
+        """Return whether the run has reached the wanted success, and its fewest steps."""
+        enough = self.model.num_timesteps >= (self.config.min_steps or 0)
+        return self.config.success is not None and enough and self._succeeds()
+
+    def _succeeds(self) -> bool:
         """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
 
-        In a randomised run it must be reached with the nominal vehicle and with varied ones.
+        In a randomised run they reach it with the nominal vehicle and with varied ones.
         """
         config, last = self.config, self.evaluations[-2:]
-        if config.success is None or len(last) < 2 or self.model.num_timesteps < config.min_steps:
+        if len(last) < 2:
             return False
         complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
         kinds = ["score"] if config.randomise is None else [f"score_{kind}" for kind in VEHICLE_KINDS]

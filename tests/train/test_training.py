@@ -324,7 +324,7 @@ def test_two_of_three_evaluated_flights_have_varied_vehicles(tmp_path):
     plant = begun.evaluation.plant
     varied = np.arange(plant.n) % 3 > 0
     assert (plant.choice[~varied] == 0).all()
-    assert plant.pool == read_ranges("robust").each_alone(plant.vehicle)
+    assert list(plant.pool) == read_ranges("robust").each_alone(plant.vehicle)
     assert np.ptp(np.bincount(plant.choice[varied])[1:]) <= 1
     np.testing.assert_allclose(
         begun.evaluation.starts(0).state[:, LAG], plant.hover_share * plant.vehicle.hover_lag
