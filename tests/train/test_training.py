@@ -527,7 +527,7 @@ def test_the_length_of_a_run_is_fixed_or_open(tmp_path):
         resolved = TrainConfig(out=tmp_path / "a", **options).resolved()
         return [getattr(resolved, name) for name in ENDING]
 
-    assert ends() == ends(nominal=True) == [None, 0.99, 300_000, 3_000_000]
+    assert ends() == ends(nominal=True) == [None, 0.99, 300_000, 4_000_000]
     assert ends(steps=7) == [7, None, None, None] and ends(task="setpoint") == [2_000_000, None, None, None]
     assert ends(success=0.5, max_steps=9) == [None, 0.5, 9, 9]
     assert ends(min_steps=10**7) == [None, 0.99, 10**7, 10**7]
