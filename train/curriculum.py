@@ -60,6 +60,7 @@ class Curriculum:
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
     settling = SETTLING[0]
+    restarts = 0  # how often the learning rate has gone back to its initial value
     kept: tuple[str, ...] = ()  # attributes that `state` has
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
@@ -126,6 +127,7 @@ class Curriculum:
 
     def learn_again(self) -> None:
         """Go back to the initial learning rate, where it follows success: the policy improves no more."""
+        self.restarts += 1
 
     def gamma(self, steps: int) -> float:
         """Return the discount factor of the next rollout, after `steps` environment steps."""
@@ -137,11 +139,11 @@ class Curriculum:
 
     def state(self) -> dict:
         """Return everything that `restore` needs, in JSON types."""
-        return {name: getattr(self, name) for name in self.kept}
+        return {name: getattr(self, name) for name in ("restarts", *self.kept)}
 
     def restore(self, state: dict) -> None:
         """Continue from a `state`."""
-        for name in self.kept:
+        for name in ("restarts", *self.kept):
             setattr(self, name, state[name])
 
 
@@ -225,6 +227,7 @@ class AdaptiveCurriculum(Curriculum):
         self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
 
     def learn_again(self) -> None:
+        super().learn_again()
         self.full_at = None  # until success passes the gate, which it does at the next rollout
 
     def learning_rate_share(self, steps: int, total: int | None) -> float:

@@ -76,7 +76,7 @@ class Training(Record):
     """Share of successes, in two evaluations in a row, that ends the run."""
     min_steps: Annotated[int, Meta(ge=0, le=10**9)] = 300_000
     """Environment steps that such a run has at least."""
-    max_steps: Many = 4_000_000
+    max_steps: Many = 3_000_000
     """Environment steps that such a run has at most."""
     start_from: str | None = None
     """The policy to start from, a file or a shipped one, or the law `descent`."""
