@@ -333,8 +333,8 @@ class Run:
         """
         if self.config.success is None or self.model.num_timesteps < (self.config.min_steps or 0):
             return False
-        settled_for = self.curriculum.restarts >= RESTARTS and self._rises_no_more()
-        return self._succeeds(["nominal"] if settled_for else VEHICLE_KINDS)
+        plateau = self.curriculum.restarts >= RESTARTS and self._rises_no_more()
+        return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
 
     def _succeeds(self, kinds: Iterable[str]) -> bool:
         """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
