@@ -1,6 +1,6 @@
 """Fails, with file and line, on phrases that a native reader stumbles over.
 
-usage: words.py [FILE ...]   default: Markdown pages, and docstrings, messages and templates of the packages
+usage: words.py [FILE ...]   default: pages, examples, and docstrings, messages and templates of the packages
 """
 
 import ast
@@ -66,7 +66,14 @@ def found(path: Path) -> Iterator[str]:
 def main(files: list[str]) -> int:
     """Print what was found; 1 if anything was."""
     if not files:
-        listed = ["*.md", "docs/**/*.md", "models/**/*.toml", "eval/**/*.toml"]
+        listed = [
+            "*.md",
+            "docs/**/*.md",
+            "docs/site/*.py",
+            "examples/*",
+            "models/**/*.toml",
+            "eval/**/*.toml",
+        ]
         listed += [f"{package}/**/*.{ending}" for package in PACKAGES for ending in ("md", "py", "j2")]
         paths = [f":(glob){one}" for one in listed] + [f":!{one}" for one in ELSEWHERE]
         files = subprocess.check_output(["git", "ls-files", *paths], text=True).split()

@@ -180,7 +180,7 @@ class BatchEnv:
         """
         ids = np.arange(self.n) if ids is None else self._numbers(ids)
         if not (start is None or isinstance(start, Start)):
-            raise UserError(f"start must be a Start, not {shown(repr(start), 40)}; states go into state=")
+            raise UserError(f"start must be a Start, not {shown(repr(start), 40)}; pass states as state=")
         if state is not None:
             state = as_floats(state, "the start state")
             if state.shape != (len(ids), self.plant.state.shape[1]):
@@ -189,7 +189,7 @@ class BatchEnv:
                     f"({len(ids)}, {self.plant.state.shape[1]}), not {state.shape}"
                 )
             if not (np.abs(state) <= FARTHEST).all():
-                raise UserError(f"a start state holds NaN or a number beyond {FARTHEST:g}")
+                raise UserError(f"a start state contains NaN or a number beyond {FARTHEST:g}")
         if state is not None:
             start = self.task.start(state)
         elif start is None:
@@ -241,7 +241,7 @@ class BatchEnv:
         if array.dtype.kind in "iu" and array.ndim == 1 and -self.n <= array.min() <= array.max() < self.n:
             return array
         raise UserError(
-            f"ids must be numbers of vehicles from 0 to {self.n - 1}, or a mask ({self.n},), "
+            f"ids must be vehicle numbers from 0 to {self.n - 1}, or a boolean mask of shape ({self.n},), "
             f"not {shown(repr(ids), 40)}"
         )
 
@@ -264,7 +264,7 @@ class BatchEnv:
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if len(todo):
                 start.put(todo, self.task.sample(rng, len(todo)))
-        raise UserError("no start of the task has room for the largest vehicle of the plant")
+        raise UserError("none of the task's starts has room for the largest vehicle of the plant")
 
     def _draw_vehicles(self, ids: np.ndarray, rng: np.random.Generator) -> None:
         if self.nominal is None or not self.plant.pool:
@@ -282,7 +282,7 @@ class BatchEnv:
         if active is not None:
             active = np.asarray(active)
             if active.shape != (self.n,) or active.dtype.kind not in "biu":
-                raise UserError(f"active must hold {self.n} truth values")
+                raise UserError(f"active must be {self.n} booleans")
         self.act(actions)
         self.plant.step(self.commands, active)
         return self.outcome()

@@ -108,7 +108,7 @@ def record_flights(
     env = BatchEnv(policy.task, plant, seed=0)
     limit = policy.task.max_steps if steps is None else steps
     if not 1 <= limit <= policy.task.max_steps:
-        raise UserError(f"a flight has 1 to {policy.task.max_steps} control steps, not {limit}")
+        raise UserError(f"a flight must have 1 to {policy.task.max_steps} control steps, not {limit}")
     observation = env.reset(state=states) if start is None else env.reset(start=start)
     n = len(states)
     state = np.empty((limit + 1, n, states.shape[1]))

@@ -63,7 +63,7 @@ def _seeds(seed, n: int) -> list[int | None] | None:
     array = isinstance(seed, np.ndarray) and seed.ndim > 0
     each = list(seed) if array or isinstance(seed, (list, tuple, range)) else None
     if each is not None and len(each) != n:
-        raise UserError(f"{n} vehicles need one seed or {n}, not {len(each)}")
+        raise UserError(f"{n} vehicles need one seed or {n} seeds, not {len(each)}")
     for one in [seed] if each is None else each:
         check_seed(one)
     return each
@@ -260,7 +260,7 @@ class TaskVectorEnv(VectorEnv):
         if mask is not None:
             mask = np.asarray(mask)
             if mask.shape != (self.num_envs,) or mask.dtype != bool:
-                raise UserError(f"reset_mask must hold {self.num_envs} truth values")
+                raise UserError(f"reset_mask must be {self.num_envs} booleans")
             ids = ids[mask]
         super().reset(seed=None if one is None else int(one))
         if one is not None:

@@ -77,7 +77,7 @@ class MissionPlan:
                 raise UserError(f"the {leg} policy {policy.name} is for the task {task.name}")
             if _without_limit(task.vehicle) != _without_limit(self.task.vehicle):
                 raise UserError(
-                    f"the {leg} policy {policy.name} is for another vehicle than the previous one"
+                    f"the {leg} policy {policy.name} is for a different vehicle than the previous one"
                 )
         first, last = slope_normal(self.landing.task), slope_normal(self.task)
         if not np.allclose(first, last, atol=1e-6):

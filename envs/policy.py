@@ -76,7 +76,7 @@ class Policy:
                 f"of {_WIDEST} are evaluated"
             )
         if not (np.isfinite(self.scale).all() and (self.scale > 0).all()):
-            raise UserError(f"policy {self.path} scales observations by a number that is not positive")
+            raise UserError(f"policy {self.path} has an observation scale that is not positive")
         for array in (self.centre, *self.weights, *self.biases):
             if not (np.abs(array) <= LARGEST_WEIGHT).all():  # NaN neither
                 raise UserError(f"policy {self.path} has weights that are NaN or beyond {LARGEST_WEIGHT:g}")
@@ -160,7 +160,7 @@ def locate(name: str | Path) -> Path:
     if str(name) in SHIPPED:
         path = _FOLDER / f"{name}.zip"
         if not path.is_file():
-            raise UserError(f"the shipped policy {name} is missing in this installation ({path})")
+            raise UserError(f"the shipped policy {name} is missing from this installation ({path})")
         return path
     path = Path(name)
     if os.path.isdir(path):
@@ -341,7 +341,7 @@ class _Metadata(Struct):
 
 def _checked(metadata: dict, path: Path) -> dict:
     """Return the metadata of a policy file, whose values are validated."""
-    schema.parse(metadata, _Metadata, f"policy {path}: {METADATA} in it: ")
+    schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ")
     return metadata
 
 
@@ -354,6 +354,6 @@ def _unknown_task(metadata: dict, path: Path) -> UserError:
             f"that code, name it: --task {shown(source, 60)}"
         )
     return UserError(
-        f"policy {path}: {METADATA} in it names an unknown task, {shown(name, 40)}; "
+        f"policy {path}: its {METADATA} names an unknown task, {shown(name, 40)}; "
         f"the known tasks are {' and '.join(TASKS)}"
     )

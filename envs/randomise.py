@@ -206,7 +206,7 @@ def read_ranges(name: str | Path) -> Ranges:
         if table in general:
             continue
         if not isinstance(lines, dict):
-            raise UserError(f"{what}: {shown(table, 40)} stands outside any table")
+            raise UserError(f"{what}: {shown(table, 40)} is outside any table")
         for key, value in lines.items():
             label = f"{table}.{key}"
             if table == "effects" and isinstance(value, dict):

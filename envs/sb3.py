@@ -82,7 +82,9 @@ def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
     """Return the task of a model's environments, and what `VecNormalize` around them adds to the metadata."""
     env = model.get_env()
     if env is None:
-        raise UserError("the model has no environment; load it with env= the one it was trained on")
+        raise UserError(
+            "the model has no environment; load it with env=ENV, the environment it was trained on"
+        )
     normalisation: dict[str, dict | None] = {}
     while isinstance(env, VecEnvWrapper):
         if type(env) is VecNormalize and not normalisation.get(NORMALISATION):
@@ -92,7 +94,7 @@ def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
         env = env.venv
     if isinstance(env, BatchVecEnv):
         return env.env.task, normalisation
-    foreign = UserError("the model was not trained on an environment of this package, so that it has no task")
+    foreign = UserError("the model was not trained on an environment of this package and has no task")
     if not (isinstance(env, (DummyVecEnv, SubprocVecEnv)) and env.has_attr("task")):
         raise foreign
     for text in env.env_method("__str__"):  # such as <Monitor<TimeLimit<TaskEnv<InclinedLanding-v0>>>>
@@ -125,8 +127,8 @@ def _scaling(env: VecNormalize) -> dict:
 def _not_held(name: str) -> UserError:
     return UserError(
         f"a policy file cannot hold the wrapper {shown(name, 60)}, which may change what the policy observes "
-        "or commands: train without it (the task's history= has past steps); if it changes rewards alone, "
-        "model.set_env(the environment without it) and save again"
+        "or commands; train without it (the task option history adds past steps). If it only changes "
+        "rewards, call model.set_env with the environment without it, and save again"
     )
 
 
@@ -172,7 +174,7 @@ class BatchVecEnv(VecEnv):
         elif len(options) == self.num_envs:
             self._states = [state for one in options for state in self._start_states(one, 1)]
         else:
-            raise UserError(f"{self.num_envs} vehicles need as many options, not {len(options)}")
+            raise UserError(f"{self.num_envs} vehicles need {self.num_envs} options, not {len(options)}")
 
     def _start_states(self, options, n: int) -> list[np.ndarray | None]:
         """Return the start states (13,) of n vehicles in options of a reset, or n times None."""
@@ -181,9 +183,7 @@ class BatchVecEnv(VecEnv):
             return [None] * n
         state, size = as_floats(state, "the start state"), self.env.plant.state.shape[1]
         if state.shape not in ((size,), (1, size), (n, size)):
-            raise UserError(
-                f"a start state has shape ({size},), or of {n} vehicles ({n}, {size}), not {state.shape}"
-            )
+            raise UserError(f"start states must have shape ({size},) or ({n}, {size}), not {state.shape}")
         return list(np.array(np.broadcast_to(state, (n, size))))
 
     def reset(self) -> np.ndarray:
@@ -261,8 +261,7 @@ class BatchVecEnv(VecEnv):
         self._check_all(method_name, indices)
         if method_name in ("reset", "step"):
             raise UserError(
-                f"call {method_name} directly, not through env_method, because it is for all vehicles "
-                "together"
+                f"call {method_name} directly, not through env_method, because it acts on all vehicles"
             )
         value = getattr(self, method_name)(*method_args, **method_kwargs)
         return [value] * len(self._indices(indices))
@@ -272,7 +271,7 @@ class BatchVecEnv(VecEnv):
 
     def _check_all(self, name: str, indices) -> None:
         if set(self._indices(indices)) != set(range(self.num_envs)):
-            raise UserError(f"{shown(name, 40)} belongs to all vehicles of the batch; omit indices")
+            raise UserError(f"{shown(name, 40)} applies to all vehicles of the batch; omit indices")
 
     def _indices(self, indices) -> list[int]:
         every = range(self.num_envs)
@@ -281,6 +280,6 @@ class BatchVecEnv(VecEnv):
         numbers = list(indices) if isinstance(indices, Iterable) else [indices]
         if not all(is_whole(i) and -self.num_envs <= i < self.num_envs for i in numbers):
             raise UserError(
-                f"indices are numbers of vehicles below {self.num_envs}, not {shown(repr(indices), 40)}"
+                f"indices must be vehicle numbers below {self.num_envs}, not {shown(repr(indices), 40)}"
             )
         return [every[i] for i in numbers]

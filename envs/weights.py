@@ -142,7 +142,7 @@ def read_tensors(content: bytes, what: str) -> dict[str, np.ndarray]:
     folder = pickles[0].removesuffix("data.pkl")
     order = f"{folder}byteorder"
     if order in archive.namelist() and read_member(archive, order, what, 100) != b"little":
-        raise UserError(f"{what} has numbers in another byte order than little-endian")
+        raise UserError(f"{what} is not in little-endian byte order")
     table = _table(read_member(archive, pickles[0], what, _PICKLE), what)
     storages: dict[_Storage, np.ndarray] = {}
     result = {}
@@ -222,7 +222,7 @@ _OPCODES = {
 
 
 def _table(content: bytes, what: str) -> dict:
-    """Return the table that a pickle describes; raises UserError for other instructions than torch's."""
+    """Return the table that a pickle describes; raises UserError for instructions foreign to torch."""
     try:
         found = _Unpickler(content, what).load()
     except UserError:
@@ -311,14 +311,14 @@ def _check_header(header: dict, metadata: dict, path: Path) -> None:
     module = entry("policy_class").get("__module__")
     if module is not None and not re.fullmatch(_POLICIES, str(module)):
         raise UserError(
-            f"policy {path} is of a class in {shown(module, 60)}, which may compute anything; only those of "
-            "Stable-Baselines3's MlpPolicy are evaluated"
+            f"policy {path} is of a class in {shown(module, 60)}, which cannot be evaluated; only "
+            "Stable-Baselines3's MlpPolicy classes can"
         )
     extractor = entry("policy_kwargs").get("features_extractor_class")
     if extractor is not None and not re.fullmatch(_EXTRACTORS, str(extractor)):
         raise UserError(
-            f"policy {path} has the features extractor {shown(extractor, 80)}, which may compute anything; "
-            "only FlattenExtractor and this package's ScaledObservation are evaluated"
+            f"policy {path} has the features extractor {shown(extractor, 80)}, which cannot be evaluated; "
+            "only FlattenExtractor and this package's ScaledObservation can"
         )
     space = entry("observation_space").get(":type:")
     if space is not None and not str(space).endswith(".Box'>"):
@@ -348,7 +348,7 @@ def _normalisation(metadata: dict, limit: float, path: Path) -> dict:
         limit = np.inf if statistics["limit"] is None else float(statistics["limit"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise UserError(
-            f"policy {path}: {NORMALISATION} in its {METADATA} has no centre, scale and limit"
+            f"policy {path}: {NORMALISATION} in its {METADATA} lacks a centre, scale or limit"
         ) from error
     return {"centre": centre, "scale": scale, "limit": limit}
 
@@ -379,12 +379,12 @@ def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
         )
     options = header.get("policy_kwargs") or {}
     if not isinstance(options, dict):
-        raise UserError(f"policy {path}: policy_kwargs in its data are not those of a policy")
+        raise UserError(f"policy {path}: its policy_kwargs are not those of a policy")
     bound = np.inf
     if output is not None and f"{output}.0.weight" in tensors:
         output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)
         if not (isinstance(bound, (int, float)) and 0 < bound <= LARGEST_WEIGHT):
-            raise UserError(f"policy {path}: clip_mean in its policy_kwargs is {shown(bound, 40)}")
+            raise UserError(f"policy {path}: its policy_kwargs have an invalid clip_mean, {shown(bound, 40)}")
     numbers = {name.removeprefix(hidden).split(".")[0] for name in tensors if name.startswith(hidden)}
     extractor = {name.removeprefix(scaling) for name in tensors if name.startswith(scaling)}
     plain = all(re.fullmatch("[0-9]{1,3}", number) for number in numbers)

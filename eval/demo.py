@@ -46,7 +46,7 @@ def command(
     The shipped policy flies in MuJoCo from the paper's three starts and from random ones.
 
     Args:
-        out: new folder for landing.mp4, landing.gif, landing.png, and landing.html to fly around in.
+        out: new folder for landing.mp4, landing.gif, landing.png, and landing.html, an interactive 3D page.
         starts: random starts to fly from.
         seed: seed for the random starts.
     """
@@ -70,14 +70,14 @@ def command(
             replay.command((POLICY,), out=folder / "landing.html", start=points)
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began
-    print(f"{out}: {', '.join(names)}, after {seconds:.0f} s in all\n\n{_NEXT}\n")
+    print(f"{out}: {', '.join(names)}, written in {seconds:.0f} s\n\n{_NEXT}\n")
     landed = proportion(sum(flight.strict for flight in flights), len(flights))
     say(f"The policy landed in {count_words(landed)}; open {out / 'landing.html'} in a browser.")
 
 
 def _show(groups: dict[str, list[Flight]]) -> None:
     """A row for each group of starts."""
-    table = new_table(None, "starts", "flights", "in the goal box [%]", "without a touch before", "time [s]")
+    table = new_table(None, "starts", "flights", "in the goal box [%]", "without an early touch", "time [s]")
     for name, flights in groups.items():
         reached = [flight for flight in flights if flight.success]
         times = f"{np.median([flight.duration for flight in reached]):.2f}" if reached else "-"

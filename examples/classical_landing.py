@@ -1,8 +1,8 @@
-"""Land without learning: a polynomial path with feedback, next to a shipped policy, through the same actions.
+"""Land without learning: a polynomial path with feedback, compared with a shipped policy on the same actions.
 
 python examples/classical_landing.py [POLICY]
 
-The goal box asks for the slope's pitch alpha, at which a quadrotor that keeps its height accelerates by
+The goal box requires the slope's pitch alpha, at which a quadrotor that keeps its height accelerates by
 g tan(alpha). So the path ends with this acceleration and without speed: from a waypoint above the goal it
 swings out downhill and comes back up. Law and policy fly from the frozen grid of 251 starts.
 """
@@ -15,9 +15,9 @@ from inclined_landing.envs import load_policy, make_task, record_flights, starts
 
 ABOVE = np.array([-0.1, 0.45])  # m from the goal to the waypoint in x, z
 CRUISE, APPROACH = (0.9, 0.45), 1.0  # s, and s per m, to the waypoint; s from there to the goal
-LAG = 0.08  # s by which thrust and attitude follow their commands: the law looks as far ahead
+LAG = 0.08  # s by which thrust and attitude lag their commands; the law looks this far ahead
 MOST = 5.5  # m/s2, of the acceleration in x and in z
-SHORTEST = 0.25  # s to go that the law reckons with at least
+SHORTEST = 0.25  # s, least time to go that the law assumes
 
 
 class Law:
@@ -59,8 +59,8 @@ class Law:
 def accelerate(place, speed, last, left):
     """Return the acceleration with which the path of least jerk begins.
 
-    It ends after `left` seconds at place 0 and speed 0 with acceleration `last`: with the time to go s,
-    x = last s^2/2 + c3 s^3 + c4 s^4, and c3, c4 from place and speed as they are.
+    It ends after `left` seconds at position 0 and speed 0 with acceleration `last`: with the time to go s,
+    x = last s^2/2 + c3 s^3 + c4 s^4, and c3, c4 from the current position and speed.
     """
     e, d = place - last * left**2 / 2, -last * left - speed
     return last + (6 * d * left - 12 * e) / left**2

@@ -1,4 +1,4 @@
-"""PPO in one file, in the manner of CleanRL, on `gymnasium.make_vec`; judged on the frozen grid at the end.
+"""PPO in one file, in the style of CleanRL, on `gymnasium.make_vec`; evaluated on the frozen grid at the end.
 
 python examples/cleanrl_ppo.py [SEED [STEPS]]
 """

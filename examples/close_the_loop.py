@@ -1,10 +1,11 @@
-"""From a flight that fails to one that lands: fly, read the logs, correct the model, train, export, fly.
+"""From failing flights to landings: fly, read the logs, correct the model, train, export, fly again.
 
     python examples/close_the_loop.py DIR [--seed N]
 
-A simulated Crazyflie stands for the real one. Its gap is in DIR/hidden.toml, which `fly` alone reads:
-everything else is told by the flight logs. Every step is a command as a user types it; the table at the end,
-DIR/loop.json, and docs/evidence/teaching.md have what came of it. Needs the extras train and fly.
+A simulated Crazyflie takes the place of a real one. Its gap is in DIR/hidden.toml, which only `fly` reads;
+the other steps only see the flight logs. Every step is a command as a user types it. Results are printed at
+the end and written to DIR/loop.json; docs/evidence/teaching.md has those of three seeds. Needs the extras
+train and fly.
 """
 
 from __future__ import annotations
@@ -75,23 +76,23 @@ def main() -> None:
         "named": {effect["name"]: effect["probability"] for effect in diagnosis["effects"]},
         "steps": [{"command": command, "seconds": seconds} for command, seconds in steps],
         "flown for the logs": shares(before),
-        "shipped policy, fresh seeds": shares(again),
+        "shipped policy, new seeds": shares(again),
         "trained policy, the same seeds": shares(after),
     }
     (out / "loop.json").write_text(json.dumps(result, indent=2) + "\n", "utf-8")
     print("\nnamed: " + ", ".join(f"{name} ({p:.0%})" for name, p in result["named"].items()))
-    for words in ("flown for the logs", "shipped policy, fresh seeds", "trained policy, the same seeds"):
+    for words in ("flown for the logs", "shipped policy, new seeds", "trained policy, the same seeds"):
         cells = (f"{what} {row['count']} of {row['of']}" for what, row in result[words].items())
         print(f"{words}: {', '.join(cells)}")
-    print(f"{sum(seconds for _, seconds in steps):.0f} s in all")
+    print(f"{sum(seconds for _, seconds in steps):.0f} s in total")
 
 
 def shares(flights: list[dict]) -> dict[str, dict]:
-    """Of flights as in fly.json: in the goal box, there without a touch before, and at rest on the slope."""
+    """Return the shares in the goal box, without an early touch, and at rest, of flights as in fly.json."""
     goal = [flight["landed"] for flight in flights]
     return {
         "in the goal box": proportion(sum(goal), len(flights)),
-        "without a touch before": proportion(
+        "without an early touch": proportion(
             sum(landed and not flight["touched"] for landed, flight in zip(goal, flights)), len(flights)
         ),
         "at rest on the slope": proportion(sum(bool(flight["rests"]) for flight in flights), len(flights)),

@@ -1,4 +1,4 @@
-"""A controller of one's own: `landing-eval robustness examples/own_controller.py:Descend --over moving`."""
+"""A custom controller: `landing-eval robustness examples/own_controller.py:Descend --over moving`."""
 
 import numpy as np
 
@@ -12,10 +12,10 @@ class Descend:
 
     def __call__(self, t, state, platform):
         place, speed = state[:, :3] - platform[:, :3], state[:, 3:6] - platform[:, 3:6]
-        beside = np.linalg.norm(place[:, :2], axis=1)
-        place[:, 2] -= np.where(beside < 0.1, 0.0, 0.4)  # sink once over the centre
+        aside = np.linalg.norm(place[:, :2], axis=1)
+        place[:, 2] -= np.where(aside < 0.1, 0.0, 0.4)  # sink once over the centre
         push = np.clip(-4 * place - 3 * speed, -4, 4)  # m/s2
         pwm = self.hover * (1 + push[:, 2] / self.g)
-        pwm[(state[:, 2] - platform[:, 2] < 0.05) & (beside < 0.2)] = 0
+        pwm[(state[:, 2] - platform[:, 2] < 0.05) & (aside < 0.2)] = 0
         roll, pitch = np.clip([-push[:, 1] / self.g, push[:, 0] / self.g], -self.limit, self.limit)
         return np.column_stack([pwm, roll, pitch, 0 * pwm])

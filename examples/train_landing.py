@@ -1,6 +1,6 @@
 """Train the landing with Stable-Baselines3's PPO.
 
-To run it, and to judge the policy:
+To run it and evaluate the policy:
 
     python examples/train_landing.py [SEED [STEPS [POLICY.zip]]]
     landing-eval success landing-ppo-0.zip
@@ -18,8 +18,8 @@ seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "500_000"][len(sys.a
 path = sys.argv[3] if len(sys.argv) > 3 else f"landing-ppo-{seed}.zip"
 torch.set_num_threads(1)  # small networks: one thread is faster than two
 
-# The recipe of landing-train. Training flies a quick integrator, with a zone of some centimetres around the
-# platform in which contact is felt. What judges policies is the plain plant.
+# The settings of landing-train: a fast integrator, and a zone of some centimetres around the platform that
+# counts as contact. Evaluation uses the plain plant.
 task = make_task("landing")
 engine = {"integrator": task.training.integrator, "keep_out": task.training.keep_out}
 batch = make_batch("landing", 64, seed=seed, plant="hybrid", plant_options=engine)

@@ -1,6 +1,6 @@
 """Train the set-point with Stable-Baselines3's SAC.
 
-To run it, and to judge the policy:
+To run it and evaluate the policy:
 
     python examples/train_setpoint_sac.py [SEED [STEPS [POLICY.zip]]]
     landing-eval success setpoint-sac-0.zip
@@ -20,7 +20,7 @@ path = sys.argv[3] if len(sys.argv) > 3 else f"setpoint-sac-{seed}.zip"
 torch.set_num_threads(1)
 
 batch = make_batch("setpoint", 32, seed=seed, plant="analytic")
-# Near the goal the task's price of effort punishes exploration a hundredfold: here it is limited.
+# Near the goal the task's penalty on effort punishes exploration a hundredfold: here it is limited.
 batch.task.conditions = SetpointConditions(effort_floor=0.5, episode_limit=150)
 env = BatchVecEnv(batch)
 

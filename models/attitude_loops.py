@@ -5,7 +5,7 @@ Two models, after Kooi and Babuska (IROS 2021):
 - ``kinematic``: the paper's first-order loops, d(angle)/dt = (k command - angle)/tau;
 - ``rate_loop``: the same loops with a rate loop of bandwidth B under them, as the MuJoCo vehicle has:
   d2(angle)/dt2 = B (rate_wanted - rate) + d(rate_wanted)/dt, the latter at a held command, -rate/tau: poles
-  exactly -1/tau and -B; with another damping than 1 the rate terms are that many times as large.
+  exactly -1/tau and -B; with a damping other than 1 the rate terms are that many times as large.
 
 With integral gains, k_i = integral/tau, both want the rate (k command - angle + integral I)/tau for roll and
 pitch, dI/dt = k command - angle. I is held where it would grow beyond +-integral_limit (anti-windup). With a

@@ -94,7 +94,7 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     based_on = tables.pop(_BASED_ON, None)
     if based_on is not None and based_on not in vehicle_names():
         names = ", ".join(vehicle_names())
-        raise UserError(f"{what}: {_BASED_ON} can be {names}, not {shown(repr(based_on), 40)}")
+        raise UserError(f"{what}: {_BASED_ON} must be one of {names}, not {shown(repr(based_on), 40)}")
     tables_read = schema.parse(tables, dict[str, dict[str, Entry]], f"{what}: ")
     found = {
         f"{section}.{name}": entry for section, table in tables_read.items() for name, entry in table.items()
@@ -105,8 +105,8 @@ def constants(path: str | Path | None = None) -> list[Constant]:
     missing = [c for c in shipped.values() if c.label not in found and not {c.section, c.label} & _LATER]
     if missing and based_on is None:
         raise UserError(
-            f"{what} lacks entries: {_first([c.label for c in missing])}; a file with differences only "
-            f'begins with {_BASED_ON} = "{_BASE}"'
+            f"{what} lacks entries: {_first([c.label for c in missing])}; a file that contains only "
+            f'differences begins with {_BASED_ON} = "{_BASE}"'
         )
     return [
         _constant(found[like.label], like, f"{what}: {like.label}") if like.label in found else like
@@ -144,7 +144,7 @@ def _constant(entry: Entry, like: Constant, what: str) -> Constant:
 def _checked(value: object, like: Constant, what: str) -> float | tuple[float, ...]:
     """Return the value of an entry as numbers within their range."""
     if _shape(value) != _shape(like.value):
-        raise UserError(f"{what} needs {_shape(like.value)}, it has {_shape(value)}")
+        raise UserError(f"{what} must be {_shape(like.value)}, not {_shape(value)}")
     numbers = _numbers(value)
     if numbers is None:
         raise UserError(f"{what} is not a finite number: {shown(repr(value), 40)}")
@@ -205,7 +205,7 @@ def check_vehicle(vehicle: Vehicle) -> None:
     Platforms may lie where no task takes them (`plausible.misplaced`), as fits of their tilt try.
     """
     if not isinstance(vehicle, Vehicle):
-        raise UserError(f"a Vehicle is expected, not {shown(repr(vehicle), 40)}")
+        raise UserError(f"expected a Vehicle, not {shown(repr(vehicle), 40)}")
     for field, constant in _shipped().items():
         _checked(getattr(vehicle, field), constant, constant.label)
     for sentence in plausible.contradictions(vehicle):

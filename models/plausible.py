@@ -72,7 +72,7 @@ def _body(v: Vehicle) -> Iterator[str]:
         low, high = (share * distance for share in _GYRATION)
         if not low <= radius <= high:
             yield (
-                f"body.inertia of {moment:g} kg m2 with body.mass of {v.body_mass:g} kg is a radius of "
+                f"body.inertia of {moment:g} kg m2 with body.mass of {v.body_mass:g} kg gives a radius of "
                 f"gyration of {radius:.3g} m; with this rotor.arm it must be from {low:.3g} to {high:.3g} m"
             )
     if v.rotor_radius > v.rotor_arm:
@@ -142,7 +142,9 @@ def check_solref(value) -> np.ndarray:
     """Return solref (..., 2) if it is in one of MuJoCo's two formats, else raise UserError."""
     value = np.asarray(value, float)
     if value.shape[-1:] != (2,):
-        raise UserError(f"solref is two numbers, (time constant, damping ratio), not of shape {value.shape}")
+        raise UserError(
+            f"solref must be two numbers, (time constant, damping ratio), not of shape {value.shape}"
+        )
     standard = (value > 0).all(axis=-1)
     direct = (value[..., 0] < 0) & (value[..., 1] <= 0)
     if not (np.isfinite(value).all() and (standard | direct).all()):
@@ -205,6 +207,6 @@ def _steps(v: Vehicle) -> Iterator[str]:
     ):
         if rate * step > most:
             yield (
-                f"{name} of {rate:.3g} 1/s is too fast for steps of {step:g} s, which can follow "
+                f"{name} of {rate:.3g} 1/s is too fast for steps of {step:g} s, which resolve up to "
                 f"{most / step:.3g} 1/s"
             )

@@ -43,7 +43,7 @@ OF_THE_RUN = ("--seed", "--out", "--threads", GONE, "--evaluate-every", "--no-re
 
 
 class Stale(Exception):
-    """A policy and what is recorded of it do not belong together."""
+    """The record of a policy does not match the policy."""
 
 
 def main() -> None:
@@ -405,7 +405,7 @@ def _fails(rows: list[dict]) -> Iterator[str]:
 
 
 def made_by(metadata: dict) -> str:
-    """The command that trained a policy, without an option that is no more."""
+    """The command that trained a policy, without an option that was removed."""
     return metadata["command"].replace(f"{GONE} 0 ", "")
 
 

@@ -260,7 +260,7 @@ def table(heads: list[str], rows: Iterable[list[str]]) -> str:
 
 
 def cell(text: str) -> str:
-    """A text that may stand in a table; angle brackets are no tags outside of code."""
+    """A text that may stand in a table, with angle brackets escaped outside of code."""
     parts = re.split(
         r"(`[^`]*`|\[[^]]*\]\([^)]*\))", text.replace("\n", " ")
     )  # code and links stay as they are

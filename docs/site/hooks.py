@@ -60,7 +60,7 @@ def on_files(files: Files, config) -> Files:
 
 
 def on_page_markdown(markdown: str, page, config, files: Files) -> str:
-    """Links of the repository become links of the site; code blocks stay as they are."""
+    """Turn links of the repository into links of the site; code blocks stay unchanged."""
     if not page.file.abs_src_path:
         return markdown
     uris = _uris(files) | config.extra["instead"]
@@ -84,7 +84,7 @@ def on_page_content(html: str, page, config, files: Files) -> None:
 
 
 def on_post_build(config) -> None:
-    """List the links out of the site beside it: nobody else checks them."""
+    """Write the external links into a list next to the site, because mkdocs does not check them."""
     listed = Path(config.site_dir) / "external_links.txt"
     listed.write_text("".join(f"{address}\n" for address in sorted(_elsewhere)), "utf-8")
 
@@ -116,7 +116,7 @@ def _uris(files: Files) -> dict[str, str]:
 
 
 def _shown(path: str, config) -> File:
-    """A file that a page links to: a picture as it is, source code as a page."""
+    """A file that a page links to: a picture unchanged, source code as a page."""
     suffix = PurePosixPath(path).suffix
     if suffix in PICTURES:
         return File.generated(config, path, abs_src_path=str(ROOT / path))

@@ -2,7 +2,7 @@
 
     python docs/site/recipes.py    # writes the page
 
-A result is that of `landing-train sweep`, copied beside its recipe in `train/recipes`. Figures and films are
+A result is that of `landing-train sweep`, copied next to its recipe in `train/recipes`. Figures and films are
 those that the recipe's last commands make, copied into `docs/beyond`; `tasks.gif` shows one flight each of
 the recipes for other slopes, platforms and vehicles.
 """

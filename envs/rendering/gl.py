@@ -112,9 +112,7 @@ def probe() -> Probe:
         if _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
             return Probe("osmesa", False, "")
         missing.append("libOSMesa")
-    return Probe(
-        "", False, " and ".join(missing) or "an OpenGL without a window that PYOPENGL_PLATFORM allows"
-    )
+    return Probe("", False, " and ".join(missing) or "an off-screen OpenGL that PYOPENGL_PLATFORM allows")
 
 
 def _context(width: int, height: int):

@@ -102,7 +102,7 @@ def as_pose(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: 
         if qpos.shape == (13,):
             qpos = qpos_of_state(qpos)
         if qpos.shape != (7,):
-            raise UserError(f"a vehicle pose is a qpos (7,) or a state (13,), not {qpos.shape}")
+            raise UserError(f"a vehicle pose must be a qpos (7,) or a state (13,), not {qpos.shape}")
     pitch = vehicle.platform_inclination if inclination is None else inclination
     position = np.array([0.0, 0.0, vehicle.platform_surface_height])
     return Pose(qpos, position, np.array(quaternion(0.0, pitch, azimuth)))

@@ -55,7 +55,7 @@ class SpriteRenderer:
         """Return the sprite at attitude (3,): roll, pitch, yaw [rad]; tinted by a colour (3,) in 0..1."""
         attitude = np.asarray(attitude, float)
         if attitude.shape != (3,) or not np.isfinite(attitude).all():
-            raise UserError("an attitude is three finite angles: roll, pitch and yaw")
+            raise UserError("an attitude must be three finite angles: roll, pitch and yaw")
         key = (attitude.tobytes(), None if colour is None else tuple(np.asarray(colour, float)), tint)
         if key not in self._cache:
             self._cache[key] = self._draw(attitude, colour, tint)

@@ -237,7 +237,7 @@ def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
         execute(matplotlib)
     except UnicodeDecodeError as error:  # of a matplotlibrc in the current folder, which comes first
         raise UserError(
-            "matplotlibrc in this folder is not UTF-8 text; correct it, or change folder"
+            "matplotlibrc in this folder is not UTF-8 text; correct it, or run the command in another folder"
         ) from error
 
 

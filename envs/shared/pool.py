@@ -156,8 +156,8 @@ def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
     for name, version in runs.packages().items():
         if version != versions[name]:
             raise UserError(
-                f"{node} has {name} {version}, and this machine {versions[name]}; all machines of a cluster "
-                "need the same packages"
+                f"{node} has {name} {version}, but this machine has {versions[name]}; all machines "
+                "of a cluster need the same packages"
             )
     return function(*arguments)
 

@@ -86,9 +86,7 @@ def import_task(path: str) -> type[Task]:
         return _OWN[path]
     kind = import_class(path)
     if kind.name in TASKS:
-        raise UserError(
-            f"task {shown(path, 60)} has the name {kind.name} of a task of this package; rename it"
-        )
+        raise UserError(f"task {shown(path, 60)} is named {kind.name}, as a task of this package; rename it")
     _OWN[path] = _OWN[kind.name] = kind
     return kind
 

@@ -36,15 +36,15 @@ def check_class(kind: type[Task], what: str) -> None:
         listed = isinstance(names, (list, tuple)) and all(isinstance(name, str) for name in names)
         if not listed or not 0 < len(names) == len(set(names)):
             wrong = shown(repr(names), 40)
-            raise TaskError(f"{what} has {title} {wrong}; it takes a tuple of different names")
+            raise TaskError(f"{what} has {title} {wrong}; it must be a tuple of distinct names")
     if not set(kind.action_names) <= set(ACTIONS):
-        raise TaskError(f"{what} has action_names {kind.action_names}; it takes some of {', '.join(ACTIONS)}")
+        raise TaskError(f"{what} has action_names {kind.action_names}; choose from {', '.join(ACTIONS)}")
     if not isinstance(kind.training, Training):
-        raise TaskError(f"{what} has training {shown(repr(kind.training), 40)}; it takes a Training")
+        raise TaskError(f"{what} has training {shown(repr(kind.training), 40)}; it must be a Training")
     if not isinstance(kind.observation_scale, property):
         scale = _numbers(kind.observation_scale, (len(kind.observation_names),), f"{what}: observation_scale")
         if not (scale > 0.0).all():
-            raise TaskError(f"{what} has an observation_scale that is not above 0")
+            raise TaskError(f"{what} has an observation_scale that is not positive")
 
 
 def check_step(task: Task) -> None:
@@ -72,7 +72,7 @@ def check_step(task: Task) -> None:
         _numbers(term, (n,), f"{what}: evaluate's term {shown(name, 40)}")
     for name in ("success", "terminated", "cut", *(["holding"] if found.holding is not None else [])):
         if _numbers(getattr(found, name), (n,), f"{what}: evaluate's {name}").dtype != bool:
-            raise TaskError(f"{what}: evaluate's {name} must hold truth values")
+            raise TaskError(f"{what}: evaluate's {name} must be boolean")
 
 
 def _numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
@@ -85,5 +85,5 @@ def _numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
     if array.shape != shape:
         raise TaskError(f"{what} must have shape {shape}, not {array.shape}")
     if wrong:
-        raise TaskError(f"{what} must hold finite numbers")
+        raise TaskError(f"{what} must be finite")
     return array

@@ -195,8 +195,8 @@ class InclinedLanding(Task):
         )
         if asked != (self.is_planar, self.observes_slope, self.platform_moves):
             raise UserError(
-                f"{type(self).__name__} has other options; make_task({self.name!r}, ...) selects the "
-                "class for these, from which a custom task is derived"
+                f"{type(self).__name__} does not take these options; make_task({self.name!r}, ...) selects "
+                "the class that does, and a custom task must derive from that class"
             )
         usual = self._usual_inclination()
         self.inclination = v.check_inclination(
@@ -300,7 +300,7 @@ class InclinedLanding(Task):
         state = self.states_at([point])
         inside = in_platform(state[0, : Z + 1], self.inclination, self.azimuth, self.vehicle)
         if inside or self.start_clearance(self.start(state))[0] <= 0.0:
-            raise UserError(f"start {','.join(f'{number:g}' for number in point)} lies in the platform")
+            raise UserError(f"start {','.join(f'{number:g}' for number in point)} lies inside the platform")
 
     # --- reward and end ----------------------------------------------------------------------------
 

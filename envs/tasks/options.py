@@ -54,12 +54,12 @@ class TaskOptions(Record):
     """Options that every task has."""
 
     angle_limit: float | None = option(None, trained_with=True)
-    """Limit of roll and pitch commands [rad] (default: that of the vehicle file)."""
+    """Limit of roll and pitch commands [rad] (default: the vehicle file's)."""
     pwm_centre: float | str = option("hover", recorded=True)
     """PWM at action 0: a number, hover (that of the vehicle with its effects), own (that of each drawn or
     flown vehicle) or paper (42 000)."""
     pwm_span: Annotated[float, Meta(ge=1, le=65_535)] | None = option(None, recorded=True)
-    """PWM from action 0 to action 1 (default: that of the vehicle file)."""
+    """PWM from action 0 to action 1 (default: the vehicle file's)."""
     history: Annotated[int, Meta(ge=0, le=LONGEST_HISTORY)] = 0
     """Number of past steps, each an observation and an action, in the policy's input."""
     observe_vehicle: bool = False
@@ -68,36 +68,36 @@ class TaskOptions(Record):
 
 @dataclasses.dataclass(frozen=True)
 class Training(Record):
-    """What `landing-train` takes where its option of the same name is not given."""
+    """Defaults of the options of `landing-train` that have the same names."""
 
     steps: Many | None = 1_000_000
-    """Environment steps, fixed beforehand; None: the run ends by success."""
+    """Fixed number of environment steps; None: the run ends by success."""
     success: Share | None = None
-    """Share of successes, in two evaluations in a row, that ends the run."""
+    """Success rate that ends the run when two evaluations in a row reach it."""
     min_steps: Annotated[int, Meta(ge=0, le=10**9)] = 300_000
-    """Environment steps that such a run has at least."""
+    """Minimum number of environment steps of a run that ends by success."""
     max_steps: Many = 3_000_000
-    """Environment steps that such a run has at most."""
+    """Maximum number of environment steps of a run that ends by success."""
     start_from: str | None = None
-    """The policy to start from, a file or a shipped one, or the law `descent`."""
+    """Policy to start from: a file, a shipped name, or the feedback law `descent`."""
     integrator: str = "implicitfast"
-    """Of the engine in training, 4 ms steps."""
+    """Integrator of the engine in training, with steps of 4 ms."""
     keep_out: Zone = 0.04
-    """Sensor-only zone around the platform that is an obstacle in training [m]."""
+    """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
     curriculum: str = "none"
-    """What eases the task at first, one of the task's `curricula`."""
+    """Name of the curriculum, one of the task's `curricula`."""
     environments: Annotated[int, Meta(ge=1, le=16_384)] = 64
-    """Vehicles stepped together."""
+    """Number of vehicles simulated in parallel."""
     rollout: Annotated[int, Meta(ge=1, le=65_536)] = 128
-    """Steps of each vehicle in an iteration, after which PPO updates."""
+    """Steps of each vehicle between two updates of PPO."""
     batch_size: Annotated[int, Meta(ge=2, le=10**9)] = 512
     """Samples in a minibatch, at most a whole rollout."""
     epochs: Annotated[int, Meta(ge=1, le=1000)] = 5
     """Passes over each rollout."""
     learning_rate: Annotated[float, Meta(gt=0, lt=1)] = 1e-3
-    """Initial; the curriculum says when it falls."""
+    """Initial learning rate; the curriculum determines its decay."""
     gamma: Annotated[float, Meta(gt=0, lt=1)] | str = 0.99
-    """Discount, or "paper": from 0.97 to 0.99 over 800 000 steps."""
+    """Discount factor, or "paper": rising from 0.97 to 0.99 over 800 000 steps."""
     gae_lambda: Share = 0.95
     """Lambda of the generalised advantage estimate."""
     log_std_init: Annotated[float, Meta(ge=-10, le=2)] = -0.4

@@ -17,23 +17,23 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class LandingOptions(TaskOptions):
-    """Options of the landing and of what it becomes with them."""
+    """Options of the landing task."""
 
     inclination: float | None = option(None, recorded=True)
-    """Of the platform [rad], where it differs from the vehicle file's."""
+    """Platform inclination [rad] (default: the vehicle file's); negative rises towards +x."""
     steepest: float | None = option(None, trained_with=True)
-    """Every episode has a slope, which the policy observes, of up to this inclination [rad], to both sides;
-    in three dimensions to all sides."""
+    """Draw a slope for every episode, up to this inclination [rad], to both sides or, in three dimensions, in
+    any direction. The policy observes it."""
     dimensions: Literal[2, 3] = option(2, trained_with=True)
-    """With 3 it flies in space, with roll, and not in a plane."""
+    """3: the vehicle flies in space, with roll; 2: in a plane."""
     azimuth: float = 0.0
     """Direction that the slope faces, from +x [rad]."""
     random_yaw: bool = False
-    """With three dimensions: every episode begins with a random heading."""
+    """In three dimensions, draw the initial heading of every episode."""
     fastest: Annotated[float, Meta(ge=0, le=10)] | None = option(None, trained_with=True)
-    """With three dimensions: platforms travel steadily, any way, at up to this speed [m/s] (observed)."""
+    """In three dimensions, platforms travel in any direction at up to this constant speed [m/s]."""
     swell: Annotated[float, Meta(ge=0, le=2)] = option(0.0, trained_with=True)
-    """With `fastest`: platforms heave, roll and pitch too; 1: by up to 0.24 m and 16 deg."""
+    """With `fastest`, platforms also heave, roll and pitch; 1 is up to 0.24 m and 16 deg."""
 
     def check(self) -> None:
         """Raise UserError for a value beyond its limits, or for options that cannot be combined."""

@@ -127,7 +127,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".png", ".pdf"):
-        raise UserError(f"a figure is a .png or .pdf file, not {path.name!r}")
+        raise UserError(f"a figure must be a .png or .pdf file, not {path.name!r}")
     metadata = {"CreationDate": None} if kind == ".pdf" else {}
     with storage.made(path.parent), styled(), storage.atomic(path) as part:
         figure.savefig(part, dpi=STAMP_DPI if kind == ".pdf" else PNG_DPI, metadata=metadata)

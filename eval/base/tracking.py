@@ -80,21 +80,22 @@ def read_trajectory(path: Path) -> Trajectory:
     try:
         table = np.array([[float(row[k]) for k in columns] for row in rows[1:] if row])
     except (ValueError, IndexError):
-        raise UserError(f"{where} has a row in which a column has no number") from None
+        raise UserError(f"{where} has an empty or non-numeric cell") from None
     if len(table) < 2 or not np.isfinite(table).all():
         raise UserError(f"{where} has fewer than two rows, or a number that is not finite")
     t, position, velocity = table[:, 0], table[:, 1:4], table[:, 11:14]
     step = np.diff(t)
     if abs(t[0]) > 1e-6 or not ((step > 0.0) & (step <= LONGEST_STEP)).all() or t[-1] > LONGEST:
         raise UserError(
-            f"{where}: times must rise from 0, in steps of at most {LONGEST_STEP:g} s, to {LONGEST:g} s"
+            f"{where}: times must increase from 0 in steps of at most {LONGEST_STEP:g} s, "
+            f"and end by {LONGEST:g} s"
         )
     # Trapezoidal rule: x_k+1 - x_k = (v_k + v_k+1) dt / 2
     moved = np.diff(position, axis=0) - 0.5 * step[:, None] * (velocity[1:] + velocity[:-1])
     wrong = np.abs(moved).max(axis=1) > MISFIT
     if wrong.any():
         raise UserError(
-            f"{where}: at {shown(f'{t[np.argmax(wrong)]:.2f}', 20)} s position and velocity differ"
+            f"{where}: at {shown(f'{t[np.argmax(wrong)]:.2f}', 20)} s velocity and position disagree"
         )
     attitude = table[:, 4:7].copy()
     attitude[:, 2] = np.unwrap(attitude[:, 2])

@@ -42,8 +42,8 @@ FRAMES = {
 _SURFACE = (
     "from the centre of the platform's surface, along level axes turned about the vertical by the azimuth "
     "that the slope faces. Roll and pitch are those of a vehicle of that heading with the same thrust axis, "
-    "and so are roll and pitch commands: turn them by azimuth less yaw before a vehicle of another heading "
-    "gets them. Slope roll and slope pitch are those of one that stands there"
+    "and so are roll and pitch commands: for a vehicle of another heading, rotate them by azimuth minus yaw. "
+    "Slope roll and slope pitch are those of a vehicle that stands on the slope"
 )
 # Quantity and frame of what a task may observe; units are those of the state.
 _QUANTITIES = {
@@ -52,7 +52,7 @@ _QUANTITIES = {
     **{angle: (f"{angle} angle", "attitude") for angle in ("roll", "pitch", "yaw")},
     **{f"w{axis}": (f"angular velocity {axis}", "body") for axis in "xyz"},
     "lag": ("state of the thrust lag", None),
-    "feet": ("do the feet touch the slab, 0 or 1", None),
+    "feet": ("whether the feet touch the slab, 0 or 1", None),
 }
 _TRAINING = ("seed", "steps", "plant", "curriculum", "command", "ranges", "versions")  # of the metadata
 
@@ -114,7 +114,7 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
             "tolerance": TOLERANCE,
             "not_finite": {
                 "c": "an error code; nothing is written",
-                "numpy": "ValueError; nothing is remembered",
+                "numpy": "ValueError; the history does not change",
                 "onnx": "every action of that row is NaN",
             },
         },
@@ -185,7 +185,7 @@ def _input(policy: Policy) -> dict:
         "history": {
             "steps": task.history,
             "step": step if task.history else [],
-            "order": "behind the present observation, the latest step first",
+            "order": "after the current observation, most recent step first",
             "before_start": {"observation": "the first one", "action": 0.0},
         },
     }

@@ -36,7 +36,7 @@ class LandingPolicy:
         self.reset()
         error = self.self_test()
         if not error <= TOLERANCE:
-            raise ValueError(f"{path} misses its own test vectors by {error:.2g}")
+            raise ValueError(f"{path} fails its self test: an action is off by {error:.2g}")
 
     def reset(self):
         """Clear the history; call it before the first step of each flight."""
@@ -45,11 +45,13 @@ class LandingPolicy:
     def act(self, observation):
         """Return the action (a,) float32 in [-1, 1] for an observation (o,), and append both to the history.
 
-        Raises ValueError for a wrong shape, NaN or infinity; then nothing is remembered.
+        Raises ValueError for a wrong shape, NaN or infinity; the history then does not change.
         """
         observation = np.asarray(observation, np.float32)
         if observation.shape != (self.observations,):
-            raise ValueError(f"an observation has shape ({self.observations},), not {observation.shape}")
+            raise ValueError(
+                f"an observation must have shape ({self.observations},), not {observation.shape}"
+            )
         past = self._past
         if past is None:
             first = np.concatenate([observation, np.zeros(self.actions, np.float32)])
@@ -63,7 +65,7 @@ class LandingPolicy:
         """Return actions (..., a) float32 for inputs (..., i), history included, without remembering them."""
         inputs, n = np.asarray(inputs, np.float32), self._numbers
         if inputs.shape[-1:] != (self.inputs,):
-            raise ValueError(f"an input has {self.inputs} numbers, not shape {inputs.shape}")
+            raise ValueError(f"an input must have {self.inputs} numbers, not shape {inputs.shape}")
         if not np.isfinite(inputs).all():
             raise ValueError("an observation is NaN or infinite")
         x = np.clip((inputs - n["centre"]) / n["scale"], -n["limit"], n["limit"])
@@ -81,7 +83,7 @@ class LandingPolicy:
         """Return PWM, roll, pitch [rad] and yaw rate [rad/s] (4,) of an action (a,), 0 by default."""
         action, result = np.asarray(action, float), np.zeros(4)
         if action.shape != (self.actions,) or not np.isfinite(action).all():
-            raise ValueError(f"an action is {self.actions} finite numbers")
+            raise ValueError(f"an action must be {self.actions} finite numbers")
         action = np.clip(action, -1.0, 1.0)
         for a, (column, centre, span, low, high, idle) in zip(action, self._numbers["channels"]):
             if not a <= idle:

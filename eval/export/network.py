@@ -53,9 +53,7 @@ class ExportNetwork:
         """Return the network of a policy. Raises UserError where float32 cannot hold its numbers."""
         scale = policy.scale.astype(np.float32)
         if not (scale >= _SMALLEST).all() or not np.isfinite(scale).all():
-            raise UserError(
-                f"policy {policy.path} divides observations by a scale that float32 does not hold"
-            )
+            raise UserError(f"policy {policy.path} has an observation scale beyond the range of float32")
         return cls(
             centre=policy.centre.astype(np.float32),
             scale=scale,

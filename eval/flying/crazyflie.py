@@ -58,7 +58,7 @@ def command(
     setting = Setting(named_vehicle(vehicle), _parse_start(start), inclination=angle, lighthouse=lighthouse)
     if out is not None:
         if not out.name.endswith((".csv", ".csv.gz")):
-            raise UserError(f"--out: a log is a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
+            raise UserError(f"--out must be a .csv or .csv.gz file, not {shown(repr(out.name), 60)}")
         check_file(out)
     world = World(setting, seed, faults)
     process = SimulatorServer(world, port, address, lambda line: print(line, flush=True))

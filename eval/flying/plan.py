@@ -75,7 +75,7 @@ def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool
         raise UserError(f"{where} must begin and end at rest, and begin at heading 0")
     beyond = beyond_fence(r.position, r.velocity, vehicle)
     if beyond.any():
-        raise UserError(f"{where} crosses the fence of the arena after {r.t[np.argmax(beyond)]:.1f} s")
+        raise UserError(f"{where} leaves the fence of the arena after {r.t[np.argmax(beyond)]:.1f} s")
     states = np.zeros((len(r.t), STATE_SIZE))
     states[:, X : Z + 1], states[:, ROLL : YAW + 1] = r.position, r.attitude
     states[:, VX : VZ + 1] = r.velocity
@@ -84,7 +84,7 @@ def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool
         k = int(np.argmax(distances < LEAST_CLEARANCE))
         hint = "; if there is no platform, add --no-platform" if present else ""
         raise UserError(
-            f"{where} comes closer than {100 * LEAST_CLEARANCE:g} cm to platform or floor after "
+            f"{where} comes closer than {100 * LEAST_CLEARANCE:g} cm to the platform or floor after "
             f"{r.t[_CHECKED * k]:.1f} s{hint}"
         )
     return flight

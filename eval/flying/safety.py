@@ -86,16 +86,16 @@ class Cause:
 _OFF, _LAND = Reaction.OFF, Reaction.LAND
 INTERRUPTED = Cause("interrupted", "Ctrl-C, Ctrl-Z, `kill`, or the terminal is closed", _OFF)
 ERROR = Cause("error", "any exception, also while printing or writing the log", _OFF)
-HANG = Cause("hang", f"the control loop gives no sign for {HANG_LIMIT:g} s", _OFF)
-BAD_SETPOINT = Cause("bad set-point action", "the set-point policy gives NaN or infinity", _OFF)
-BAD_ACTION = Cause("bad action", "the landing policy gives NaN or infinity", _LAND)
+HANG = Cause("hang", f"the control loop does not respond for {HANG_LIMIT:g} s", _OFF)
+BAD_SETPOINT = Cause("bad set-point action", "the set-point policy returns NaN or infinity", _OFF)
+BAD_ACTION = Cause("bad action", "the landing policy returns NaN or infinity", _LAND)
 CAUSES = (  # in the order in which they are asked
     *(INTERRUPTED, ERROR, HANG, BAD_SETPOINT, BAD_ACTION),
     Cause("link lost", "cflib reports the connection lost", _OFF),
     Cause("no attitude", f"no attitude from the vehicle for {ATTITUDE_LIMIT:g} s", _OFF),
-    Cause("no position", f"no believed position for {POSE_LIMIT:g} s: lost, frozen, or jumped", _OFF),
+    Cause("no position", f"no credible position for {POSE_LIMIT:g} s: lost, frozen or jumped", _OFF),
     Cause("bad state", "position, velocity or attitude is NaN or infinite", _OFF),
-    Cause("supervisor", "the vehicle says that it is tumbled, locked or crashed", _OFF),
+    Cause("supervisor", "the vehicle reports that it is tumbled, locked or crashed", _OFF),
     Cause("tilt", f"tilted by more than {math.degrees(TILT_LIMIT):.0f} deg", _OFF),
     Cause(
         "disagreement",
@@ -106,13 +106,14 @@ CAUSES = (  # in the order in which they are asked
     ),
     Cause(
         "wrong position",
-        f"the measured motion is {MISMATCH_LIMIT:g} m/s off what accelerometer and tilt lead to",
+        f"the measured velocity differs by {MISMATCH_LIMIT:g} m/s from that integrated from accelerometer "
+        "and tilt",
         _OFF,
     ),
     Cause("outside", "outside the arena", _OFF),
     Cause(
         "no room",
-        "closer to a wall or the ceiling than it needs to stop with all that the commands allow",
+        "closer to a wall or the ceiling than the distance it needs to stop with the largest commands",
         _OFF,
     ),
     Cause(

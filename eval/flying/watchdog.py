@@ -116,7 +116,7 @@ def uninterruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _handlers(handler) -> Iterator[None]:
-    """Handle the signals of a terminal by `handler`; in another thread than the main one do nothing."""
+    """Handle the signals of a terminal by `handler`; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -31,8 +31,8 @@ def command(
 ) -> None:
     """Name the effects that the model lacks, from flights, and write the corrected model.
 
-    Takes seconds. The model's uncertainty is read from the posterior that identify wrote next to the vehicle
-    file; without one, from the uncertainties in the vehicle file.
+    Takes a minute or two. The model's uncertainty is read from the posterior that identify wrote next to the
+    vehicle file; without one, from the uncertainties in the vehicle file.
 
     Args:
         reference: logs of the reference vehicle. It is identified from these first, and gap names what has

@@ -165,8 +165,8 @@ def _data_notes(problem: Problem) -> list[str]:
     n, notes = len(problem.flights), []
     if n < thresholds.FEW_FLIGHTS:
         notes.append(
-            f"only {n} flight{'s' * (n > 1)}: parts of flights are left out in turn, not whole flights, "
-            "and the spread between flights is a guess"
+            f"only {n} flight{'s' * (n > 1)}: cross-validation leaves out parts of flights instead of "
+            "whole flights, and the spread between flights is a guess"
         )
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
@@ -178,14 +178,14 @@ def _data_notes(problem: Problem) -> list[str]:
             "vehicle that its identification began with"
         )
     if not problem.logged[:, :2].any():
-        notes.append("roll or pitch not logged: only the motion up and down can be judged")
+        notes.append("roll or pitch not logged: only vertical motion can be judged")
     if not problem.logged[:, 3:5].any():
         notes.append(
             "attitude commands not logged: the attitude loops cannot be judged, and translation is predicted "
             "along the measured attitude"
         )
     if not problem.logged[:, 5].any():
-        notes.append("yaw or its command not logged: the yaw channel was left out")
+        notes.append("yaw or its command not logged: the yaw channel was not used")
     if problem.flights[0].thrust_is_measured:
         notes.append(
             "thrust is computed from the measured rotor speeds: the response of the motors cannot be judged"

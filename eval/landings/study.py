@@ -151,7 +151,7 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
     """Return the study of a file in SI units; raises UserError where its entries contradict each other."""
     hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
     if hypercube != (file.samples is not None):
-        raise UserError("a Latin hypercube needs samples; a factorial must not have it")
+        raise UserError("a Latin hypercube needs samples; a factorial takes none")
     period = vehicle.command_control_period
     if timestep > period or abs(period / timestep - round(period / timestep)) > 1e-9:
         raise UserError(f"timestep must divide the control period of {period:g} s; {timestep:g} does not")

@@ -246,7 +246,7 @@ def _clean(key: str, channel: Channel, notes: list[str]) -> Channel:
         where = f"row {outliers[0] + 1} of the data (t = {channel.t[outliers[0]]:.6g} s)"
         often = where if len(outliers) == 1 else f"{len(outliers)} rows, first in {where}"
         holds = f"column {channel.column} ({key}) holds {channel.value[outliers[0]]:.4g}"
-        notes.append(f"{holds}, which no flight has, in {often}: left out")
+        notes.append(f"{holds}, which is impossible in flight, in {often}: left out")
         finite[outliers] = False
     t, value = channel.t[finite], channel.value[finite]
     later = np.r_[True, np.diff(t) > 0]

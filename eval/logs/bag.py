@@ -85,10 +85,12 @@ def _read_topic(
                 values[field].append(np.nan)
             except (AttributeError, TypeError, ValueError) as error:
                 kind = str(getattr(message, "__msgtype__", "a nested type"))
-                wrong[field] = f"topic {topic} has no number {field} (of {shown(kind)}: {_reason(error)})"
+                wrong[field] = (
+                    f"field {field} of topic {topic} is not a number ({shown(kind)}: {_reason(error)})"
+                )
     for field, column in values.items():
         if field not in wrong and received and "[" in field and np.isnan(column).all():
-            wrong[field] = f"topic {topic} has no element {field} in any message"
+            wrong[field] = f"no message of topic {topic} has the element {field}"
     columns = {field: np.array(column, float) for field, column in values.items() if field not in wrong}
     return np.array(stamps), np.array(received), columns, wrong
 
@@ -100,7 +102,7 @@ def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str])
         for topic, (stamps, _) in clocks.items()
     }
     notes += [
-        f"messages of {topic} have no stamp: their time of recording is used"
+        f"messages of {topic} have no time stamp; the time of recording is used"
         for topic in clocks
         if not stamped[topic]
     ]
@@ -109,8 +111,8 @@ def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str])
         if stamped[topic] and apart > LATEST and not all(stamped.values()):
             stamped[topic] = False
             notes.append(
-                f"stamps of {topic} are {apart:.3g} s from when they were recorded, by which others are "
-                "dated: so are these"
+                f"time stamps of {topic} differ from the times of recording by {apart:.3g} s; as other "
+                "topics have no time stamps, the times of recording are used"
             )
     return {topic: clocks[topic][0 if stamped[topic] else 1] for topic in clocks}
 
@@ -132,7 +134,7 @@ def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
                 "define this type, `ros2 bag convert` to mcap adds the definition"
             ) from error
         if count > MOST_ROWS:
-            raise UserError(f"topic {topic} has more than {MOST_ROWS:.0e} messages; cut the flight out")
+            raise UserError(f"topic {topic} has more than {MOST_ROWS:.0e} messages; extract the flight")
         yield message, timestamp
 
 
@@ -153,7 +155,7 @@ def _open_bag(path: Path) -> Iterator[AnyReader]:
             )
         folder, files = stored[0], stored
     if sum(file.stat().st_size for file in files) > LARGEST:
-        raise UserError(f"{path}: has more than {LARGEST:.3g} bytes; cut the flight out")
+        raise UserError(f"{path}: has more than {LARGEST:.3g} bytes; extract the flight")
     try:
         reader = AnyReader([folder], default_typestore=get_typestore(Stores.LATEST))
         reader.open()

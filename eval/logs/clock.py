@@ -143,5 +143,5 @@ def check(where: str, t: np.ndarray, column: str) -> None:
         raise UserError(
             f"{where}: {column} runs over {t[-1] - t[0]:.3g} s, in one step from {t[row]:.6g} to "
             f"{t[row + 1]:.6g} s; a flight lasts at most {limits.LONGEST:g} s: state the unit of time, "
-            "or cut the flight out"
+            "or extract the flight"
         )

@@ -70,7 +70,7 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
             raise UserError(f"{path}: holds only zero bytes: nothing was written to it")
         if size > LARGEST or data.count(b"\n") > MOST_ROWS:
             most = f"{LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows"
-            raise UserError(f"{path}: more than {most}; cut the flight out")
+            raise UserError(f"{path}: more than {most}; extract the flight")
         if b"\0" in data:
             raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
         parts = (data[k : k + LONGEST_LINE] for k in range(0, len(data) - LONGEST_LINE + 1, LONGEST_LINE))
@@ -107,7 +107,7 @@ def _open_unpacked(path: Path) -> io.BufferedIOBase | IO[bytes]:
         with zipfile.ZipFile(path) as archive:
             files = [item for item in archive.infolist() if not item.is_dir()]
             if len(files) != 1:
-                raise UserError(f"{path}: packs {len(files)} files; unpack it and name the log")
+                raise UserError(f"{path}: contains {len(files)} files; unpack it and name the log")
             return archive.open(files[0])
     for magic, opener in ((b"\x1f\x8b", gzip.GzipFile), (b"\xfd7zXZ", lzma.LZMAFile), (b"BZh", bz2.BZ2File)):
         if start.startswith(magic):

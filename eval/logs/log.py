@@ -152,11 +152,13 @@ class FlightLog:
 
 
 def as_logs(flights: object) -> list[FlightLog]:
-    """Return flights as a list; raises UserError for what holds other things than `FlightLog`s."""
+    """Return flights as a list; raises UserError unless all are `FlightLog`s."""
     found: list[Any] = (
         list(flights) if isinstance(flights, Iterable) and not isinstance(flights, str) else [flights]
     )
     for one in found:
         if not isinstance(one, FlightLog):
-            raise UserError(f"flights are FlightLogs, as read_log returns them, not {shown(repr(one), 40)}")
+            raise UserError(
+                f"flights must be FlightLogs, as read_log returns them, not {shown(repr(one), 40)}"
+            )
     return found

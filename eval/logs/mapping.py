@@ -147,7 +147,7 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
     found = [name for name in names if fnmatch.fnmatchcase(name, pattern)]
     if len(found) > 1:
         fitting = shown(", ".join(found))
-        raise UserError(f"{where}: {shown(pattern)} fits {fitting}; a mapping file must name one")
+        raise UserError(f"{where}: {shown(pattern)} matches {fitting}; a mapping file must name one")
     return found[0] if found else None
 
 

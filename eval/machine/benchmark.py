@@ -150,7 +150,7 @@ def _show(report: dict[str, Any]) -> None:
         table.add_row(row["plant"], spread_cell(row["steps_per_second"], 0, ends=("min", "max")))
     show_table(table)
     say(
-        f"This machine makes {rows[0]['steps_per_second']['median']:,.0f} control steps per second "
-        f"({rows[0]['plant']}), {report['action_us']['median']:.0f} us for an action, "
-        f"{report['training_steps_per_second']:,.0f} training steps per second."
+        f"This machine simulates {rows[0]['steps_per_second']['median']:,.0f} control steps per second "
+        f"({rows[0]['plant']}), takes {report['action_us']['median']:.0f} us for an action, "
+        f"and trains at {report['training_steps_per_second']:,.0f} steps per second."
     )

@@ -81,8 +81,7 @@ def record_touchdown(flight: Flight) -> Touchdown:
     if not touching:
         x, z = flight.state[0, [0, 2]]
         raise UserError(
-            f"there is no contact in the flight from x {x:g}, z {z:g} m, so that no contact force can be "
-            "drawn"
+            f"there is no contact in the flight from x {x:g}, z {z:g} m, so no contact force can be drawn"
         )
     platform = steps.platform[1:]
     _, velocity, _ = surface.relative(states, platform)

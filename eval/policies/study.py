@@ -48,7 +48,7 @@ def named_policies(texts: Sequence[str]) -> dict[str, str]:
         name = label or (f"{folder}/{file}" if files.count(file) > 1 and folder else file)
         if not (policy and name.isprintable()):
             raise UserError(
-                f"a policy is written POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
+                f"a policy must be POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
             )
         if name in found:
             raise UserError(f"policy {shown(name, 100)} is named twice")

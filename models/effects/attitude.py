@@ -52,7 +52,8 @@ def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
 EFFECTS = (
     Effect(
         name="attitude_gain",
-        description="The steady roll and pitch angles are another share of the commanded ones.",
+        description="The steady roll and pitch angles are larger or smaller than modelled for a given "
+        "command.",
         formula="d(angle)/dt = (scale gain command - angle)/time_constant",
         source="Kooi and Babuska 2021: k identified in flight; about 0.89 in the utias_fmpc flights",
         parameters=(
@@ -74,8 +75,8 @@ EFFECTS = (
     ),
     Effect(
         name="attitude_time_constant",
-        description="The roll and pitch loops are slower or faster than modelled: other controller gains in "
-        "the firmware, another inertia.",
+        description="The roll and pitch loops are slower or faster than modelled: different controller gains "
+        "in the firmware, a different inertia.",
         formula="d(angle)/dt = (gain command - angle)/(scale time_constant), at least 8.1 ms",
         source="Kooi and Babuska 2021: tau = 0.184 s; about 0.06 s in the utias_fmpc flights",
         parameters=(

@@ -55,7 +55,7 @@ EFFECTS = (
     Effect(
         name="battery_sag",
         description="The battery's voltage sags under load: the higher the load, the less thrust a PWM "
-        "gives. The load is the lagged PWM, so that no voltage needs to be logged. The reference is the "
+        "gives. The load is the lagged PWM, so no voltage needs to be logged. The reference is the "
         "load at which the modelled thrust is correct.",
         formula="F_t times (1 - sag (load/reference - 1)),  load = lag_rate Omega",
         source="internal resistance of a one-cell lithium-polymer battery; 0.1 to 0.2 V per 10 000 PWM in "
@@ -94,7 +94,7 @@ EFFECTS = (
         "the modelled thrust is correct. In simulation the voltage is the vehicle file's: open - drop load - "
         "discharge t.",
         formula="F_t times (1 + sensitivity (V - reference))",
-        source="brushed motors: speed proportional to duty times voltage, so that thrust goes with voltage "
+        source="brushed motors: speed proportional to duty times voltage, so thrust goes with voltage "
         "or its square, 0.27 to 0.54 1/V; PWM times voltage is constant in hover within 1.3 % in the "
         "nanobench flights",
         parameters=(

@@ -24,7 +24,7 @@ EFFECTS = (
         regimes=("hover", "climb", "lateral"),
         confused_with=("thrust_scale", "thrust_bias", "battery_sag", "slung_load"),
         remedy="Weigh the vehicle with everything it carries, and write the mass into the vehicle file. "
-        "Free flight shows only thrust over mass, so that no flight distinguishes mass from thrust.",
+        "Free flight shows only thrust over mass, so no flight can distinguish mass from thrust.",
         channels=("translation",),
         apply=scaled("body_mass"),
         says="the vehicle has {scale} times the modelled mass",
@@ -80,7 +80,7 @@ EFFECTS = (
     Effect(
         name="com_offset",
         description="The centre of mass is off the line of the thrust by an offset in the body frame: a "
-        "battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, so that "
+        "battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, so "
         "flights show the offset over the loop's stiffness: its size is as accurate as the model's inertia, "
         "bandwidth and time constant.",
         formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",

@@ -83,7 +83,7 @@ EFFECTS = (
     Effect(
         name="estimator_delay",
         description="The logged attitude is older than the logged position: the onboard estimator lags, or "
-        "its log takes another path than that of the motion capture. Drag appears larger than it is, "
+        "it is logged by a different path than the motion capture. Drag appears larger than it is, "
         "because the tilt that brakes the vehicle is logged later.",
         formula="measured attitude(t) = attitude(t - delay), measured position(t) = position(t)",
         source="stream offsets of the nanobench flights: -20 to 35 ms",

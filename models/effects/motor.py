@@ -30,8 +30,8 @@ EFFECTS = (
         ),
         regimes=("climb",),
         confused_with=("thrust_delay", "spin_down"),
-        remedy="Check propellers and motors for drag (hair in the shaft, a bent axle). Fly steps of thrust "
-        "to distinguish a lag from a pure delay.",
+        remedy="Check propellers and motors for drag (hair in the bearing, a bent shaft). Fly steps of "
+        "thrust to distinguish a lag from a pure delay.",
         channels=("translation",),
         apply=_lag,
         is_lag=True,

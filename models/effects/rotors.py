@@ -54,7 +54,7 @@ EFFECTS = (
     *(_weak_rotor(k) for k in range(4)),
     Effect(
         name="yaw_imbalance",
-        description="The motors of one direction of rotation get higher requests than the others while the "
+        description="The motors of one direction of rotation get higher commands than the others while the "
         "vehicle keeps its heading: propellers of unequal drag, or tilted motors. It does not change the "
         "motion.",
         formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
@@ -64,7 +64,7 @@ EFFECTS = (
         ),
         regimes=("hover",),
         confused_with=_NAMES,
-        remedy="It only costs control range. Exchange propellers of the two directions, and align the "
+        remedy="It only reduces the control range. Swap propellers between the two directions, and align the "
         "motors.",
         channels=("requests",),
         apply=added("effects_yaw_imbalance", "share"),

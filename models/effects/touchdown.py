@@ -111,7 +111,7 @@ EFFECTS = (
     ),
     Effect(
         name="platform_tilt",
-        description="The platform is tilted by another angle than measured.",
+        description="The platform's inclination differs from the measured one.",
         formula="inclination: platform_inclination + offset",
         source="bookkeeping; a protractor is accurate to about 1 deg",
         parameters=(Parameter("offset", unit="rad", bounds=(-0.2, 0.2), plausible=0.05, negligible=0.002),),

@@ -47,7 +47,7 @@ _SIZE = ("rotor_arm", "rotor_height", "rotor_radius", "effects_foot_height")  # 
 
 
 def sizes_differ(vehicles: Sequence[Vehicle]) -> bool:
-    """Return whether vehicles of one plant have other shapes than the first of them."""
+    """Return whether any vehicle of one plant has a different shape than the first."""
     return any(_differ(field, member, vehicles[0]) for member in vehicles[1:] for field in _SIZE)
 
 

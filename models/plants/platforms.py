@@ -127,7 +127,9 @@ class Platforms:
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
         if len(moves) != len(self.rest[ids]):
-            raise UserError(f"{len(self.rest[ids])} platforms need as many motions, not {len(moves)}")
+            raise UserError(
+                f"{len(self.rest[ids])} platforms need {len(self.rest[ids])} motions, not {len(moves)}"
+            )
         before = self.motion.amplitude
         self.motion[ids], self.begun[ids] = moves, time
         if self.motion.amplitude is not before:

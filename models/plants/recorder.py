@@ -204,7 +204,7 @@ def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
     impulse of the contacts, independent of the motion, which it explains to rounding errors.
 
     Ask before the plant is stepped; it is not changed. Vehicles are computed one by one.
-    Raises UserError for another integrator than RK4.
+    Raises UserError for integrators other than RK4.
     """
     found = np.empty((plant.n, 3))
     plant.allow_torque(commands)

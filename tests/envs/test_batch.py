@@ -54,7 +54,7 @@ def test_actions_are_clipped():
     (np.zeros(13), r"reset of 2 vehicles needs states of shape \(2, 13\), not \(13,\)"),
     (np.zeros((3, 13)), r"not \(3, 13\)"),
     (np.zeros((2, 12)), r"not \(2, 12\)"),
-    (np.full((2, 13), np.nan), "a start state holds NaN or a number beyond 10000"),
+    (np.full((2, 13), np.nan), "a start state contains NaN or a number beyond 10000"),
 ])  # fmt: skip
 def test_wrong_start_states_are_refused(state, sentence):
     with pytest.raises(UserError, match=sentence):
@@ -217,5 +217,7 @@ def test_an_episode_taken_over_begins_where_the_vehicle_is():
 def test_vehicles_that_are_not_there_are_refused(ids):
     env = build(4)
     for call in (env.reset, env.observe, env.begin_in_place):
-        with pytest.raises(UserError, match=r"ids must be numbers of vehicles from 0 to 3, or a mask \(4,\)"):
+        with pytest.raises(
+            UserError, match=r"ids must be vehicle numbers from 0 to 3, or a boolean mask of shape \(4,\)"
+        ):
             call(ids)

@@ -187,11 +187,11 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         (single, {"options": [state]}, "options of reset must be a dictionary"),
         (single, {"seed": -1}, "a seed must be a non-negative integer, not -1"),
         (single, {"seed": 0.5}, "a seed must be a non-negative integer"),
-        (vector, {"seed": [1, 2]}, "3 vehicles need one seed or 3, not 2"),
+        (vector, {"seed": [1, 2]}, "3 vehicles need one seed or 3 seeds, not 2"),
         (vector, {"seed": [1, 2, -3]}, "a seed must be a non-negative integer, not -3"),
         (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
-        (vector, {"options": {"reset_mask": [True]}}, "reset_mask must hold 3 truth values"),
-        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must hold 3 truth values"),
+        (vector, {"options": {"reset_mask": [True]}}, "reset_mask must be 3 booleans"),
+        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must be 3 booleans"),
     ):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
@@ -369,7 +369,7 @@ def test_vecenv_attributes():
         with pytest.raises(UserError, match="omit indices"):
             act()
     for act in (lambda: env.get_attr("reward_scale", 3), lambda: env.env_method("reset")):
-        with pytest.raises(UserError, match=r"numbers of vehicles below 3|call reset directly"):
+        with pytest.raises(UserError, match=r"vehicle numbers below 3|call reset directly"):
             act()
     env.env_method("seed", 1, indices=range(3))
     assert env.get_attr("num_envs") == [3, 3, 3] and len(env.get_attr("env", [0, 2])) == 2

@@ -147,7 +147,7 @@ def test_policies_must_go_together():
         MissionPlan(setpoint, load_policy("landing-nominal", inclination=np.radians(-20.0)), touchdown)
     heavy = PLAN.vehicle.changed(body_mass=0.04)
     with pytest.raises(
-        UserError, match="landing policy landing-nominal is for another vehicle than the previous"
+        UserError, match="landing policy landing-nominal is for a different vehicle than the previous"
     ):
         MissionPlan(setpoint, load_policy("landing-nominal", vehicle=heavy), touchdown)
     turned = Leaning()

@@ -45,7 +45,7 @@ def test_a_field_more_is_an_option_more():
     assert Windy(wind=2).settings.wind == Windy(wind=2).options["wind"] == 2
     with pytest.raises(UserError, match="wind must be a number from 0 to 5, not 6"):
         Windy(wind=6)
-    with pytest.raises(UserError, match="from which a custom task is derived"):
+    with pytest.raises(UserError, match="a custom task must derive from that class"):
         Windy(steepest=0.3)
 
     class WindySlopes(SlopeLanding):

@@ -345,7 +345,7 @@ LEVEL = {"centre": [0] * 5, "scale": [1] * 5, "limit": 1}
 )
 def test_wrong_statistics_are_refused(tmp_path, given):
     path = saved(tmp_path / "p.zip", model(), METADATA | {"normalisation": given})
-    with pytest.raises(UserError, match="has no centre, scale and limit"):
+    with pytest.raises(UserError, match="lacks a centre, scale or limit"):
         load_policy(path)
     for wrong in ({"scale": [0] * 5}, {"centre": [0] * 4}, {"scale": [None] * 5}, {"limit": -1}):
         saved(path, model(), METADATA | {"normalisation": LEVEL | wrong})

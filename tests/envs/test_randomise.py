@@ -67,7 +67,7 @@ def test_a_file_of_ranges(tmp_path):
 @pytest.mark.parametrize("text, sentence", [
     ("", r"contains no range, such as scale = \[0.8, 1.1\] in \[effects.thrust_scale\]"),
     ("nominal = 0.5", "contains no range"),
-    ("thrust_scale = [0.8, 1.1]", "thrust_scale stands outside any table"),
+    ("thrust_scale = [0.8, 1.1]", "thrust_scale is outside any table"),
     ("[effects.thrust]\nscale = [1, 2]", "unknown effect thrust; choose from 43 names, such as thrust_"),
     ("[effects.mass]\nfactor = [1, 2]", "effect mass has no parameter factor; choose from scale"),
     ("[effects.mass]\nprobability = 1", "effect mass has no range; its parameters are scale"),

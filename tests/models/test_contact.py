@@ -136,7 +136,7 @@ def test_foot_height_lifts_the_vehicle():
     ({"restitution": 0.5}, "give both restitution and contact time"),
     ({"restitution": 0.5, "contact_time": 0.02, "solref": (0.01, 1)}, "give either restitution"),
     ({"solref": (0.01, -1.0)}, "solref must be"),
-    ({"solref": 0.01}, "solref is two numbers"),
+    ({"solref": 0.01}, "solref must be two numbers"),
     ({"foot_height": 0.001}, "foot height must be from 0.0108 to 0.054 m, not 0.001 m"),
 ])  # fmt: skip
 def test_wrong_settings_are_refused_and_change_nothing(options, sentence):

@@ -53,7 +53,7 @@ def test_every_constant_has_unit_source_and_uncertainty(constant):
 
 
 WRONG = {  # what stands in the file, what instead, part of the sentence
-    "missing": ("\nmass ", "\n#", r"lacks entries: body\.mass; a file with differences only"),
+    "missing": ("\nmass ", "\n#", r"lacks entries: body\.mass; a file that contains only differences"),
     "unknown": (
         "[thrust]",
         '[thrust]\nlag = { value = 1, unit = "1", source = "", uncertainty = 0 }',
@@ -62,9 +62,9 @@ WRONG = {  # what stands in the file, what instead, part of the sentence
     "few": (
         "[0.04076521, 380.8359]",
         "[0.04076521]",
-        r"motor\.pwm_to_speed needs a list of 2, it has a list of 1",
+        r"motor\.pwm_to_speed must be a list of 2, not a list of 1",
     ),
-    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass needs one number, it has a list of 1"),
+    "many": ("value = 0.03303", "value = [0.03]", r"body\.mass must be one number, not a list of 1"),
     "NaN": ("value = 0.03303", "value = nan", r"\[body\.mass\] value must be a number"),
     "text": ("value = 0.03303", 'value = "heavy"', r"\[body\.mass\] value must be a"),
     "no unit": ('unit = "kg", ', "", r"\[body\.mass\] lacks unit"),
@@ -175,7 +175,7 @@ def test_ranges_leave_room_for_other_vehicles_with_every_effect_at_its_bounds(ma
 def test_what_is_no_vehicle_is_refused(wrong):
     with pytest.raises(UserError, match="vehicle file must be a path, not"):
         load_vehicle(wrong)
-    with pytest.raises(UserError, match="a Vehicle is expected, not"):
+    with pytest.raises(UserError, match="expected a Vehicle, not"):
         check_vehicle(wrong)
     with pytest.raises(UserError, match="vehicle must be a Vehicle or the path of a file, not"):
         build_spec(wrong)

@@ -280,5 +280,5 @@ def test_what_cannot_move_is_refused():
             plant.set_motion([0], Motion.still(1))
     with pytest.raises(UserError, match="cannot move"):
         make_plant("analytic", 1, moving=True)
-    with pytest.raises(UserError, match="as many motions"):
+    with pytest.raises(UserError, match="platforms need"):
         MujocoPlant(2, moving=True).set_motion([0, 1], Motion.still(1))

@@ -39,8 +39,8 @@ def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...
     before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
     members = {name: equivalence_class(found, name) for name in values}
     slow = [f.name for f in problem.flights if not f.shows_lags]
-    which = f"Flights of fewer than {LEAST_RATE:g} rows per second ({first_of(slow)})" if slow else ""
-    too_slow = f"{which} do not distinguish lags: log 50 or more."
+    which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})" if slow else ""
+    too_slow = f"{which} cannot separate lags: log at 50 Hz or more."
     lags = {name: bool(slow) and problem.library[name].is_lag for name in values}
     errors = problem.reference.errors if problem.reference else None
     effects = [

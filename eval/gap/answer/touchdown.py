@@ -71,13 +71,13 @@ def contact_answer(
     """
     landings = landings_of(use.logs, corrected, reference)
     if len(landings) < thresholds.LEAST_LANDINGS or not any(e.contact for e in library.values()):
-        few = f"{len(landings)} touchdown{'s' * (len(landings) > 1)} only"
+        few = f"only {len(landings)} touchdown{'s' * (len(landings) > 1)}"
         note = f"{few}: contact effects need {thresholds.LEAST_LANDINGS}"
         return ContactAnswer(corrected, notes=(note,) if landings else ())
     problem, found = contact_posterior(landings, corrected, library, reference)
     effects = contact_effects(problem, found)
     after = problem.corrected({e.name: e.values() for e in effects})
-    repeats = "the motion after touchdown has a repeated error that no effect explains"
+    repeats = "the motion after touchdown has a systematic error that no effect explains"
     notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
     test = tuple(landings_of(use.heldout, corrected, reference) or landings)
     worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))

@@ -30,8 +30,8 @@ REST_ERROR = (0.0030, 0.0008, 0.0004, 0.008, 0.005, 0.012)
 class LandingReference:
     """The residual of the reference vehicle's landings with its constants, by surface (floor, platform).
 
-    Real contact has another law than MuJoCo's. What its landings have in common is expected of others too;
-    how they scatter is how well a landing is known.
+    Real contact does not follow MuJoCo's law. The common error of the landings is expected of others too,
+    and their scatter is the uncertainty of a single landing.
     """
 
     count: tuple[int, int]  # landings

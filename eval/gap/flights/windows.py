@@ -236,7 +236,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
     starts = _window_starts(usable, rows)
     if not len(starts):
         raise UserError(
-            f"{log.name}: no window of {WINDOW:g} s in free flight, so that it cannot be used "
+            f"{log.name}: no window of {WINDOW:g} s in free flight, so it cannot be used "
             f"({100 * usable.mean():.0f} % of its rows are in flight)"
         )
     acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)

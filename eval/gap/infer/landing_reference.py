@@ -1,7 +1,7 @@
 """Contact of the reference vehicle, from its landings: constants, and what they leave unexplained.
 
 Effects of contact are fitted jointly, as those of free flight are, to the maximum of the posterior. Real
-contact follows another law than MuJoCo's: the residual that all landings share is expected of later
+contact does not follow MuJoCo's law: the residual that all landings share is expected of later
 ones as well, and their scatter about it is the model error of a single landing.
 """
 

@@ -242,7 +242,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
         ) from error
     return (
         VehiclePosterior.of_file(path, vehicle),
-        f"{file.name} belongs to another vehicle than {path.name} and was ignored",
+        f"{file.name} belongs to a different vehicle than {path.name} and was ignored",
     )
 
 

@@ -34,7 +34,7 @@ def command(
 ) -> None:
     """Plan a safe flight that best separates the candidate explanations of a report.
 
-    Takes about a minute. If no flight would separate them, it says what would and writes nothing.
+    Takes about a minute. If no flight would separate them, it prints what would and writes nothing.
     Fly the plan with landing-eval fly --plan.
 
     Args:
@@ -67,7 +67,7 @@ def command(
     beyond = words.measured_otherwise(found)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
         say(words.in_doubt(found), *beyond)
-        say("No flight was planned: none within the safe space would distinguish these.")
+        say("No flight was planned, because no safe flight would distinguish these.")
         return
     lines = [words.in_doubt(found), *filter(None, [words.outcome(found)])] if found else []
     lines += beyond

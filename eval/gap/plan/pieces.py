@@ -361,9 +361,9 @@ KINDS: dict[str, Kind] = {
     "tilts": Kind("command {tilt} deg of tilt towards {direction} deg and back, {seconds} s each, "
         "at a heading of {heading} deg",
         {"tilt": (0.06, 0.2), "seconds": (0.15, 0.45), "direction": _TURN, "heading": _TURN}, _tilts),
-    "thrusts": Kind("give {size} times the hover thrust more and less in turn, {seconds} s each",
+    "thrusts": Kind("raise and lower the thrust in turn by {size} times that of hover, {seconds} s each",
         {"size": (0.06, 0.2), "seconds": (0.12, 0.4)}, _thrusts),
-    "climb": Kind("climb and sink by {height} m at up to {speed} m/s",
+    "climb": Kind("climb and descend by {height} m at up to {speed} m/s",
         {"height": (0.4, 1.5), "speed": (0.4, 1.3)}, _climb),
     "heave": Kind("heave over {height} m at {frequency} Hz",
         {"height": (0.1, 0.4), "frequency": (0.4, 0.9)}, _heave),

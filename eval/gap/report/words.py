@@ -282,7 +282,7 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
     return [
         subject,
         *(_difference_sentence(c, one) for one in c.differences),
-        f"Was it another vehicle, or another day's calibration? The result below mixes the two; {apart} "
+        f"Was the vehicle or the calibration different? The result below mixes the two; {apart} "
         f"(run landing-eval gap on the logs of each). False-alarm rate: {100 * c.false_alarms:g} %.",
     ]
 
@@ -384,7 +384,9 @@ def residual_sentences(d: Diagnosis) -> list[str]:
         moved = f", {centimetres(most.displacement)} within a second" if most.displacement > 0.0 else ""
         lines.append(f"{more}{moved}).")
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append("The remaining error depends on no logged signal, like noise and air disturbances.")
+        lines.append(
+            "The remaining error does not depend on any logged signal, just like noise and air disturbances."
+        )
     return lines
 
 

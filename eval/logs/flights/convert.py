@@ -63,7 +63,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
     known = public_sets()[name]
     match = re.fullmatch(known.path, path.as_posix())
     if not match:
-        raise UserError(f"{shown(path, 250)}: a file of {name} has a path that ends like {known.files}")
+        raise UserError(f"{shown(path, 250)}: the paths of {name} end like {known.files}")
     if limits.check_file(path):
         raise UserError(f"{path}: a folder, not a file")
     flight = match.expand(known.name)
@@ -108,13 +108,13 @@ def _column(name: str, of: Mapping, path: Path, record: Record) -> np.ndarray | 
     """Return one column of the record in SI units; text as it stands."""
     if "from" not in of:  # the time of logs that date every value
         if not record.times:
-            raise UserError(f"{path}: no file of {name}, which are micro-SD logs")
+            raise UserError(f"{path}: not a file of {name}, whose files are micro-SD logs")
         return record.times[next(iter(record.columns))]
     source = of["from"]
     if source not in record.columns:
         if of.get("optional"):
             return np.nan
-        raise UserError(f"{path}: no file of {name}: it lacks the column {source}")
+        raise UserError(f"{path}: not a file of {name}: it lacks the column {source}")
     if of.get("text"):
         return pandas.read_csv(path, usecols=[source], dtype=str)[source].fillna("")
     return of.get("sign", 1) * _UNITS.get(of.get("unit", ""), 1.0) * record.columns[source]

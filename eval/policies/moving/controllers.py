@@ -70,7 +70,7 @@ def find_all(names: Sequence[str]) -> list[Controller]:
     found = [find(policy, vehicle, label) for label, policy in named.items()]
     called = [controller.name for controller in found]
     if twice := [name for name in called if called.count(name) > 1]:
-        raise UserError(f"two controllers have the name {twice[0]}; rename one")
+        raise UserError(f"two controllers are named {twice[0]}; rename one")
     return found
 
 

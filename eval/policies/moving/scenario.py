@@ -128,7 +128,7 @@ class Scenario(File, frozen=True, kw_only=True):
 
     @property
     def waves(self) -> Waves:
-        """Return the deck's motion in SI units; raises UserError for lists of other lengths than `period`."""
+        """Return the platform's motion in SI units; raises UserError for lists not as long as `period`."""
         axes: dict[str, Shift | Turn | None] = {mode: getattr(self.components, mode) for mode in MODES}
         if not self.components.period and not any(axes.values()):
             return Waves(np.ones(1), np.zeros((6, 1)), np.zeros((6, 1)))

@@ -32,7 +32,7 @@ RULE = (
     "Shares have 95 % Wilson intervals. Speeds and tilt at the first touch, relative to the platform, and "
     "the time until rest are medians."
 )
-PARTLY = "Not all flights of the scenarios were flown, so that this is not a result of the benchmark."
+PARTLY = "Not all flights of the scenarios were flown, so this is not a benchmark result."
 
 
 def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:

@@ -125,8 +125,8 @@ def section(policy: Policy, starts: np.ndarray) -> Section:
         early, middle, late = np.quantile(cross.steps * cross.period, [0.05, 0.5, 0.95])
         remarks = [
             f"From the same start, {cross.second} lands {middle:+.2f} s later than {cross.first} (median; "
-            f"90 % of the starts: {early:+.2f} to {late:+.2f} s). Another loop is another closed-loop "
-            "flight: both reach the goal, by ways that differ."
+            f"90 % of the starts: {early:+.2f} to {late:+.2f} s). A different rate loop flies a "
+            "different path to the same goal."
         ]
         tests = [(q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in compared)) for q in QUANTITIES]
         heads = tuple(f"{c.second} – {c.first}" for c in compared)

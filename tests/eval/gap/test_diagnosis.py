@@ -455,7 +455,7 @@ def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
     logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2, count=3, seconds=6.0)
     lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.doubted]
     assert lags and all(LIBRARY[e.name].is_lag and not e.sure for e in lags)
-    assert all("Flights of fewer than 30 rows per second" in e.note for e in lags)
+    assert all("Flights logged below 30 Hz" in e.note for e in lags)
 
 
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():

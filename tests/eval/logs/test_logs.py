@@ -319,7 +319,7 @@ def test_a_zip_file_of_one_table_is_read_and_of_several_is_not(tmp_path):
                 archive.writestr(f"{k}.csv", text)
         if count == 1:
             assert len(read(tmp_path / "a.zip")) == 40
-    with pytest.raises(UserError, match="packs 2 files; unpack it"):
+    with pytest.raises(UserError, match="contains 2 files; unpack it"):
         read(tmp_path / "a.zip")
 
 
@@ -579,16 +579,18 @@ def test_bags(tmp_path, ros):
     assert np.allclose(back.t, log.t, atol=1e-6) and np.allclose(back.position, log.position)
     assert np.allclose(back.attitude, log.attitude)
     assert np.allclose(back.command, log.command)
-    assert any("have no stamp: their time of recording is used" in note for note in back.notes)
+    assert any("have no time stamp; the time of recording is used" in note for note in back.notes)
 
 
 def test_bags_that_do_not_fit_are_refused_in_words(tmp_path):
     path = write_bag(tmp_path / "two", a_log(), 2, vehicles=("cf1", "cf2"))
-    with pytest.raises(UserError, match=r"\*/pose fits /cf1/pose, /cf2/pose; a mapping file must name one"):
+    with pytest.raises(
+        UserError, match=r"\*/pose matches /cf1/pose, /cf2/pose; a mapping file must name one"
+    ):
         read(path)
     mapping = tmp_path / "m.toml"
     mapping.write_text("[columns]\nx = '/cf1/pose:pose.position.height'\n")
-    with pytest.raises(UserError, match=r"topic /cf1/pose has no number pose\.position\.height"):
+    with pytest.raises(UserError, match=r"field pose\.position\.height of topic /cf1/pose is not a number"):
         read(path, mapping=mapping)
     (tmp_path / "no.bag").write_bytes(b"#ROSBAG V9.9\n")
     with pytest.raises(UserError, match=r"no\.bag: not a readable bag"):
@@ -659,13 +661,16 @@ vbat = "*/status:battery_voltage"
     ("options", "words"),
     [
         # A stamp that is no Time.
-        ({"status": "own"}, "/cf/status have no stamp: their time of recording is used"),
+        ({"status": "own"}, "/cf/status have no time stamp; the time of recording is used"),
         ({"status": "own", "defined": False}, r"vbat is left out: .*\(a/msg/Status\) cannot be decoded"),
-        ({"status": "text"}, "vbat is left out: topic /cf/status has no number battery_voltage"),
+        ({"status": "text"}, "vbat is left out: field battery_voltage of topic /cf/status is not a number"),
         ({"lost": (7, 8, 30)}, "is empty or not a number in 3 of 40 rows"),
-        ({"stamp": lambda t: t - 900.0}, "stamps of /cf/poses are 900 s from when they were recorded"),
-        ({"stamp": lambda t: 0.0}, "/cf/poses have no stamp"),
-        ({"stamp": lambda t: t - 1001.0}, "/cf/poses have no stamp"),  # negative
+        (
+            {"stamp": lambda t: t - 900.0},
+            "time stamps of /cf/poses differ from the times of recording by 900 s",
+        ),
+        ({"stamp": lambda t: 0.0}, "/cf/poses have no time stamp"),
+        ({"stamp": lambda t: t - 1001.0}, "/cf/poses have no time stamp"),  # negative
     ],
 )
 def test_bags_are_read_without_what_a_flight_can_do_without(tmp_path, options, words):

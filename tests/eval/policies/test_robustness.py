@@ -171,7 +171,7 @@ def test_long_work_says_how_long_it_takes_and_what_is_done(monkeypatch, capsys):
         (("landing", "--ranges", "sparrow", "--draws=0", *VEHICLES), "randomise file sparrow does not exist"),
         (("setpoint", *VEHICLES), "policy setpoint is for the task setpoint, not for landing"),
         (("setpoint", "--over=slopes"), "setpoint, not for landing"),
-        (("a=",), "a policy is written POLICY or LABEL=POLICY"),
+        (("a=",), "a policy must be POLICY or LABEL=POLICY"),
         ((), "name at least one policy"),
     ],
 )

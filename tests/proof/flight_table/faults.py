@@ -44,7 +44,7 @@ def _of(name: str, limit: float, outside: float, why: str) -> Case:
 
 _BY_ITSELF = "the firmware: level after 0.5 s with the last thrust, off after 1 s without notice"
 _DEAF = f"no attitude for {safety.ATTITUDE_LIMIT:g} s"
-_SOON = f"no believed position for {safety.POSE_LIMIT:g} s"
+_SOON = f"no credible position for {safety.POSE_LIMIT:g} s"
 ALONE = 8.0  # m: a vehicle that hovers at a start, and is left alone with the most thrust and lean
 STUCK, LATE = 4.0, 2.0  # s and m: a fault that shows only when the vehicle accelerates
 WITHIN = 0.0
@@ -67,8 +67,8 @@ CASES = (
     _of("attitude-turned", FLIGHT, WITHIN, "log and motion capture disagree, or it lands"),
     _of("attitude-wrong", FLIGHT, WITHIN, "log and motion capture disagree, or it lands"),
     _of("low-battery", FLIGHT, WITHIN, f"lands below {safety.LOWEST_VOLTAGE:g} V"),
-    Case("policy-nan", "the landing policy gives NaN", DOWN, WITHIN, "set down by the set-point policy"),
-    Case("setpoint-nan", "the set-point policy gives NaN", REACTION, WITHIN, "nothing to fly by: off"),
+    Case("policy-nan", "the landing policy returns NaN", DOWN, WITHIN, "set down by the set-point policy"),
+    Case("setpoint-nan", "the set-point policy returns NaN", REACTION, WITHIN, "nothing to fly by: off"),
     Case("interrupt", "Ctrl-C", REACTION, WITHIN, "off"),
 )
 
