@@ -218,7 +218,7 @@ def load_policy(
     found = len(policy.centre), len(policy.biases[-1])
     if found != expected:
         raise UserError(
-            f"policy {path} takes {found[0]} observations and gives {found[1]} actions, but the "
+            f"policy {path} takes {found[0]} observations and returns {found[1]} actions, but the "
             f"task {task.name} has {expected[0]} and {expected[1]}"
         )
     return policy

@@ -146,7 +146,9 @@ class BatchVecEnv(VecEnv):
 
     def __init__(self, env: BatchEnv, *, reward_scale: float = 1.0, info_terms: bool = False):
         if not isinstance(env, BatchEnv):
-            raise UserError(f"BatchVecEnv takes a BatchEnv, as make_batch gives, not {shown(repr(env), 40)}")
+            raise UserError(
+                f"BatchVecEnv takes a BatchEnv, as make_batch returns, not {shown(repr(env), 40)}"
+            )
         if not (isinstance(reward_scale, (int, float)) and 0 < reward_scale < math.inf):
             raise UserError(f"reward_scale must be a positive number, not {shown(repr(reward_scale), 40)}")
         self.env = env

@@ -379,7 +379,7 @@ def _actor(tensors: dict[str, np.ndarray], header: dict, path: Path) -> dict:
         )
     options = header.get("policy_kwargs") or {}
     if not isinstance(options, dict):
-        raise UserError(f"policy {path}: its policy_kwargs are not those of a policy")
+        raise UserError(f"policy {path}: its policy_kwargs are not a table")
     bound = np.inf
     if output is not None and f"{output}.0.weight" in tensors:
         output, bound = f"{output}.0", options.get("clip_mean", _CLIP_MEAN)

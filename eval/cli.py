@@ -33,7 +33,7 @@ COMMANDS = {
     ),
     "robustness": (
         "policies",
-        "Test policies under other thrusts, effects, slopes, vehicles or on moving platforms.",
+        "Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.",
     ),
     "mission": (
         "policies",
@@ -78,15 +78,18 @@ COMMANDS = {
     "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
     "gap-example": (
         "gap",
-        "Write twenty flights with hidden effects, to try gap on.",
+        "Write twenty example flights with hidden effects, as input for gap.",
     ),
     "fly": (
         "flying",
         "Fly a real or simulated Crazyflie onto the slope, or along a plan; logs as CSV.",
     ),
     "crazyflie": ("flying", "Run a simulated Crazyflie in real time, for cflib over UDP."),
-    "benchmark": ("machine", "Measure what a step, an action and a training run cost here (about a minute)."),
-    "doctor": ("machine", "Check what is installed and what is missing, and name remedies."),
+    "benchmark": (
+        "machine",
+        "Measure the speed of steps, actions and training on this machine (about a minute).",
+    ),
+    "doctor": ("machine", "Check the installation and suggest remedies."),
 }
 GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),

@@ -53,7 +53,7 @@ class Motion:
             except (TypeError, ValueError, OverflowError):
                 raise UserError(f"a motion's {field.name} must be an array of numbers") from None
             if not np.isfinite(array).all():
-                raise UserError(f"a motion's {field.name} holds NaN or infinity")
+                raise UserError(f"a motion's {field.name} contains NaN or infinity")
             setattr(self, field.name, array)
         n, waves = len(self), self.amplitude.shape[-1] if self.amplitude.ndim else 0
         shapes = {"velocity": (n, 3)} | dict.fromkeys(("amplitude", "frequency", "phase"), (n, 6, waves))

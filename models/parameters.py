@@ -137,7 +137,7 @@ def _constant(entry: Entry, like: Constant, what: str) -> Constant:
         raise UserError(f"{what} must not have a range; the ranges are those of {_SHIPPED}")
     uncertainty = entry.uncertainty
     if isinstance(uncertainty, tuple) and _shape(uncertainty) != _shape(value):
-        raise UserError(f"{what}: its uncertainty must be a text, one number or {_shape(value)}")
+        raise UserError(f"{what}: its uncertainty must be a string, one number or {_shape(value)}")
     return Constant(like.section, like.name, value, like.range, like.unit, entry.source, uncertainty)
 
 

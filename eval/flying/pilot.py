@@ -292,7 +292,7 @@ class Pilot:
                 self.report.landing_time = estimate.time - self._phase_began
                 self._end(None, step)
                 return None
-            self._print(f"{step}; sets down")
+            self._print(f"{step}; setting the vehicle down")
             self._set_down(estimate)
             return self._retreat(state)
         if self.phase is Phase.PLAN:

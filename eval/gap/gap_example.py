@@ -22,7 +22,7 @@ ground_effect = { strength = 5.0 }  # a floor that the model lacks
 
 
 def command(out: Folder) -> None:
-    """Write twenty flights with hidden effects, to try gap on.
+    """Write twenty example flights with hidden effects, as input for gap.
 
     Args:
         out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which lists the hidden effects.
@@ -39,6 +39,6 @@ def introduce(out: Path) -> None:
     command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
     print(f"To name the effects that the model lacks: {command}")
     say(
-        f"{out} holds twenty flights with hidden effects; those in its folder heldout are for evaluation. "
+        f"{out} contains twenty flights with hidden effects; those in its folder heldout are for evaluation. "
         f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards."
     )

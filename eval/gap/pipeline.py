@@ -170,7 +170,7 @@ def _data_notes(problem: Problem) -> list[str]:
         )
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
-        notes.append(f"only {seconds:.0f} s of usable flight: small effects cannot be detected")
+        notes.append(f"only {seconds:.0f} s of usable flight, so small effects cannot be detected")
     if problem.reference and problem.reference.errors and problem.reference.errors.worse:
         channels = " and ".join(problem.reference.errors.worse)
         notes.append(
@@ -178,17 +178,17 @@ def _data_notes(problem: Problem) -> list[str]:
             "vehicle that its identification began with"
         )
     if not problem.logged[:, :2].any():
-        notes.append("roll or pitch not logged: only vertical motion can be judged")
+        notes.append("roll or pitch is not logged, so only vertical motion can be judged")
     if not problem.logged[:, 3:5].any():
         notes.append(
-            "attitude commands not logged: the attitude loops cannot be judged, and translation is predicted "
-            "along the measured attitude"
+            "attitude commands are not logged: the attitude loops cannot be judged, and translation is "
+            "predicted along the measured attitude"
         )
     if not problem.logged[:, 5].any():
-        notes.append("yaw or its command not logged: the yaw channel was not used")
+        notes.append("yaw or its command is not logged, so the yaw channel was not used")
     if problem.flights[0].thrust_is_measured:
         notes.append(
-            "thrust is computed from the measured rotor speeds: the response of the motors cannot be judged"
+            "thrust is computed from the measured rotor speeds, so the motors' response cannot be judged"
         )
     return notes
 

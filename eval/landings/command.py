@@ -115,7 +115,7 @@ def _resumed(wanted: Study, out: Path) -> Study:
         raise UserError(f"record {out / RECORD} is damaged: {error}") from error
     if wanted.fingerprint() != fingerprint:
         raise UserError(
-            f"{out} was begun with another study, vehicle or engine version; choose another folder"
+            f"{out} was begun with a different study, vehicle or engine version; choose another folder"
         )
     storage.remove_parts(out)
     return wanted

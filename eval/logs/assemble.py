@@ -195,7 +195,7 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
         yield f"{len(t) - span} rows at the ends lack pose or commands"
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
-        yield "channels have different clocks: measurements interpolated, commands held, on the clock of x"
+        yield "channels have different clocks; measurements are interpolated and commands held on that of x"
 
 
 def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
@@ -230,7 +230,7 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
         t = channel.t[np.argmax(np.abs(channel.value))]
         raise UserError(
             f"{path}: column {channel.column} ({key}) reaches {largest:.3g} rad at t = {t:.6g} s: "
-            "these look like degrees; state the unit in a row of units, a mapping or the option"
+            "these look like degrees; state the unit in a row of units, a mapping or --unit"
         )
 
 

@@ -157,7 +157,7 @@ def _channel(
                     f"{canonical} is beyond the full command in {over.sum()} rows, which counts as full"
                 )
         if canonical != "t" and not (np.abs(value) < limits.LARGEST_VALUE).any():
-            problems.append((f"column {'+'.join(found)} ({canonical}) holds no usable number", False))
+            problems.append((f"column {'+'.join(found)} ({canonical}) contains no usable number", False))
             continue
         measured = source.measured or source.mean_square is not None
         return Channel(time - source.late, value, "+".join(found), measured)

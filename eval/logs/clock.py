@@ -129,7 +129,7 @@ def check(where: str, t: np.ndarray, column: str) -> None:
     """Raise UserError, with a remedy, for times that cannot be those of a flight."""
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
-        raise UserError(f"{where}: {column} has no number in row {bad[0] + 1} of the data")
+        raise UserError(f"{where}: {column} is not a number in row {bad[0] + 1} of the data")
     back = np.flatnonzero(t[1:] < t[:-1])
     if back.size:
         k = back[0] + 1

@@ -50,7 +50,7 @@ def read(path: Path) -> Record:
     data, encoding, notes = read_table(path)
     layout = _layout(path, data, encoding)
     if encoding != "utf-8":
-        notes.append("the file is not in UTF-8: read as Latin-1")
+        notes.append("the file is not UTF-8 and was read as Latin-1")
     rows = _without_comments(data[layout.start :], layout, notes)
     try:
         table = _parse(rows, layout, encoding)
@@ -104,7 +104,7 @@ def _layout(path: Path, data: bytes, encoding: str) -> _Layout:
                 header = (_cells(path, comment[0], mark), mark, *comment[1:])
                 break
             else:
-                raise UserError(f"{path}: the first line holds numbers; expected column names")
+                raise UserError(f"{path}: the first line contains numbers; expected column names")
         else:
             mark = separator or _separator(line)
             cells = _cells(path, line.lstrip(" #%/") if marked else line, header[1])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from inclined_landing.models.errors import UserError, shown
 
-_TO_CSV = ".to_csv('flight.csv', index=False) makes a CSV file of it"
+_TO_CSV = ".to_csv('flight.csv', index=False) writes a CSV file"
 # Suffixes, the first bytes, and what to do with such a file, where {name} is its name.
 _KINDS = (
     (".ulg", rb"ULog\x01\x12\x35", "a log of PX4: `ulog2csv {name}` (pip install pyulog) writes CSV files"),

@@ -67,12 +67,12 @@ def read_table(path: Path) -> tuple[bytes, str, list[str]]:
             data = data.decode("utf-16").encode()
         data, size = data.rstrip(b"\0"), len(data)
         if size and not data:
-            raise UserError(f"{path}: holds only zero bytes: nothing was written to it")
+            raise UserError(f"{path}: contains only zero bytes: nothing was written to it")
         if size > LARGEST or data.count(b"\n") > MOST_ROWS:
             most = f"{LARGEST:.3g} bytes or {MOST_ROWS:.0e} rows"
             raise UserError(f"{path}: more than {most}; extract the flight")
         if b"\0" in data:
-            raise UserError(f"{path}: not a readable text table (it holds zero bytes)")
+            raise UserError(f"{path}: not a readable text table (it contains zero bytes)")
         parts = (data[k : k + LONGEST_LINE] for k in range(0, len(data) - LONGEST_LINE + 1, LONGEST_LINE))
         if not all(b"\n" in part or b"\r" in part for part in parts):
             raise UserError(f"{path}: not a readable text table (a line of more than {LONGEST_LINE} bytes)")

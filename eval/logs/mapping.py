@@ -118,11 +118,11 @@ def detect(names: Sequence[str], where: str) -> ColumnMap:
     found = f"{where}: its columns ({shown(', '.join(names), 90)})"
     if all(_any([*_plain_names(names), "t"], name) for name in ("x", "y", "z")):
         raise UserError(
-            f'{found} have no time: a mapping file with inherit = "documented" and, under [columns], '
-            't = "NAME" says which it is'
+            f'{found} do not include time; name it in a mapping file with inherit = "documented" and, under '
+            '[columns], t = "NAME"'
         )
     raise UserError(
-        f"{found} belong to no known kind of log; expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, "
+        f"{found} match no known log format; expected t, x, y, z, roll, pitch, yaw, cmd_thrust_pwm, "
         "cmd_roll, cmd_pitch, or a mapping file"
     )
 

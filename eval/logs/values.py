@@ -62,7 +62,7 @@ def _check_time(log: FlightLog) -> Iterator[Finding]:
         yield refuse("t", f"lasts only {log.duration:.2g} s; at least {SHORTEST:g} s of flight are needed")
         return
     if not FEWEST_PER_SECOND <= log.rate <= MOST_PER_SECOND:
-        yield refuse("t", f"has {log.rate:.3g} rows per second: not a flight, or time is in another unit")
+        yield refuse("t", f"has {log.rate:.3g} rows per second: not a flight, or the unit of time is wrong")
         return
     if log.duration < SHORT_FLIGHT:
         yield limit("t", f"lasts only {log.duration:.2g} s: too short for most conclusions")
@@ -86,7 +86,7 @@ def _check_finite(log: FlightLog) -> Iterator[Finding]:
         bad = np.flatnonzero(~np.isfinite(column))
         if 0 < len(bad) < len(log) or np.isinf(column).any():
             yield refuse(
-                name, f"column {name} has no number in {len(bad)} rows, first at t = {log.t[bad[0]]:g} s"
+                name, f"column {name} is not a number in {len(bad)} rows, first at t = {log.t[bad[0]]:g} s"
             )
     if log.missing:
         yield limit(", ".join(log.missing), f"not logged: {', '.join(log.missing)}")
@@ -217,7 +217,7 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
         yield refuse(
             "cmd_thrust_pwm",
             f"column cmd_thrust_pwm never exceeds {top:.3g}, but PWM is 0 to 65535: a {unit}? "
-            f"State its unit. Of a force: {OF_A_FORCE}",
+            f"State its unit. If it is a force: {OF_A_FORCE}",
         )
     elif np.ptp(pwm) < 1.0:
         yield refuse(
@@ -227,7 +227,7 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
         yield refuse(
             "cmd_thrust_pwm",
             f"column cmd_thrust_pwm never exceeds {top:.0f} PWM: this is not a flight, or the unit is "
-            "another; " + OF_A_FORCE,
+            "wrong; " + OF_A_FORCE,
         )
     else:
         share = (pwm >= 65534.0).mean()

@@ -46,7 +46,7 @@ def command(
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
-    """Measure what a step, an action and a training run cost here (about a minute).
+    """Measure the speed of steps, actions and training on this machine (about a minute).
 
     Args:
         policy: policy whose actions are timed.

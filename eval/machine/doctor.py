@@ -54,7 +54,7 @@ def examine() -> list[CheckResult]:
 
 
 def command(*, json: Flag = False) -> int:
-    """Check what is installed and what is missing, and name remedies.
+    """Check the installation and suggest remedies.
 
     The exit code is 2 if something required is missing.
 

@@ -104,7 +104,7 @@ def command(
     moving_platforms: Flat[MovingOptions] = MovingOptions(),
     json: Flag = False,
 ) -> None:
-    """Test policies under other thrusts, effects, slopes, vehicles or on moving platforms.
+    """Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.
 
     Writes tables, and with --out figures and a page. Quick by default; --full takes minutes and gives the
     published results. Shares have 95 % Wilson intervals.

@@ -170,7 +170,7 @@ class Plant:
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of a plant of the same kind and size."""
         if set(self._arrays()) != set(snapshot.arrays) or self.n != len(snapshot.arrays["state"]):
-            raise UserError("the snapshot belongs to a plant of another kind or size")
+            raise UserError("the snapshot belongs to a plant of a different kind or size")
         self._make_room(snapshot.arrays)
         for name, array in self._arrays().items():
             array[:] = snapshot.arrays[name]
@@ -178,7 +178,7 @@ class Plant:
             self.disturbance.resume()
         if self.pool:
             if not ((self.choice >= 0) & (self.choice <= len(self.pool))).all():
-                raise UserError("the snapshot belongs to a plant with another pool of vehicles")
+                raise UserError("the snapshot belongs to a plant with a different pool of vehicles")
             self._apply_choice(np.arange(self.n))
         self._apply_perturbation()
 

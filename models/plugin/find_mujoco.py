@@ -18,5 +18,5 @@ else:
 number = int(re.search(r"#define mjVERSION_HEADER (\d+)", header.read_text("utf-8"))[1])
 version = f"{number // 1_000_000}.{number // 1_000 % 1_000}.{number % 1_000}"
 if not any(version in library.name for library in libraries):
-    sys.exit(f"MuJoCo's header says {version}, its library is {libraries[0].name}.")
+    sys.exit(f"MuJoCo's header is of version {version}, its library is {libraries[0].name}.")
 print(f"{folder / 'include'};{libraries[0]};{version}")

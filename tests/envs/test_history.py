@@ -113,5 +113,5 @@ def test_a_policy_file_says_its_history(tmp_path):
     path = shutil.copy(locate("landing-nominal"), tmp_path / "h.zip")
     write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
     assert history_length(path) == 2 and trained_task(path) == "landing"
-    with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions, but .* landing has 19"):
+    with pytest.raises(UserError, match=r"takes 5 observations and returns 2 actions, but .* landing has 19"):
         load_policy(path)

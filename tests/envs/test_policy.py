@@ -196,7 +196,7 @@ def damaged_metadata(path):
         (another_zip, "lacks policy.pth"),
         (
             lambda path: saved(path, model(8, 3)),
-            "takes 8 observations and gives 3 actions, but the task landing has 5 and 2",
+            "takes 8 observations and returns 3 actions, but the task landing has 5 and 2",
         ),
         (
             lambda path: saved(path, model(8, 3), SETPOINT),

@@ -139,7 +139,7 @@ def test_a_policy_is_not_flown_without_what_it_is_told(tmp_path):
     assert observes_vehicle(path) and not observes_vehicle("landing")
     with pytest.raises(UserError, match=r"trained with observe_vehicle=True, and .* observe_vehicle=False"):
         load_policy(path, make_task("landing"))
-    with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions, but .* 11 and 2"):
+    with pytest.raises(UserError, match=r"takes 5 observations and returns 2 actions, but .* 11 and 2"):
         load_policy(path)
     with pytest.raises(UserError, match=r"trained with observe_vehicle=False, and .* observe_vehicle=True"):
         load_policy("landing-nominal", make_task("landing", observe_vehicle=True))

@@ -20,7 +20,7 @@ QUICK = {
     "effects": r"The library has \d+ effects; .*\.",
     "export landing --format numpy --out {place}/out": r"is exported as numpy; .*contract.md describes .*\.",
     "flights": r"\d+ sets of measured flights are available: .*\.",
-    "gap-example --out {place}/out": r".*out holds twenty flights with hidden effects.*\.",
+    "gap-example --out {place}/out": r".*out contains twenty flights with hidden effects.*\.",
     "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",
     "success setpoint --plant analytic": rf"cm off after 3 s, within 5 cm in \d+ of 200 flights {SHARE}\.",
     "mission --missions 2 --no-film": rf"At rest on the feet after 2 of 2 missions {SHARE}\.",

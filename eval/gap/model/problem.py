@@ -343,7 +343,7 @@ def identifiable_effects(
         else:
             kept[name] = effect
     if not requested:
-        notes.append("requests of the four motors not logged: single rotors cannot be judged")
+        notes.append("the commands of the four motors are not logged, so single rotors cannot be judged")
     return kept, notes
 
 
@@ -351,7 +351,7 @@ def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFl
     """Return why a log channel excites nothing, a clause; empty if it does."""
     logged = [getattr(f, channel) for f in flights]
     if any(x is None for x in logged):
-        return f"{channel} not logged in every flight"
+        return f"{channel} is not logged in every flight"
     used = [x[f.usable] for x, f in zip(logged, flights)]
     constant = max(map(np.ptp, used)) < least and np.ptp([x.mean() for x in used]) < least
     return f"the logged {channel} is constant" if constant else ""

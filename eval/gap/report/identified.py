@@ -34,7 +34,7 @@ def headline(found: Identification) -> str:
     """Return how many constants differ from the nominal model, or in what the nominal one is better."""
     if found.worse:
         return (
-            f"On flights left out, the identified vehicle predicts {words.listed(found.worse)} worse "
+            f"On held-out flights, the identified vehicle predicts {words.listed(found.worse)} worse "
             "than the nominal one; use the nominal one there."
         )
     n, changed = len(found.parameters), len(changed_parameters(found))
@@ -54,7 +54,7 @@ def sentences(found: Identification) -> list[str]:
     ]
     lines = [f"{'They are' if len(values) > 1 else 'It is'} {words.listed(values)}."] if values else []
     paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
-    lines.append(f"Fit on flights left out: {', '.join(fits)}. {paper}")
+    lines.append(f"Fit on held-out flights: {', '.join(fits)}. {paper}")
     if found.ahead:
         before, after, floor = (words.centimetres(found.ahead[n]) for n in ("before", "after", "floor"))
         lines.append(

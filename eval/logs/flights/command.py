@@ -51,7 +51,7 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
                 print(f"{shown(file, 250)}: the same flight as {seen[key]}, skipped", file=sys.stderr)
                 continue
             if (folder / f"{flight}.csv.gz").exists():
-                raise UserError(f"{shown(file, 250)}: two files are both the flight {flight}")
+                raise UserError(f"{shown(file, 250)}: two files contain the flight {flight}")
             seen[key] = file
             storage.write_bytes(folder / f"{flight}.csv.gz", _packed(text))
             for note in notes:

@@ -63,7 +63,7 @@ def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:
     known = public_sets()[name]
     match = re.fullmatch(known.path, path.as_posix())
     if not match:
-        raise UserError(f"{shown(path, 250)}: the paths of {name} end like {known.files}")
+        raise UserError(f"{shown(path, 250)}: files of {name} have paths that end like {known.files}")
     if limits.check_file(path):
         raise UserError(f"{path}: a folder, not a file")
     flight = match.expand(known.name)

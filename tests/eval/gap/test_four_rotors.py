@@ -135,7 +135,7 @@ def test_flights_without_attitude_commands_show_translation_alone():
     assert any(LIBRARY[e.name].scales_thrust for e in d.effects)
     # One second open loop along the measured attitude: right once the mass is.
     assert d.gap["analytic"].after < 0.2 * d.gap["analytic"].before
-    assert any("attitude commands not logged" in note for note in d.notes)
+    assert any("attitude commands are not logged" in note for note in d.notes)
 
 
 def test_without_one_tilt_angle_only_the_vertical_motion_counts():

@@ -227,5 +227,5 @@ def test_resume_refuses_another_study(study, tmp_path, reference, capsys):
     study.write_text(STUDY.replace("seed = 5", "seed = 6"), "utf-8")
     before = bits(reference)
     assert cli.main(["landings", str(study), "--out", str(reference), "--resume"]) == 2
-    assert "was begun with another study" in capsys.readouterr().err
+    assert "was begun with a different study" in capsys.readouterr().err
     assert bits(reference) == before

@@ -110,7 +110,10 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
     return {
         "half a second": (short, "lasts only 0.5 s; at least 1 s"),
         "only holes": (holes, "7 gaps in time, the longest of 0.81 s .*; between them, no interval"),
-        "NaN": (change(log, roll=np.where(log.t > 5, np.nan, roll)), "column roll has no number in 699 rows"),
+        "NaN": (
+            change(log, roll=np.where(log.t > 5, np.nan, roll)),
+            "column roll is not a number in 699 rows",
+        ),
         "standing": (change(log, x=0, y=0, z=0), "x, y, z never change"),
         "millimetres": (change(log, x=1e3 * x, y=1e3 * y, z=1e3 * z), "wrong unit .millimetres"),
         "lost tracking": (dataclasses.replace(log, position=jumping), "x, y, z jump in 39 of 1200 rows"),

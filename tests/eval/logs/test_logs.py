@@ -195,11 +195,11 @@ def test_empty_cells_are_bridged_briefly_and_dropped_beyond(tmp_path):
 
 BAD = {
     "nothing": ("", "empty; expected a line of column names"),
-    "no header": ("0,1,2\n0.1,1,2\n", "the first line holds numbers"),
+    "no header": ("0,1,2\n0.1,1,2\n", "the first line contains numbers"),
     "header only": (HEADER + "\n", "a header and no rows|no time column"),
     "no position": (
         "t,roll,pitch,yaw,cmd_thrust_pwm\n0,0,0,0,1\n1,0,0,0,1\n",
-        "belong to no known kind of log",
+        "match no known log format",
     ),
     "no height": ("t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,,0,1\n1,0,0,,0,1\n", "no position column z"),
     "no attitude": ("t,x,y,z,cmd_thrust_pwm\n0,0,0,0,1\n1,0,0,0,1\n", "no attitude column roll, pitch, yaw"),
@@ -218,7 +218,10 @@ BAD = {
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,0,1\n2,0,0,0,0,1\n0,0,0,0,0,1\n1,0,0,0,0,1\n",
         "column t goes back from 2 to 0 s in row 4 of the data: .* cut the file",
     ),
-    "time nan": ("t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n,0,0,0,0,1\n", "column t has no number in row 2"),
+    "time nan": (
+        "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n,0,0,0,0,1\n",
+        "column t is not a number in row 2",
+    ),
     "degrees": (
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,12,1\n",
         "column roll .* look like degrees",
