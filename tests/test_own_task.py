@@ -97,7 +97,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
             "Hop.action_names = ('lift',)",
             "choose from thrust, roll, pitch, yaw rate",
         ),
-        ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it takes"),
+        ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it must be"),
         ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it must be a tuple of distinct names"),
         (
             "hopping.py:Hop",
@@ -135,7 +135,7 @@ JUDGED = (
         (JUDGED.replace("1.0 * up", "np.nan + up"), "term up must be finite"),
         (JUDGED.replace("up, up, np", "1.0 * up, up, np"), "success must be boolean"),
         ("sample(self, rng, k): return 3", "sample returned 3, not a Start"),
-        ("sample(self, rng, k): return self.start(np.full((k, 13), np.nan))", "states must hold finite"),
+        ("sample(self, rng, k): return self.start(np.full((k, 13), np.nan))", "states must be finite"),
         ("sample(self, rng, k): return self.start(np.zeros((1, 13)))", "shape (2, 13), not (1, 13)"),
         ("observe(self, context): return context.state[:, :1]", "observe returned must have shape (2, 2)"),
         ("observe(self, context): return [['a', 'b']] * 2", "observe returned must be finite"),

@@ -377,7 +377,7 @@ def test_wrappers_that_leave_observations_and_actions_alone_are_no_hindrance(tmp
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: VecFrameStack(vehicles(), 2), "wrapper VecFrameStack, .*history="),
+        (lambda: VecFrameStack(vehicles(), 2), "wrapper VecFrameStack, .*option history"),
         (lambda: VecNormalize(VecNormalize(vehicles())), "wrapper VecNormalize"),
         (lambda: Twice(vehicles()), "wrapper Twice"),
         (lambda: Mirrored(single()), r"wrapper Mirrored, .*model\.set_env"),

@@ -188,7 +188,7 @@ def test_wrong_arguments(study, tmp_path, capsys, monkeypatch, words, sentence):
 def test_a_machine_with_other_packages_is_refused():
     versions = runs.packages()
     assert pool._called(versions, max, 1, 2) == 2
-    with pytest.raises(UserError, match=rf"has mujoco {versions['mujoco']}, and this machine 1\.0; "):
+    with pytest.raises(UserError, match=rf"has mujoco {versions['mujoco']}, but this machine has 1\.0; "):
         pool._called(versions | {"mujoco": "1.0"}, max, 1, 2)
 
 

@@ -212,7 +212,7 @@ def test_a_lone_impossible_value_is_named_and_left_out(column, tmp_path):
     table.loc[[300, 700], column] = IMPOSSIBLE[column]
     table.to_csv(path, index=False)
     used = read_log(path)
-    words = f"column {column} ({column}) holds {IMPOSSIBLE[column]:.4g}, which no flight has"
+    words = f"column {column} ({column}) holds {IMPOSSIBLE[column]:.4g}, which is impossible in flight"
     assert f"{words}, in 2 rows, first in row 301 of the data (t = 3 s): left out" in used.notes
     others = [note for note in used.notes if column not in note and "different clocks" not in note]
     assert others == [] and len(used) == len(log) - 2 * (column == "x")
