@@ -138,7 +138,7 @@ def test_it_is_reset_saved_and_restored(kind):
     for one in (plant, other):
         one.restore(snapshot)
         np.testing.assert_array_equal(fly(one, COMMANDS[10:]), later)
-    with pytest.raises(UserError, match="another kind or size"):
+    with pytest.raises(UserError, match="a different kind or size"):
         plant_of(kind).restore(snapshot)
     before = plant.disturbance.now.copy()
     plant.reset(np.array([1, 4]), start_states(2))

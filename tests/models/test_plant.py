@@ -182,9 +182,9 @@ def test_restore_replays_bit_for_bit(build):
 
 
 def test_snapshots_of_another_kind_or_size_are_refused():
-    with pytest.raises(UserError, match="another kind or size"):
+    with pytest.raises(UserError, match="a different kind or size"):
         AnalyticPlant(2).restore(MujocoPlant(2).save())
-    with pytest.raises(UserError, match="another kind or size"):
+    with pytest.raises(UserError, match="a different kind or size"):
         AnalyticPlant(2).restore(AnalyticPlant(3).save())
 
 

@@ -165,5 +165,5 @@ def test_vehicles_that_are_not_there_are_refused():
     assert not plant.choice.any()
     snapshot = make_plant("analytic", 2, V, pool=[V, V])
     snapshot.assign(np.arange(2), [2, 2])
-    with pytest.raises(UserError, match="another pool"):
+    with pytest.raises(UserError, match="a different pool"):
         plant.restore(snapshot.save())

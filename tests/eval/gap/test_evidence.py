@@ -459,7 +459,7 @@ def test_a_posterior_is_read_as_it_was_written(reference, tmp_path):
     found, said = read_reference(file, VEHICLE)
     assert not said and found.columns == reference.columns
     other, said = read_reference(file, VEHICLE.changed(body_mass=0.05))
-    assert "another vehicle" in said and not other.mean.any()
+    assert "a different vehicle" in said and not other.mean.any()
     posterior_path(file).write_text(text.replace('"mean"', '"means"'))
     with pytest.raises(UserError, match="posterior"):
         read_reference(file, VEHICLE)
