@@ -22,6 +22,9 @@ from inclined_landing.models.errors import UserError, shown
 # Environment steps over which the learning rate falls in a run ended by success: usually, and on drawn
 # vehicles in the plane; and its share from then on.
 SETTLING, SETTLED = (400_000, 350_000), 0.1
+# Restarts of the learning rate after which such a run ends although it does not land all varied vehicles:
+# usually, and on drawn vehicles in the plane. In space a restart costs a million steps and gains little.
+RESTARTS = (0, 2)
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
@@ -61,6 +64,7 @@ class Curriculum:
     level = 1.0  # 0 easiest, 1 the task itself
     settling = SETTLING[0]
     restarts = 0  # how often the learning rate has gone back to its initial value
+    most_restarts = RESTARTS[0]
     kept: tuple[str, ...] = ()  # attributes that `state` has
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
@@ -405,7 +409,8 @@ def make_curriculum(
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
     if isinstance(curriculum, AdaptiveCurriculum) and drawn:
-        curriculum.gate, curriculum.floor, curriculum.settling = GATE[1], FLOOR[1], SETTLING[1]
+        curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
+        curriculum.settling, curriculum.most_restarts = SETTLING[1], RESTARTS[1]
     if without:
         curriculum.leave_out([part.strip() for part in without.split(",")])
     return curriculum

@@ -59,7 +59,6 @@ VEHICLE = COPIED["vehicle"]
 # Evaluations at the lowest learning rate of which the second half is better than the first by less than this
 # share rise no more.
 PATIENCE, RISING = 4, 0.01
-RESTARTS = 2  # of the learning rate, after which a run may end although it does not land all varied vehicles
 COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
@@ -329,11 +328,11 @@ class Run:
         """Return whether the run has reached the wanted success, and its fewest steps.
 
         In a randomised run with the nominal vehicle and with varied ones; there may be none that lands all of
-        these, so after RESTARTS they need only rise no more.
+        these, so after some restarts of the learning rate they need only rise no more.
         """
         if self.config.success is None or self.model.num_timesteps < (self.config.min_steps or 0):
             return False
-        plateau = self.curriculum.restarts >= RESTARTS and self._rises_no_more()
+        plateau = self.curriculum.restarts >= self.curriculum.most_restarts and self._rises_no_more()
         return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
 
     def _succeeds(self, kinds: Iterable[str]) -> bool:
