@@ -189,18 +189,26 @@ def _displacements(times, waves, out):
 
 @numba.njit(cache=True)
 def _platforms(times, rest, waves, platform):
-    now = np.empty((3, 6))
+    now, place = np.empty((3, 6)), np.empty(6)
     for i in range(len(platform)):
         displacement(i, times[i], waves, now)
-        write_state(i, now, rest, platform)
+        for k in range(3):
+            place[k], place[3 + k] = rest[i, k], rest[i, ROLL + k]
+        write_state(now, place, platform[i])
 
 
 @numba.njit(cache=True, inline="always")
-def write_state(i, now, rest, platform):
-    """Write the state of platform i into `platform` (n, 12), from its `displacement` and those at `rest`."""
+def write_state(now, place, out):
+    """Write the state of a platform into `out` (12,), from its `displacement` now and its place at rest.
+
+    place (6,): x, y, z, roll, pitch, yaw.
+    """
+    turning = False
     for k in range(3):
-        platform[i, k] = rest[i, k] + now[0, k]
-        platform[i, VX + k] = now[1, k]
-        platform[i, ROLL + k] = rest[i, ROLL + k] + now[0, 3 + k]
-    rates = body_rates(platform[i, ROLL], platform[i, PITCH], now[1, 3], now[1, 4], now[1, 5])
-    platform[i, WX], platform[i, WY], platform[i, WZ] = rates
+        out[k], out[VX + k], out[ROLL + k] = place[k] + now[0, k], now[1, k], place[3 + k] + now[0, 3 + k]
+        turning |= now[1, 3 + k] != 0.0
+    if turning:
+        rates = body_rates(out[ROLL], out[PITCH], now[1, 3], now[1, 4], now[1, 5])
+        out[WX], out[WY], out[WZ] = rates
+    else:
+        out[WX] = out[WY] = out[WZ] = 0.0

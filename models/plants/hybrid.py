@@ -12,10 +12,10 @@ the keep-out zone. The engine sees contacts at the beginning of a time step and 
 RK4, whose positions are within one step of the speeds of that step: the speeds at its two ends, plus their
 difference for what the acceleration does between. Over a moving platform all of this is seen along with it,
 at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
-points can stray from there since: at a speed that its motion never exceeds (`Moving.most`), or, where that is
-too near, at one that it does not exceed in this period (`strays`). So no contact that the engine would see is
-missed, and contacts, forces and the zone are always the engine's own. In the engine a platform is put where
-it belongs when the engine flies the vehicle, or the plant is saved.
+points can stray from there since: at a speed that its motion never exceeds (`platforms.MOST`), or, where that
+is too near, at one that it does not exceed in this period (`strays`). So no contact that the engine would see
+is missed, and contacts, forces and the zone are always the engine's own. In the engine a platform is put
+where it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -40,7 +40,7 @@ from inclined_landing.models import equations, forces, geometry, held, threads
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
-from inclined_landing.models.plants.platforms import STILL, Moving, follow, strays
+from inclined_landing.models.plants.platforms import MOST, STILL, Moving, follow, strays
 from inclined_landing.models.plants.slung_load import write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
@@ -201,10 +201,10 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
-    at, moving, rates, now = engine.at, len(motions.most) > 0, np.empty(6), np.empty((3, 6))
+    at, moving, rates, now = engine.at, len(motions.courses) > 0, np.empty(6), np.empty((3, 6))
+    parts = np.empty((2, motions.courses.shape[1]))
     integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
-    boxes, sizes = vehicles.fleet.box_centres, vehicles.fleet.box_sizes
     count = 0
     for row in range(first, last):
         i = ids[row]
@@ -221,19 +221,16 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
                 s.torque_limits[k] = math.inf
             elif period.torque_needs_motors and not flown[at.ctrl + PWM] > 0.0:
                 s.torque_limits[k] = 0.0
-        for b in range(len(poses)):
-            for k in range(3):
-                poses[b, k] = flown[at.mocap_pos + 3 * platforms.bodies[b] + k]
+        for k in range(3):
+            poses[0, k] = platform[i, k]
+        if not present:
+            poses[0, Z] = geometry.PARKED
         approach, known = 0.0, True  # m that the slab strays nearer in a time step; is it the least
         px, py, pz, drift = 0.0, 0.0, 0.0, 0.0  # velocity of the platform, its size [m/s]
-        if moving:
-            poses[0, X], poses[0, Y], poses[0, Z] = platform[i, X], platform[i, Y], platform[i, Z]
-            if not present:
-                poses[0, Z] = geometry.PARKED
-            else:
-                px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
-                drift, approach = _size(px, py, pz), dt * motions.most[i]
-                known = approach == 0.0
+        if moving and present:
+            px, py, pz = platform[i, VX], platform[i, VY], platform[i, VZ]
+            drift, approach = _size(px, py, pz), dt * motions.courses[i, MOST]
+            known = approach == 0.0
         ambient[forces.TIME], ambient[forces.VOLTAGE] = time, math.nan
         ambient[forces.INCLINATION], ambient[forces.PRESENT] = platform[i, PITCH], present
         ambient[forces.AZIMUTH] = platform[i, YAW]
@@ -248,18 +245,18 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             _take_command(u, period.commands, 0, i, vehicles.command_range)
             here, height = (y[X], y[Y], y[Z]), y[Z] - length * drift
             wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
-            before, last, exact = length * _size(wx, wy, wz), substeps - 1, False
+            before, exact = length * _size(wx, wy, wz), False
             # Few are so near that the distance itself is needed.
             distance = geometry.least_distance(here[0], here[1], here[2], poses[0], platforms.reach)
-            spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+            spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
             if not spare > before:
-                distance, exact = _distance(here, platform[i], poses, boxes, sizes), True
-                spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+                distance, exact = _distance(here, i, platforms, poses, flown, at, vehicles.fleet), True
+                spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
             if spare > before and held.fly(s, v, length, _LARGEST_ANGLE, _TURN / dt):
                 moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, length)
                 if not (exact or spare > moved):
-                    distance = _distance(here, platform[i], poses, boxes, sizes)
-                    spare = _spare((distance - vehicles.keep_out, height, radius), last, approach)
+                    distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
+                    spare = _spare((distance - vehicles.keep_out, height, radius), substeps - 1, approach)
                 if spare > moved:
                     step = substeps
                 else:
@@ -272,7 +269,7 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             # velocity relative to the platform's centre.
             t = step * dt
             here = y[X] - t * px, y[Y] - t * py, y[Z] - t * pz
-            distance = _distance(here, platform[i], poses, boxes, sizes)
+            distance = _distance(here, i, platforms, poses, flown, at, vehicles.fleet)
             clear = distance - vehicles.keep_out, y[Z] - dt * drift, radius
             wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
             before = dt * _size(wx, wy, wz)
@@ -306,7 +303,7 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         if len(results.load) > 0:
             write_load(results.load[i], engine.load_joint, flown, at)
         if moving:
-            follow(i, flown[at.time] + motions.begun[i], motions.waves, motions.rest, platform, now)
+            follow(motions.courses[i], flown[at.time], now, parts, platform[i])
     return count
 
 
@@ -341,9 +338,17 @@ def _moved(wx, wy, wz, x, y, z, dt):
 
 
 @numba.njit(cache=True)
-def _distance(here, platform, poses, boxes, sizes):
-    """Return the distance [m] of a point (x, y, z) to a platform in state (12,)."""
-    turns = geometry.platform_turns(platform[ROLL], platform[PITCH], platform[YAW])
+def _distance(here, i, platforms, poses, row, at, fleet):
+    """Return the distance [m] of a point (x, y, z) to platform i, whose slab is at poses[0] (3,).
+
+    row (s,): of the engine, which has the poses of its base; poses (4, 3) are those of all bodies afterwards.
+    """
+    for b in range(1, len(poses)):
+        for k in range(3):
+            poses[b, k] = row[at.mocap_pos + 3 * platforms.bodies[b] + k]
+    d = platforms.platform[i]
+    turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
+    boxes, sizes = fleet.box_centres, fleet.box_sizes
     return geometry.platform_distance(here[0], here[1], here[2], turns, poses, boxes, sizes)
 
 

@@ -164,7 +164,7 @@ class MujocoPlant(Plant):
         """Return to a snapshot of a plant of the same kind and size."""
         super().restore(snapshot)
         if self.platforms:
-            self.platforms.bound()
+            self.platforms.renew()
         self._apply_contact()
         self._warning[:] = 0
 

@@ -21,11 +21,10 @@ import numba
 import numpy as np
 
 from inclined_landing.models import motion
-from inclined_landing.models.attitude import ROLL, Z
+from inclined_landing.models.attitude import ROLL, Z, sine_cosine
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
-from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.vehicle import Vehicle
 
 _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the order of motion.MODES
@@ -54,18 +53,20 @@ class _Joints(NamedTuple):
 class Moving(NamedTuple):
     """What kernels need to know of n moving platforms; of none in a plant whose platforms stand still."""
 
-    most: np.ndarray  # (n,) m/s, a bound for all times, see `_most`
-    begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
+    courses: np.ndarray  # (n, c) what every control period reads of a motion, see `_write_course`
     waves: motion.Waves
-    rest: np.ndarray  # (n, 12) their states where they do not move
     late: float  # s, as in _Clock
     period: float  # s
     reach: float  # m, of the slab from its centre
 
 
-_NONE = Motion.still(0).arrays
+# Columns of a course: time of the motion at the vehicle's reset [s], bound of `strays` for all times [m/s],
+# number of waves, place at rest (6,), velocity (3,); then the modes of all waves, amplitudes, frequencies and
+# phases, beside each other for SIMD.
+BEGUN, MOST = 0, 1
+_COUNT, _PLACE, _VELOCITY, _WAVES = 2, 3, 9, 12
 # So that one compiled kernel serves both.
-STILL = Moving(np.empty(0), np.empty(0), _NONE, np.empty((0, PLATFORM_SIZE)), 0.0, 0.0, 0.0)
+STILL = Moving(np.empty((0, _WAVES)), Motion.still(0).arrays, 0.0, 0.0, 0.0)
 
 
 class Platforms:
@@ -93,7 +94,6 @@ class Platforms:
         late = 0.0 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 0.5 * step
         self._clock = _Clock(batch.bind("time"), self.begun, step, late)
         self._period = substeps * step
-        self._most = np.zeros(n)
         self._forces = np.zeros((n, substeps, model.nv))
         self._reach = platform_reach(vehicle)
         self._moved()
@@ -107,8 +107,9 @@ class Platforms:
     def _moved(self) -> None:
         """Take the arrays of the motion, which may be others after more waves were given."""
         self._waves = self.motion.arrays
-        lengths = self._clock.late, self._period, self._reach
-        self.moving = Moving(self._most, self.begun, self._waves, self.rest, *lengths)
+        courses = np.zeros((len(self.rest), _WAVES + 4 * self.motion.amplitude[0].size))
+        self.moving = Moving(courses, self._waves, self._clock.late, self._period, self._reach)
+        self.renew()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what a snapshot of the plant needs of them."""
@@ -122,7 +123,7 @@ class Platforms:
 
     def stop(self, ids, rest: np.ndarray) -> None:
         """Stop the platforms `ids` at `rest` (k, 12)."""
-        _stop(self._everyone[ids], rest, self.moving)
+        _stop(self._everyone[ids], rest, self.rest, self.begun, self.moving)
 
     def set(self, ids, moves: Motion, time=0.0) -> None:
         """See `Plant.set_motion`; raises UserError for another number of motions."""
@@ -134,11 +135,11 @@ class Platforms:
         self.motion[ids], self.begun[ids] = moves, time
         if self.motion.amplitude is not before:
             self._moved()
-        self.bound(ids)
+        self.renew(ids)
 
-    def bound(self, ids=slice(None)) -> None:
-        """Update the bounds of the speeds of the platforms `ids` after a change of their motions."""
-        _most(self._everyone[ids], self.moving, self._most)
+    def renew(self, ids=slice(None)) -> None:
+        """Write the courses of the platforms `ids` after a change of their motions."""
+        _renew(self._everyone[ids], self.rest, self.begun, self.moving)
 
     def at(self, times) -> np.ndarray:
         """Return states (n, 12) of the platforms at times (n,) or a number [s] since the vehicles' reset."""
@@ -146,11 +147,11 @@ class Platforms:
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
         """Put the platforms `ids` where their motions have them now, in the engine and in `platform`."""
-        _place(ids, self._clock, present, self._waves, self.rest, self._platform, self._joints)
+        _place(ids, self._clock, present, self.moving, self._platform, self._joints)
 
     def follow(self, ids: np.ndarray) -> None:
         """Write where the motions have the platforms `ids` now into `platform` alone."""
-        _follow(ids, self._clock, self._waves, self.rest, self._platform)
+        _follow(ids, self._clock.time, self.moving, self._platform)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
         """Return forces (k, substeps, nv) that move the platforms `ids` through the period that begins."""
@@ -168,7 +169,7 @@ def strays(i, time, present, moving, rates):
     (6,): for intermediate results.
     """
     if present:
-        motion.rate(i, time + moving.begun[i] - moving.late, moving.waves, rates)
+        motion.rate(i, time + moving.courses[i, BEGUN] - moving.late, moving.waves, rates)
     else:
         rates[:] = 0.0
     return _bound(i, moving, rates)
@@ -196,53 +197,84 @@ def _bound(i, moving, rates):
 
 
 @numba.njit(cache=True)
-def _stop(ids, rest, moving):
-    """Stop the platforms `ids` (k,) at `rest` (k, 12)."""
+def _stop(ids, places, rest, begun, moving):
+    """Stop the platforms `ids` (k,) in the states `places` (k, 12)."""
     waves = moving.waves
     for row in range(len(ids)):
         i = ids[row]
-        moving.rest[i], moving.begun[i], moving.most[i] = rest[row], 0.0, 0.0
-        waves.velocity[i] = 0.0
+        rest[i], begun[i], waves.velocity[i] = places[row], 0.0, 0.0
         waves.amplitude[i] = waves.frequency[i] = waves.phase[i] = 0.0
+        _write_course(i, rest, begun, moving)
 
 
 @numba.njit(cache=True)
-def _most(ids, moving, out):
-    """Write the bound of `strays` for all times into `out` (n,): with all waves at their fastest at once."""
-    waves, rates = moving.waves, np.zeros(6)
+def _renew(ids, rest, begun, moving):
     for i in ids:
-        for mode in range(3, 6):
-            rates[mode] = 0.0
-            for k in range(waves.amplitude.shape[2]):
-                rates[mode] += abs(waves.amplitude[i, mode, k] * waves.frequency[i, mode, k])
-        out[i] = _bound(i, moving, rates) * (1.0 + 1e-9)  # rounding
+        _write_course(i, rest, begun, moving)
 
 
 @numba.njit(cache=True)
-def _follow(ids, clock, waves, rest, platform):
-    now = np.empty((3, 6))
+def _write_course(i, rest, begun, moving):
+    """Write the course of platform i: all that moves it in one place, without waves of no amplitude.
+
+    The bound of `strays` for all times is that with all waves at their fastest at once.
+    """
+    course, waves, count, rates = moving.courses[i], moving.waves, 0, np.zeros(6)
+    most = 6 * waves.amplitude.shape[2]
+    for mode in range(6):
+        for k in range(waves.amplitude.shape[2]):
+            size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
+            if size != 0.0:
+                at = _WAVES + count
+                course[at], course[at + most], course[at + 2 * most] = mode, size, omega
+                course[at + 3 * most] = waves.phase[i, mode, k]
+                count += 1
+                rates[mode] += abs(size * omega)
+    course[BEGUN], course[MOST], course[_COUNT] = begun[i], _bound(i, moving, rates) * (1.0 + 1e-9), count
+    for k in range(3):
+        course[_PLACE + k], course[_PLACE + 3 + k] = rest[i, k], rest[i, ROLL + k]
+        course[_VELOCITY + k] = waves.velocity[i, k]
+
+
+@numba.njit(cache=True)
+def _follow(ids, time, moving, platform):
+    now, parts = np.empty((3, 6)), np.empty((2, moving.courses.shape[1]))
     for i in ids:
-        follow(i, clock.time[i] + clock.begun[i], waves, rest, platform, now)
+        follow(moving.courses[i], time[i], now, parts, platform[i])
 
 
 @numba.njit(cache=True, inline="always")
-def follow(i, t, waves, rest, platform, now):
-    """Write where its motion has platform i at t [s] into `platform` (n, 12), by way of `now` (3, 6)."""
-    motion.displacement(i, t, waves, now)
-    motion.write_state(i, now, rest, platform)
+def follow(course, time, now, parts, out):
+    """Write the state of a platform `time` [s] after its vehicle's reset into `out` (12,), as `displacement`.
+
+    now (3, 6), parts (2, c): for intermediate results.
+    """
+    t, count, most = course[BEGUN] + time, int(course[_COUNT]), (len(course) - _WAVES) // 4
+    mode, amplitude = course[_WAVES : _WAVES + most], course[_WAVES + most : _WAVES + 2 * most]
+    frequency, phase = course[_WAVES + 2 * most : _WAVES + 3 * most], course[_WAVES + 3 * most :]
+    for k in range(count):
+        sine, cosine = sine_cosine(frequency[k] * t + phase[k])
+        parts[0, k], parts[1, k] = amplitude[k] * sine, amplitude[k] * frequency[k] * cosine
+    for k in range(3):
+        v = course[_VELOCITY + k]
+        now[0, k], now[1, k], now[0, 3 + k], now[1, 3 + k] = v * t, v, 0.0, 0.0
+    for k in range(count):
+        now[0, int(mode[k])] += parts[0, k]
+        now[1, int(mode[k])] += parts[1, k]
+    motion.write_state(now, course[_PLACE : _PLACE + 6], out)
 
 
 @numba.njit(cache=True)
-def _place(ids, clock, present, waves, rest, platform, joints):
+def _place(ids, clock, present, moving, platform, joints):
     """Write the platforms' states into `platform`, and positions, speeds and forces into the engine's
     arrays.
     """
     qpos, qvel, force, positions, dofs, inertia = joints
-    now, speed, gain = np.empty((3, 6)), np.empty(6), np.empty(6)
+    now, speed, gain, waves = np.empty((3, 6)), np.empty(6), np.empty(6), moving.waves
     for i in ids:
-        t = clock.time[i] + clock.begun[i]
+        t, place = clock.time[i] + clock.begun[i], moving.courses[i, _PLACE : _PLACE + 6]
         motion.displacement(i, t, waves, now)
-        motion.write_state(i, now, rest, platform)
+        motion.write_state(now, place, platform[i])
         if not present[i]:
             for k in range(6):
                 qpos[i, positions[k]] = qvel[i, dofs[k]] = force[i, dofs[k]] = 0.0
@@ -254,7 +286,7 @@ def _place(ids, clock, present, waves, rest, platform, joints):
         else:
             motion.acceleration(i, t + 0.5 * clock.step, waves, gain)
         for k in range(6):
-            qpos[i, positions[k]] = rest[i, k if k < 3 else ROLL + k - 3] + now[0, k]
+            qpos[i, positions[k]] = place[k] + now[0, k]
             qvel[i, dofs[k]] = speed[k]
             force[i, dofs[k]] = inertia * gain[k]  # F = I a
 
