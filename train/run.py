@@ -338,7 +338,7 @@ class Run:
     def _succeeds(self, kinds: Iterable[str]) -> bool:
         """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
 
-        kinds: of the vehicles with which they must, in a randomised run.
+        kinds: vehicles with which they must in a randomised run, keys of VEHICLE_KINDS.
         """
         config, last = self.config, self.evaluations[-2:]
         if len(last) < 2:
