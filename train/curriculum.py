@@ -23,7 +23,8 @@ from inclined_landing.models.errors import UserError, shown
 # vehicles in the plane; and its share from then on.
 SETTLING, SETTLED = (400_000, 350_000), 0.1
 # Restarts of the learning rate after which such a run ends although it does not land all varied vehicles:
-# usually, and on drawn vehicles in the plane. In space a restart costs a million steps and gains little.
+# usually, and on drawn vehicles in the plane from scratch. In space a restart costs a million steps and gains
+# little.
 RESTARTS = (0, 2)
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
@@ -229,6 +230,7 @@ class AdaptiveCurriculum(Curriculum):
 
     def skip(self) -> None:
         self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
+        self.most_restarts = RESTARTS[0]  # that vehicle matters, and may be one of which few variants can land
 
     def learn_again(self) -> None:
         super().learn_again()
