@@ -229,8 +229,9 @@ class AdaptiveCurriculum(Curriculum):
             self.level, self.full_at = max(0.0, self.level - self.back), None
 
     def skip(self) -> None:
-        self.level = 1.0  # at the full learning rate, until success on this vehicle passes the gate
-        self.most_restarts = RESTARTS[0]  # that vehicle matters, and may be one of which few variants can land
+        # At the full learning rate, until success on this vehicle passes the gate. Few of its variants may be
+        # able to land.
+        self.level, self.most_restarts = 1.0, RESTARTS[0]
 
     def learn_again(self) -> None:
         super().learn_again()

@@ -154,7 +154,7 @@ def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
 
 def paper(episode_count=0, steps=0, tilting=0) -> PaperCurriculum:
     c = PaperCurriculum()
-    c.restore({"episodes": episode_count, "steps": steps, "tilting_episodes": tilting})
+    c.restore(c.state() | {"episodes": episode_count, "steps": steps, "tilting_episodes": tilting})
     return c
 
 
