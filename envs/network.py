@@ -25,13 +25,14 @@ _LARGEST = 20.0  # where tanh is 1 in float64
 
 
 class Network(NamedTuple):
-    """The network of a policy, fields as of `Policy`."""
+    """The network of a policy, fields as of `Policy`; any number of layers is one type."""
 
     centre: np.ndarray
     scale: np.ndarray
     limit: float
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
+    sizes: np.ndarray  # (layers + 1,) inputs, and outputs of every layer
+    weights: np.ndarray  # of all layers, one after the other
+    biases: np.ndarray
     activation: int  # index into ACTIVATIONS
     squashed: bool
     bound: float
@@ -65,10 +66,12 @@ def tanh(x):
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def _block(network, x, y):
     """Return the array with the outputs of all layers for the scaled inputs x (widest, ROWS); y is memory."""
-    _, _, _, weights, biases, activation, _, _ = network
-    for k in range(len(weights)):
-        w, b = weights[k], biases[k]
-        inputs, outputs = w.shape
+    sizes, activation, first, end = network.sizes, network.activation, 0, 0
+    for k in range(len(sizes) - 1):
+        inputs, outputs = sizes[k], sizes[k + 1]
+        w = network.weights[first : first + inputs * outputs].reshape(inputs, outputs)
+        b = network.biases[end : end + outputs]
+        first, end = first + inputs * outputs, end + outputs
         for j in range(outputs):
             for s in range(ROWS):
                 y[j, s] = b[j]
@@ -85,7 +88,7 @@ def _block(network, x, y):
                 for s in range(ROWS):
                     y[j, s] += x[i, s] * w[i, j]
             i += 1
-        if k < len(weights) - 1:
+        if k < len(sizes) - 2:
             for j in range(outputs):
                 for s in range(ROWS):
                     y[j, s] = tanh(y[j, s]) if activation == 0 else max(y[j, s], 0.0)
@@ -96,15 +99,18 @@ def _block(network, x, y):
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def _row(network, x, y):
     """Return the array with the outputs of all layers for the scaled inputs x (widest,); y is memory."""
-    _, _, _, weights, biases, activation, _, _ = network
-    for k in range(len(weights)):
-        w, b = weights[k], biases[k]
-        y[: len(b)] = b
-        for i in range(w.shape[0]):
-            for j in range(w.shape[1]):
+    sizes, activation, first, end = network.sizes, network.activation, 0, 0
+    for k in range(len(sizes) - 1):
+        inputs, outputs = sizes[k], sizes[k + 1]
+        w = network.weights[first : first + inputs * outputs].reshape(inputs, outputs)
+        for j in range(outputs):
+            y[j] = network.biases[end + j]
+        first, end = first + inputs * outputs, end + outputs
+        for i in range(inputs):
+            for j in range(outputs):
                 y[j] += x[i] * w[i, j]
-        if k < len(weights) - 1:
-            for j in range(len(b)):
+        if k < len(sizes) - 2:
+            for j in range(outputs):
                 y[j] = tanh(y[j]) if activation == 0 else max(y[j], 0.0)
         x, y = y, x
     return x
@@ -114,10 +120,8 @@ def _row(network, x, y):
 def forward(rows, network):
     """Return the actions (n, a) float32 of observations (n, o)."""
     # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without
-    centre, scale, limit, _, biases, _, squashed, bound = network
-    widest, n, size = len(centre), len(rows), len(biases[len(biases) - 1])
-    for bias in biases:
-        widest = max(widest, len(bias))
+    centre, scale, limit, sizes, _, _, _, squashed, bound = network
+    widest, n, size = sizes.max(), len(rows), sizes[-1]
     result = np.empty((n, size), np.float32)
     x, y = np.zeros((widest, ROWS)), np.empty((widest, ROWS))
     x1, y1 = np.empty(widest), np.empty(widest)
@@ -128,7 +132,9 @@ def forward(rows, network):
             count = 1
             for i in range(len(centre)):
                 x1[i] = min(limit, max(-limit, (rows[first, i] - centre[i]) / scale[i]))
-            x[:, 0] = _row(network, x1, y1)
+            alone = _row(network, x1, y1)
+            for j in range(size):
+                x[j, 0] = alone[j]
             outputs = x
         else:
             for i in range(len(centre)):

@@ -104,7 +104,9 @@ class Policy:
     def _network(self) -> Network:
         activation = ACTIVATIONS.index(self.activation)
         scaling = self.centre, self.scale, self.limit
-        return Network(*scaling, self.weights, self.biases, activation, self.squashed, self.bound)
+        sizes = np.array([len(self.centre), *map(len, self.biases)])
+        layers = np.concatenate([w.ravel() for w in self.weights]), np.concatenate(self.biases)
+        return Network(*scaling, sizes, *layers, activation, self.squashed, self.bound)
 
     def with_fixed_vehicle(self) -> Policy:
         """Return the policy for its task's vehicle alone: vehicle parameters become biases of the first

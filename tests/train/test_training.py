@@ -170,7 +170,7 @@ def test_a_run_of_other_options_goes_on(tmp_path):
         Run(TrainConfig(out=folder, resume=True))
 
 
-@pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8), "stock")])
+@pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8, 7), "stock")])
 def test_networks_of_other_sizes(net_arch, update, tmp_path):
     """They are trained, evaluated, read, flown, and gone on with."""
     folder, _ = train(config(tmp_path / "a", net_arch=net_arch, update=update, evaluate_every=4, steps=128))
