@@ -259,7 +259,7 @@ def small_logs(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", READERS)
-@damage.examples(8)
+@damage.examples(5)
 @given(data=st.data())
 def test_files_are_used_or_refused(kind, data):
     reader = READERS[kind]

@@ -92,8 +92,9 @@ def test_words_that_do_not_fit_are_one_sentence(words, sentence, capsys):
     )
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("words", [["--version"], ["success", "--help"]])
+@pytest.mark.parametrize(
+    ("words", "unbuffered"), [(["--version"], ""), (["--version"], "1"), (["success", "--help"], "")]
+)
 def test_output_that_cannot_be_written_is_one_sentence(words, unbuffered):
     with open("/dev/full", "w") as full:
         done = subprocess.run(

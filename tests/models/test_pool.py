@@ -38,7 +38,7 @@ LOADED = {
 }
 POOL = {**EFFECTS, **FIELDS}
 SIZES = {name: load_vehicle(name) for name in vehicle_names()}
-STEPS = 50
+STEPS = 30
 ANALYTIC = pytest.param("analytic", {}, id="analytic")
 LOOP = pytest.param("analytic", {"attitude": "rate_loop"}, id="analytic rate_loop")
 MUJOCO = pytest.param("mujoco", {}, id="mujoco")

@@ -149,6 +149,7 @@ def test_forces_that_lead_nowhere_add_up(lean, lift):
 # --- flights -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_landing_through_the_whole_chain_is_what_the_pilot_reports(plan):
     flown = fly_once(plan, Setting(), 11)
     assert flown.report.outcome == "goal box" and flown.truth.goal is not None

@@ -104,8 +104,7 @@ def train_until(iteration: int, options: TrainConfig, monkeypatch) -> None:
     assert not (options.out / "final.zip").exists()
 
 
-KINDS = {
-    "landing": {"task": "landing"},
+KINDS = {  # the plain landing: test_stopped_by_the_clock_and_resumed_equals_uninterrupted
     "touchdown": {"task": "touchdown"},
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},

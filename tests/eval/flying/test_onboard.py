@@ -90,6 +90,11 @@ def test_a_landing_by_lighthouse(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "onboard position (Lighthouse deck)" in said and "Of 1 flight, 1 reached the goal box" in said
     assert json.loads((out / "fly.json").read_text("utf-8"))["position"] == "onboard"
+
+
+@pytest.mark.slow
+def test_a_deck_that_goes_blind_ends_the_flight(tmp_path, capsys):
+    words = ["fly", "--simulated", "--position", "onboard", "--start=1,1.5", "--seed=2"]
     assert cli.main([*words, "--fault=deck-blind@air+2", "--out", str(tmp_path / "blind")]) == 3
     assert "no position" in capsys.readouterr().out
 

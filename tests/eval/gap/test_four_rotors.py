@@ -188,7 +188,7 @@ def with_measured_speeds(seed: int, sensor: float = 1.0) -> FlightLog:
 
 @pytest.mark.parametrize("answer", [diagnose, identify])
 def test_a_flight_whose_speed_sensor_fails_is_named_and_left_out(answer):
-    good, bad = [with_measured_speeds(seed) for seed in (1, 2, 3)], with_measured_speeds(4, sensor=0.5)
+    good, bad = [with_measured_speeds(seed) for seed in (1, 2)], with_measured_speeds(4, sensor=0.5)
     found, alone = answer([good[0], bad, *good[1:]], V), answer(good, V)
     (one,) = found.set_aside
     assert one.flight == "flight 4" and one.reason.startswith("rotor speed of M3 is 0.5")

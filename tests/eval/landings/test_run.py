@@ -12,7 +12,7 @@ import pytest
 
 from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.landings import command, design, landing
+from inclined_landing.eval.landings import command, design, landing, report
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from tests.pages import EVIL, check_page
@@ -60,6 +60,13 @@ def chunks_of_ten(monkeypatch):
     monkeypatch.setattr(command, "CHUNK", 10)
 
 
+@pytest.fixture
+def no_report(monkeypatch):
+    """What is made of the results is left out."""
+    monkeypatch.setattr(report, "write", lambda *_: {})
+    monkeypatch.setattr(report, "show", lambda *_: None)
+
+
 def bits(folder):
     return (folder / "results.parquet").read_bytes()
 
@@ -83,14 +90,14 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
     check_page(text, f"A small one {EVIL}", f"{EVIL} question")
 
 
-def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference):
+def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference, no_report):
     command.command(study, tmp_path / "other")
     assert bits(tmp_path / "other") == bits(reference)
     read, rows = command.read_study(study), range(5, 10)
     assert design.run_chunk(read, 1, rows).equals(design.run_chunk(read, 2, rows))
 
 
-def test_an_interrupted_study_goes_on(study, tmp_path, reference, monkeypatch):
+def test_an_interrupted_study_goes_on(study, tmp_path, reference, no_report, monkeypatch):
     real = pool.completed
 
     def interrupted(*arguments):
@@ -201,7 +208,7 @@ def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkey
     refused(capsys, tmp_path, "no space left on device", ["small.toml"])
 
 
-def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, reference, capsys, monkeypatch):
+def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, reference, no_report, monkeypatch):
     real, written = Path.write_bytes, []
 
     def full(path, data):

@@ -52,7 +52,7 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("robust") / "out"
     twin = out.with_name(f"twin{EVIL_FILE}.zip")
     twin.write_bytes(load_policy("landing-nominal").path.read_bytes())
-    options = "--full --every 60 --thrust 0.7 --effect friction mocap_delay"
+    options = "--full --every 60 --thrust 0.7 --effect friction"
     assert cli.main(["robustness", "landing-nominal", str(twin), "--out", str(out), *options.split()]) == 0
     return out
 
@@ -62,10 +62,10 @@ def test_the_folder_has_everything(folder):
     names = {"index.html", "robustness.json", "flights.csv"}
     assert {p.name for p in folder.iterdir()} == names | figures
     page = (folder / "index.html").read_text("utf-8")
-    assert page.count("data:image/png;base64") == 1 and "mocap_delay" in page
+    assert page.count("data:image/png;base64") == 1 and "friction" in page
     check_page(page, f"twin{EVIL_FILE}")
     flights = pd.read_csv(folder / "flights.csv")
-    assert len(flights) == 2 * 5 * (2 + 2 * 3)
+    assert len(flights) == 2 * 5 * (2 + 3)
 
 
 def test_the_counts_are_those_of_the_flights(folder):
