@@ -1,5 +1,6 @@
 """`landing-eval gap` from logs to folder; what it says to logs that are not as they should be."""
 
+import dataclasses
 import errno
 import json
 import os
@@ -15,6 +16,7 @@ from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.models.parameters import load_vehicle
+from tests.eval.gap.test_report import example
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, table
 
@@ -202,7 +204,9 @@ def test_an_occupied_folder_stays_as_it_is(logs, tmp_path, capsys):
 
 
 def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, monkeypatch):
-    files = logs(lambda table: table[table.t < 5.0], count=1)
+    files = logs(count=1)
+    answer = dataclasses.replace(example(), flights=("flight_0",), heldout=("flight_0",))
+    monkeypatch.setattr("inclined_landing.eval.gap.command.diagnose", lambda *_, **__: answer)
 
     def full(self, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
