@@ -79,6 +79,7 @@ class Fleet(NamedTuple):
     parts: np.ndarray  # (k,)
     box_centres: np.ndarray  # (4, 3) m
     box_sizes: np.ndarray  # (4, 3) m
+    hulls: np.ndarray  # (m, 3, 3) m, of each part: width about the vehicle's axis, lowest and highest height
 
     @classmethod
     def of(cls, members: Sequence[Shapes]) -> Fleet:
@@ -87,7 +88,14 @@ class Fleet(NamedTuple):
             np.array([getattr(s, k) for s in members]) for k in ("centres", "radii", "reach")
         )
         first = members[0]
-        return cls(centres, radii, reach, first.parts, first.box_centres, first.box_sizes)
+        hulls = np.array([[_hull(s, part) for part in range(len(PARTS))] for s in members])
+        return cls(centres, radii, reach, first.parts, first.box_centres, first.box_sizes, hulls)
+
+
+def _hull(shapes: Shapes, part: int) -> tuple[float, float, float]:
+    of = shapes.parts == part
+    (x, y, z), radii = shapes.centres[of].T, shapes.radii[of]
+    return float((np.hypot(x, y) + radii).max()), float((z - radii).min()), float((z + radii).max())
 
 
 def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
@@ -160,18 +168,24 @@ def _platform_poses(inclination, azimuth, height, present, half, thickness, posi
 
 
 @numba.njit(cache=True, inline="always")
+def _in_body(x, y, z, turns):
+    """Return a vector along the axes of a body of the platform; turns as in `_box_distance`."""
+    # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
+    turn, lean, tilt = turns
+    x, y = turn[1] * x + turn[0] * y, turn[1] * y - turn[0] * x
+    if lean[0] != 0.0:
+        y, z = lean[1] * y + lean[0] * z, lean[1] * z - lean[0] * y
+    return tilt[1] * x - tilt[0] * z, y, tilt[0] * x + tilt[1] * z
+
+
+@numba.njit(cache=True, inline="always")
 def _box_distance(dx, dy, dz, turns, centres, sizes, b):
     """Return the signed distance [m] of a point to box b of the platform, negative inside.
 
     dx, dy, dz [m]: of the point from the origin of the box's body; turns: angles of the body, as (sine,
     cosine) of azimuth, roll and inclination; centres and half sizes (4, 3) [m] of the boxes in their bodies.
     """
-    # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
-    turn, lean, tilt = turns
-    dx, dy = turn[1] * dx + turn[0] * dy, turn[1] * dy - turn[0] * dx
-    if lean[0] != 0.0:
-        dy, dz = lean[1] * dy + lean[0] * dz, lean[1] * dz - lean[0] * dy
-    dx, dz = tilt[1] * dx - tilt[0] * dz, tilt[0] * dx + tilt[1] * dz
+    dx, dy, dz = _in_body(dx, dy, dz, turns)
     # q = |p - centre| - size; distance = |max(q, 0)| + min(max(q_x, q_y, q_z), 0)
     dx = abs(dx - centres[b, 0]) - sizes[b, 0]
     dy = abs(dy - centres[b, 1]) - sizes[b, 1]
@@ -249,6 +263,46 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
                 distance = _box_distance(dx, dy, dz, turns, boxes, sizes, b) - radius
                 surface = 0 if b == 0 else 1
                 out[i, surface, part] = min(out[i, surface, part], distance)
+
+
+@numba.njit(cache=True, inline="always")
+def reach_against(cosine, hull, lowered):
+    """Return how far [m] a vehicle reaches against a direction, by the cosine between that and its axis.
+
+    hull (3, 3): of `Fleet.hulls`; lowered [m]: see `reach_below`.
+    """
+    sine, reach = math.sqrt(max(0.0, 1.0 - cosine * cosine)), -math.inf
+    for part in range(3):
+        low, high = hull[part, 1] - (lowered if part == 0 else 0.0), hull[part, 2]
+        reach = max(reach, hull[part, 0] * sine + max(-low * cosine, -high * cosine))
+    return reach
+
+
+@numba.njit(cache=True)
+def hull_distance(place, axis, turns, position, fleet, member, lowered):
+    """Return a lower bound of the distance [m] of a vehicle's shapes to a platform; -inf inside of it.
+
+    place, axis (3,): of the vehicle in the world; turns, position as in `platform_distance`; member of the
+    fleet. From the nearest point of a box to the vehicle's centre leads the normal of a plane that has all of
+    the box on its other side.
+    """
+    least, base = math.inf, (turns[0], _UPRIGHT, _UPRIGHT)
+    for b in range(len(fleet.box_sizes)):
+        of = turns if b == 0 else base
+        dx, dy, dz = place[0] - position[b, 0], place[1] - position[b, 1], place[2] - position[b, 2]
+        dx, dy, dz = _in_body(dx, dy, dz, of)
+        ax, ay, az = _in_body(axis[0], axis[1], axis[2], of)
+        dx, dy, dz = dx - fleet.box_centres[b, 0], dy - fleet.box_centres[b, 1], dz - fleet.box_centres[b, 2]
+        sizes = fleet.box_sizes[b]
+        dx -= min(sizes[0], max(-sizes[0], dx))
+        dy -= min(sizes[1], max(-sizes[1], dy))
+        dz -= min(sizes[2], max(-sizes[2], dz))
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if distance == 0.0:
+            return -math.inf
+        cosine = (ax * dx + ay * dy + az * dz) / distance
+        least = min(least, distance - reach_against(cosine, fleet.hulls[member], lowered))
+    return least
 
 
 @numba.njit(cache=True)

@@ -13,9 +13,10 @@ RK4, whose positions are within one step of the speeds of that step: the speeds 
 difference for what the acceleration does between. Over a moving platform all of this is seen along with it,
 at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
 points can stray from there since: at a speed that its motion never exceeds (`platforms.MOST`), or, where that
-is too near, at one that it does not exceed in this period (`strays`). So no contact that the engine would see
-is missed, and contacts, forces and the zone are always the engine's own. In the engine a platform is put
-where it belongs when the engine flies the vehicle, or the plant is saved.
+is too near, at one that it does not exceed in this period (`strays`). There a vehicle whose sphere is too
+near is as flat as its parts about its axis, and must have room for its turning too. So no contact that the
+engine would see is missed, and contacts, forces and the zone are always the engine's own. In the engine a
+platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -37,7 +38,22 @@ import numba
 import numpy as np
 
 from inclined_landing.models import equations, forces, geometry, held, threads
-from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Y, Z, quaternion
+from inclined_landing.models.attitude import (
+    LAG,
+    PITCH,
+    PWM,
+    ROLL,
+    VX,
+    VY,
+    VZ,
+    WX,
+    YAW,
+    X,
+    Y,
+    Z,
+    quaternion,
+    sine_cosine,
+)
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import MOST, STILL, Moving, follow, strays
@@ -275,11 +291,25 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
             before = dt * _size(wx, wy, wz)
             if not known and _spare(clear, step, approach) <= before:
                 approach, known = dt * strays(i, time, present, motions, rates), True
+            rate = y[equations.RATES], y[equations.RATES + 1], y[equations.RATES + 2]
+            flat = moving and not _spare(clear, step, approach) > 1.5 * before
+            if flat:  # how flat the vehicle is counts, and then how it turns
+                (sr, cr), (sp, cp), (sy, cy) = (
+                    sine_cosine(y[ROLL]),
+                    sine_cosine(y[PITCH]),
+                    sine_cosine(y[YAW]),
+                )
+                axis = cy * sp + sy * sr * cp, sy * sp - cy * sr * cp, cr * cp
+                distance = _hull_distance(here, axis, i, platforms, poses, vehicles, lowered)
+                below = geometry.reach_against(axis[2], vehicles.fleet.hulls[vehicles.size[i]], lowered)
+                clear = distance - vehicles.keep_out, y[Z] - dt * drift - below, 0.0
             if not (_spare(clear, step, approach) > before and _as_exact(y, dt)):
                 break
             if not (solvable and held.fly(s, v, dt, _LARGEST_ANGLE, _TURN / dt)):
                 equations.rk4(s, v, dt)
             moved = _moved(wx, wy, wz, y[VX] - px, y[VY] - py, y[VZ] - pz, dt)
+            if flat:
+                moved += radius * _turned(rate, y, dt)
             if not known and _spare(clear, step, approach) <= moved:
                 approach, known = dt * strays(i, time, present, motions, rates), True
             if not _spare(clear, step, approach) > moved:
@@ -335,6 +365,27 @@ def _moved(wx, wy, wz, x, y, z, dt):
     after.
     """
     return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
+
+
+@numba.njit(cache=True, inline="always")
+def _turned(rate, y, dt):
+    """Return the angle [rad] that a vehicle has turned in `dt` [s] at most, as `_moved`.
+
+    rate: three before, of angles about some axes.
+    """
+    before = after = change = 0.0
+    for k in range(3):
+        now = y[equations.RATES + k]
+        before, after, change = before + abs(rate[k]), after + abs(now), change + abs(now - rate[k])
+    return dt * (max(before, after) + change)
+
+
+@numba.njit(cache=True)
+def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
+    """Return the distance [m] of vehicle i, at a point and with an axis, from `poses` of `_distance`."""
+    d = platforms.platform[i]
+    turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
+    return geometry.hull_distance(here, axis, turns, poses, vehicles.fleet, vehicles.size[i], lowered)
 
 
 @numba.njit(cache=True)

@@ -6,13 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z, rotation
+from inclined_landing.models import geometry
+from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, rotation, rotations
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.plants.platforms import MOST, strays
 from inclined_landing.models.plants.recorder import impulses
+from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.surface import normals, relative
 
 V = load_vehicle()
@@ -120,6 +122,27 @@ def test_how_quickly_platforms_stray_from_a_steady_path_is_bounded():
             assert (share <= 1.0).all()
             reached = max(reached, share.max())
     assert reached > 0.8, "the bound is no mere guess"
+
+
+def test_the_bound_of_a_vehicles_distance_is_below_that_of_its_shapes():
+    """In any attitude, with slab and base; over the middle of a level slab it is the feet's own."""
+    rng, n, level = np.random.default_rng(8), 400, 20
+    state, slope = np.zeros((n, 13)), rng.uniform(-0.6, 0.6, n)
+    state[:, : Z + 1] = rng.uniform([-0.7, -0.4, 0.6], [0.7, 0.4, 1.6], (n, 3))
+    state[:, ROLL : YAW + 1] = rng.uniform(-0.9, 0.9, (n, 3))
+    slope[:level] = state[:level, ROLL : YAW + 1] = state[:level, : Z + 1] = 0.0
+    state[:level, Z] = V.platform_surface_height + rng.uniform(0.05, 0.3, level)
+    fleet = geometry.Fleet.of([geometry.shapes_of(compile_scene(V))])
+    poses, _ = geometry.platform_poses(slope, np.ones(n, bool), V)
+    least = geometry.clearances(state, slope, poses, fleet)[:, :2].min(axis=(1, 2))
+    frames = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))
+    turns = [geometry.platform_turns(0.0, angle, 0.0) for angle in slope]
+    of_each = zip(state[:, : Z + 1], frames[:, :, Z].copy(), turns, poses)
+    bound = np.array([geometry.hull_distance(*parts, fleet, 0, 0.0) for parts in of_each])
+    assert (bound <= least + 1e-12).all()
+    np.testing.assert_allclose(bound[:level], least[:level], rtol=0.0, atol=1e-12)
+    outside = least > 0.0
+    assert outside.sum() > 200 and (least - bound)[outside].max() < 0.06  # the vehicle's sphere: up to 0.13
 
 
 @pytest.mark.parametrize("kind", ["mujoco", "hybrid"])
