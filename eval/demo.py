@@ -27,7 +27,7 @@ LOOK: dict[str, Any] = {"width": 640, "height": 360}
 
 _NEXT = """\
 What to do next:
-  landing-eval success landing    the whole success table (half a minute)
+  landing-eval success landing    the whole success table (seconds)
   landing-eval --help             contact studies, flight logs, figures ...
   landing-train landing           train a policy in a minute; needs
                                   pip install 'inclined-landing[train]'
