@@ -18,8 +18,8 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
     inertia = [[1.5e-5, 1.8e-5], [1.5e-5, 1.8e-5], [2.6e-5, 3.2e-5]]
 
 Entries are set first and effects applied on top, in their order. Every number of a pool is spread over its
-range, independent of the others: evenly where policies are judged, and more densely towards its ends where
-they are trained. Entries that all vehicles of a plant share have no range: commands,
+range, independent of the others: evenly or, where policies are trained in the plane, more densely towards its
+ends. Entries that all vehicles of a plant share have no range: commands,
 arena, and the platform except for its surface_height (the effects platform_height and platform_tilt move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
@@ -87,11 +87,11 @@ class Ranges:
     vehicles: tuple[Vehicle, ...] = ()  # between which drawn ones lie, neighbours beside each other
 
     def draw(
-        self, vehicle: Vehicle, seed: int, count: int = POOL, *, for_training: bool = False
+        self, vehicle: Vehicle, seed: int, count: int = POOL, *, to_the_ends: bool = False
     ) -> list[Vehicle]:
         """Draw `count` vehicles from a seed; raises UserError if one of them is impossible.
 
-        for_training: numbers have the arcsine distribution over their range, with 41 % of them in its outer
+        to_the_ends: numbers have the arcsine distribution over their range, with 41 % of them in its outer
         tenths, instead of the uniform one with 20 %. The hardest vehicles are there, and policies do not
         extrapolate to them.
         """
@@ -102,7 +102,7 @@ class Ranges:
 
         def values_in(low: float, high: float) -> np.ndarray:
             u = spread(0.0, 1.0)
-            return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if for_training else u)
+            return low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * u) if to_the_ends else u)
 
         entries = {f: np.stack([values_in(*r) for r in ranges], axis=1) for f, ranges in self.fields.items()}
         present = {name: spread(0.0, 1.0) < chance for name, chance in self.probability.items()}

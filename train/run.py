@@ -135,9 +135,9 @@ class Run:
                 if name not in (*FREE, *ENDING) and state.config.get(name, value) != value:
                     raise UserError(f"belongs to another configuration: {name} differs from {RECORD}")
             if state.vehicle != changed_entries(self.task.vehicle):
-                raise UserError(f"belongs to another vehicle than {VEHICLE}")
+                raise UserError(f"belongs to a different vehicle than {VEHICLE}")
             if state.ranges != ranges_of(self.config):
-                raise UserError(f"belongs to other ranges than {COPIED['randomise']}")
+                raise UserError(f"belongs to different ranges than {COPIED['randomise']}")
             self.curriculum.restore(state.curriculum)
             self.curriculum.log()
             if self.config.most_steps() < state.steps:

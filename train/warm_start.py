@@ -126,9 +126,11 @@ def _check_task(policy: Policy, task: Task) -> None:
 def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list[tuple]) -> None:
     """Raise UserError where the policy's network is not the model's; shapes: of the layers' weights."""
     if shapes != wanted or policy.activation != "Tanh" or policy.squashed:
-        raise UserError(f"policy {policy.path} has another network than training uses; it must be {wanted}")
+        raise UserError(
+            f"policy {policy.path} has a different network than training uses; it must be {wanted}"
+        )
     if not np.array_equal(policy.scale, np.float32(input_scale(task)[: len(policy.scale)])):
-        raise UserError(f"policy {policy.path} was trained with another scaling of observations")
+        raise UserError(f"policy {policy.path} was trained with a different scaling of observations")
 
 
 def _centre_shift(policy: Policy, task: Task) -> np.ndarray:
@@ -149,7 +151,7 @@ def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int, sh
         elif name == "mlp_extractor.value_net.0.bias" and name in found and shift.any():
             value = value + torch.as_tensor(first @ shift, dtype=value.dtype)
         if value.shape != tensor.shape:
-            raise UserError(f"policy {policy.path} has another {name} than training uses")
+            raise UserError(f"policy {policy.path} has a different {name} than training uses")
         tensor.copy_(value)
 
 

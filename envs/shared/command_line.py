@@ -190,6 +190,7 @@ def exit_code(
     """
     gc.set_threshold(_YOUNG)
     imports.around_import("matplotlib", _own_figures)
+    imports.around_import("numba.core.event", _announce_compilation)
     caught: list[int] = []
     code = 2
     with _streams():
@@ -239,6 +240,28 @@ def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
         raise UserError(
             "matplotlibrc in this folder is not UTF-8 text; correct it, or run the command in another folder"
         ) from error
+
+
+def _announce_compilation(execute: imports.Execute, event: Any) -> None:
+    """Run numba's module of events, and have a terminal told when compilation takes more than a second."""
+    execute(event)
+
+    class Announcement(event.Listener):
+        said, level, begun, spent = False, 0, 0.0, 0.0
+
+        def on_start(self, event) -> None:
+            now = time.perf_counter()
+            self.begun = self.begun if self.level else now
+            self.level += 1
+            if self.spent + now - self.begun > 1.0 and not self.said and sys.stderr.isatty():
+                self.said = True
+                print("compiling for the first call, about a minute; later calls are quick", file=sys.stderr)
+
+        def on_end(self, event) -> None:
+            self.level -= 1
+            self.spent += 0.0 if self.level else time.perf_counter() - self.begun
+
+    event.register("numba:compile", Announcement())
 
 
 @contextlib.contextmanager

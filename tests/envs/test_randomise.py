@@ -108,9 +108,9 @@ def test_a_pool_fills_its_ranges(tmp_path):
     assert all(v.changed(body_mass=V.body_mass) != v for v in pool)
 
 
-def test_a_pool_for_training_is_denser_towards_the_ends(tmp_path):
+def test_a_pool_may_be_denser_towards_the_ends(tmp_path):
     """Arcsine distribution: 2/pi asin(sqrt(u)) of the numbers lie below u of the range, to a hundredth."""
-    pool = written(tmp_path).draw(V, 0, 100, for_training=True)
+    pool = written(tmp_path).draw(V, 0, 100, to_the_ends=True)
     mass = np.array([v.body_mass for v in pool])
     for u in (0.05, 0.1, 0.3, 0.5, 0.9):
         assert abs((mass < 0.03 + 0.01 * u).mean() - 2.0 / np.pi * np.arcsin(np.sqrt(u))) <= 0.01

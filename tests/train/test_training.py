@@ -340,7 +340,7 @@ def test_a_run_is_not_resumed_with_other_ranges(tmp_path):
     ranges.write_text("[effects.mass]\nscale = [0.8, 1.1]\n", "utf-8")
     train(config(tmp_path / "run", randomise=ranges, max_seconds=1e-6))
     (tmp_path / "run" / "randomise.toml").write_text("[effects.mass]\nscale = [0.8, 1.2]\n", "utf-8")
-    with pytest.raises(UserError, match=r"belongs to other ranges than randomise\.toml"):
+    with pytest.raises(UserError, match=r"belongs to different ranges than randomise\.toml"):
         Run(TrainConfig(out=tmp_path / "run", resume=True))
 
 
@@ -590,7 +590,7 @@ WRONG = {
     "hover": "unknown task 'hover'; choose from landing, setpoint, touchdown",
     "--plant gazebo": "gazebo",
     "--net-arch 64 0": "--net-arch",
-    "--from landing-nominal --net-arch 32": "has another network than training uses",
+    "--from landing-nominal --net-arch 32": "has a different network than training uses",
     "--update slow": "slow",
     "--learning-rate 2": "--learning-rate must be a number above 0 and below 1, not 2",
     "--gamma nan": "--gamma must be",

@@ -160,7 +160,7 @@ class FastPPO(PPO):
         extractor = type(self.policy.features_extractor) in (ScaledObservation, FlattenExtractor)
         conditions = {
             "two tanh networks": linear and tanh and all(chain and len(chain) % 2 == 0 for chain in chains),
-            "actions of a box with a normal distribution": isinstance(self.action_space, spaces.Box)
+            "a Gaussian policy over a Box of actions": isinstance(self.action_space, spaces.Box)
             and not self.use_sde
             and not self.policy.squash_output,
             "scaled or plain observations in float32": extractor
@@ -169,10 +169,10 @@ class FastPPO(PPO):
             and self.observation_space.dtype == np.float32,
             "plain Adam": adam and not (group["weight_decay"] or group["amsgrad"]),
             "normalised advantages": self.normalize_advantage,
-            "values that are not clipped": self.clip_range_vf is None,
-            "updates that do not stop early": self.target_kl is None,
-            "the CPU": self.device.type == "cpu",
-            "no last minibatch of one sample": self.n_steps * self.n_envs % self.batch_size != 1,
+            "clip_range_vf=None": self.clip_range_vf is None,
+            "target_kl=None": self.target_kl is None,
+            "device='cpu'": self.device.type == "cpu",
+            "a last minibatch of two samples or more": self.n_steps * self.n_envs % self.batch_size != 1,
         }
         for what, found in conditions.items():
             if not found:
@@ -269,7 +269,7 @@ class FastPPO(PPO):
         group = optimizer.param_groups[0]
         actor, critic = self._networks()
         if not critic.learns:
-            raise UserError("the fast update needs a critic that learns; use stock PPO instead")
+            raise UserError("the fast update cannot freeze the critic; use stock PPO instead")
         if not buffer.generator_ready:
             for name in _BUFFERED:
                 setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
