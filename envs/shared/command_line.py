@@ -243,7 +243,7 @@ def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
 
 
 def _announce_compilation(execute: imports.Execute, event: Any) -> None:
-    """Run numba's module of events, and have a terminal told when compilation takes more than a second."""
+    """Run numba's module of events, and say on a terminal when compilation takes more than a second."""
     execute(event)
 
     class Announcement(event.Listener):
