@@ -58,7 +58,7 @@ def test_a_file_that_is_based_on_the_shipped_one_holds_only_what_differs(tmp_pat
     assert load_vehicle(path) == load_vehicle("hummingbird").changed(body_mass=0.03)
     for wrong in ('"sparrow"', "1", '["crazyflie-2.1"]'):
         path.write_text(f"based_on = {wrong}\n[body]\n{mass}\n", "utf-8")
-        with pytest.raises(UserError, match=r"based_on can be crazyflie-2\.0, .*, not "):
+        with pytest.raises(UserError, match=r"based_on must be one of crazyflie-2\.0, .*, not "):
             load_vehicle(path)
 
 

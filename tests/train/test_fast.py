@@ -287,10 +287,10 @@ sys.exit("torch._dynamo" in sys.modules)
 
 REFUSED = {
     "tanh": {"activation_fn": torch.nn.ReLU},
-    "clipped": {"clip_range_vf": 0.2},
-    "early": {"target_kl": 0.01},
-    "normal": {"use_sde": True},
-    "one sample": {"batch_size": 3, "n_steps": 2},
+    "clip_range_vf=None": {"clip_range_vf": 0.2},
+    "target_kl=None": {"target_kl": 0.01},
+    "Gaussian": {"use_sde": True},
+    "two samples": {"batch_size": 3, "n_steps": 2},
 }
 
 

@@ -135,7 +135,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         *("flights.csv", "index.html", "moving.json", "moving.pdf", "moving.png")
     ]
-    assert "not a result" in (tmp_path / "out/index.html").read_text()
+    assert "not a benchmark result" in (tmp_path / "out/index.html").read_text()
 
 
 def test_who_does_nothing_does_not_land(tmp_path):
