@@ -297,7 +297,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
         training = dataclasses.replace(training, **PLANE)
     if is_drawn and dimensions == 3 and not by_law:
         training = dataclasses.replace(training, **SPACE)
-    elif is_drawn and config.randomise is None and config.steepest is None:
+    elif is_drawn and dimensions != 3 and config.randomise is None and config.steepest is None:
         training = dataclasses.replace(training, **ONE_SLOPE)
     if config.nominal and config.randomise is not None:
         raise UserError("--nominal and --randomise cannot be combined")
