@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.starts import at_rest
-from inclined_landing.envs.tasks import StepContext, make_task
+from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.errors import UserError
@@ -89,6 +89,15 @@ def test_in_space_it_begins_with_the_law_and_in_the_plane_with_a_landing():
         assert (resolved.start_from, resolved.dimensions) == (name, dimensions)
     settings = [TrainConfig("touchdown", **o).resolved().log_std_init for o in ({}, {"nominal": True})]
     assert settings == [-2.2, -1.2]
+
+
+def test_its_training_values_are_its_own():
+    """The landing in the plane on drawn vehicles has others."""
+    names = "environments", "rollout", "gae_lambda"
+    of_class, touchdown = TASKS["touchdown"].training, TrainConfig("touchdown").resolved()
+    landing = TrainConfig("landing").resolved()
+    assert [getattr(touchdown, name) for name in names] == [getattr(of_class, name) for name in names]
+    assert [getattr(touchdown, name) for name in names] != [getattr(landing, name) for name in names]
 
 
 def test_in_space_it_draws_vehicles_unless_platforms_move():
