@@ -53,7 +53,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
     if config.randomise is not None:
         ranges = read_ranges(config.randomise)
         nominal = ranges.nominal
-        # In space, where vehicles differ in more and more of them are hard to land, denser ends gained nothing.
+        # In space, where more vehicles are hard to land, denser ends gained nothing.
         pool = ranges.draw(task.vehicle, config.seed, to_the_ends=config.dimensions != 3)
         options |= pool_options(pool, config.seed)
     options |= task.plant_options
