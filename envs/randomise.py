@@ -130,7 +130,8 @@ class Ranges:
         """Return vehicles with one deviation each; raises UserError if one of them is impossible.
 
         An effect has its plausible size, or one vehicle the lower and one the upper ends of its ranges where
-        these do not include that. An entry has either end of its range. The file's vehicles follow.
+        these do not include that. Entries, which may depend on each other, are at their lower ends in one
+        vehicle and at their upper ends in another. The file's vehicles follow.
         """
         alone = []
         for name, ranges in self.effects.items():
@@ -139,11 +140,10 @@ class Ranges:
             ends = [{parameter: r[end] for parameter, r in ranges.items()} for end in (0, 1)]
             sizes = [{p: size[p] for p in ranges}] if within else ends
             alone += [LIBRARY[name].apply(vehicle, values) for values in sizes]
-        for name, entries in self.fields.items():
-            one = not isinstance(getattr(vehicle, name), tuple)
-            for end in (0, 1):
-                numbers = tuple(r[end] for r in entries)
-                alone.append(vehicle.changed(**{name: numbers[0] if one else numbers}))
+        for end in (0, 1) if self.fields else ():
+            numbers = {name: tuple(r[end] for r in entries) for name, entries in self.fields.items()}
+            single = {name: not isinstance(getattr(vehicle, name), tuple) for name in numbers}
+            alone.append(vehicle.changed(**{n: x[0] if single[n] else x for n, x in numbers.items()}))
         alone += [between(self.vehicles, float(k), vehicle) for k in range(len(self.vehicles))]
         self._check(alone)
         return alone
