@@ -19,8 +19,8 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
 
 Entries are set first and effects applied on top, in their order. Every number of a pool is spread over its
 range, independent of the others: evenly or, where policies are trained in the plane, more densely towards its
-ends. Entries that all vehicles of a plant share have no range: commands,
-arena, and the platform except for its surface_height (the effects platform_height and platform_tilt move it).
+ends. Entries that all vehicles of a plant share have no range: commands, arena, and the platform except for
+its surface_height (the effects platform_height and platform_tilt move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
 impossible vehicles. A file may therefore name vehicles instead, files or shipped ones, and draw between
@@ -115,9 +115,7 @@ class Ranges:
         drawn = []
         for k in range(count):
             base = vehicle if places is None else between(self.vehicles, float(places[k]), vehicle)
-            numbers = {f: rows[k].tolist() for f, rows in entries.items()}
-            single = {f: not isinstance(getattr(vehicle, f), tuple) for f in numbers}
-            member = base.changed(**{f: x[0] if single[f] else tuple(x) for f, x in numbers.items()})
+            member = _with_entries(base, {f: rows[k].tolist() for f, rows in entries.items()})
             for name, columns in sizes.items():
                 if present[name][k]:
                     values = {parameter: float(column[k]) for parameter, column in columns.items()}
@@ -141,9 +139,8 @@ class Ranges:
             sizes = [{p: size[p] for p in ranges}] if within else ends
             alone += [LIBRARY[name].apply(vehicle, values) for values in sizes]
         for end in (0, 1) if self.fields else ():
-            numbers = {name: tuple(r[end] for r in entries) for name, entries in self.fields.items()}
-            single = {name: not isinstance(getattr(vehicle, name), tuple) for name in numbers}
-            alone.append(vehicle.changed(**{n: x[0] if single[n] else x for n, x in numbers.items()}))
+            numbers = {name: [r[end] for r in entries] for name, entries in self.fields.items()}
+            alone.append(_with_entries(vehicle, numbers))
         alone += [between(self.vehicles, float(k), vehicle) for k in range(len(self.vehicles))]
         self._check(alone)
         return alone
@@ -154,6 +151,12 @@ class Ranges:
                 check_vehicle(vehicle)
             except UserError as error:
                 raise UserError(f"{self.what} contains impossible vehicles: {error}") from error
+
+
+def _with_entries(vehicle: Vehicle, numbers: dict[str, list[float]]) -> Vehicle:
+    """Return a vehicle with other numbers in these of its fields, a list of one for a field of one."""
+    tuples = {name: isinstance(getattr(vehicle, name), tuple) for name in numbers}
+    return vehicle.changed(**{name: tuple(x) if tuples[name] else x[0] for name, x in numbers.items()})
 
 
 def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle:

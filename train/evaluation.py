@@ -16,7 +16,6 @@ from inclined_landing.envs.tasks.own import blame
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
-from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train import ppo
 from inclined_landing.train.config import TrainConfig
 
@@ -31,7 +30,7 @@ class PeriodicEvaluation:
     hover at first: the score is that of all flights, followed by that of each kind.
     """
 
-    def __init__(self, config: TrainConfig, vehicle: Vehicle):
+    def __init__(self, config: TrainConfig):
         self.task, self.seed = ppo.build_task(config), ppo.evaluation_seed(config)
         count = EVALUATION_STARTS if config.success is None else ENDING_STARTS
         count += 0 if config.randomise is None else count // 2
@@ -39,7 +38,7 @@ class PeriodicEvaluation:
         if config.randomise is not None:
             pool = read_ranges(config.randomise).each_alone(self.task.vehicle)
             options |= ppo.pool_options(pool, self.seed)
-        self.plant = make_plant("hybrid", count, vehicle, **options)
+        self.plant = make_plant("hybrid", count, self.task.vehicle, **options)
         if self.plant.pool:
             others = np.flatnonzero(np.arange(count) % 3)
             self.plant.assign(others, 1 + np.arange(len(others)) % len(self.plant.pool))

@@ -123,7 +123,7 @@ class Run:
             warm_start.take_over(self.model, self.teacher)
             if self.teacher.task.name == self.task.name:
                 self.curriculum.skip()
-        self.evaluation = PeriodicEvaluation(config, self.task.vehicle)
+        self.evaluation = PeriodicEvaluation(config)
         if is_path(config.task):
             self.evaluation.rehearse()
 

@@ -62,7 +62,7 @@ class Moving(NamedTuple):
 
 # Columns of a course: time of the motion at the vehicle's reset [s], bound of `strays` for all times [m/s],
 # number of waves, place at rest (6,), velocity (3,); then the modes of all waves, amplitudes, frequencies and
-# phases, beside each other for SIMD.
+# phases, each contiguous, for SIMD.
 BEGUN, MOST = 0, 1
 _COUNT, _PLACE, _VELOCITY, _WAVES = 2, 3, 9, 12
 # So that one compiled kernel serves both.

@@ -181,7 +181,7 @@ def test_the_design_is_safe_repeatable_and_tells(plan):
     assert plan.expected_accuracy > 0.6  # of flights with all, a tenth and a hundredth of the information
     kinds = {span.piece.kind for span in plan.path.spans}
     assert kinds & {"run", "circle"}
-    # Drag is told anywhere: nothing brings the flight near the floor.
+    # Drag shows at any height: nothing brings the flight near the floor.
     assert not any(span.piece.near for span in plan.path.spans)
     assert plan.without is None and words.why_near(plan) == []
 
@@ -196,7 +196,7 @@ def test_the_scale_tells_mass_from_thrust():
 
 @pytest.mark.slow
 def test_a_flight_goes_near_the_floor_where_it_must_and_says_why():
-    """The ground effect is told nowhere else, and higher than the least height does."""
+    """The ground effect shows there alone, and already above the least height."""
     strong = LIBRARY["ground_effect"].plausible | {"strength": 12.0}
     ground = ScoredSet(("ground_effect",), 0.5, {"ground_effect": strong})
     low = design([ScoredSet((), 0.5, {}), ground], VEHICLE, seconds=10.0)
