@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words
 from inclined_landing.eval.gap.report.page import page
-from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.result import REFERENCE, Diagnosis
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -37,16 +37,18 @@ def command(
     Args:
         reference: logs of the reference vehicle. It is identified from these first, and gap names what has
             changed since.
-        out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml.
+        out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml; with --reference
+            also for the vehicle identified from these, in reference/.
     """
     runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with run.read_run(source, parts=5, reference_files=reference) as (logs, kept, notes, tick, plain):
         tick("reference")
+        found = None
         if plain:
             found = identify(plain, nominal, platform=source.platform)
-            nominal, known, notes = found.vehicle, found.reference, (*notes, *found.notes)
+            (nominal, *_), known, notes = identified.described(found), found.reference, (*notes, *found.notes)
             notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
             known, aside = read_reference(source.vehicle, nominal)
@@ -75,7 +77,12 @@ def command(
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
             save_figure(picture, folder / "gap.png")
-            model.write(d, nominal, folder, base=source.vehicle)
+            base = source.vehicle
+            if found:
+                base = folder / REFERENCE
+                base.parent.mkdir()
+                identified.write(found, base.parent, base=source.vehicle)
+            model.write(d, nominal, folder, base=base)
             run.write(
                 folder,
                 "gap",

@@ -80,12 +80,13 @@ class ModelDiscrimination:
         self.vehicle, self.noise_levels = vehicle, noise_levels
         proposed = {name for h in hypotheses for name in h.effects}
         # What only the requests of the motors show: flights that are planned have none.
-        self.library = {
+        shown = {
             n: e
             for n, e in library.items()
             if not e.contact and (n in proposed or "requests" not in e.channels or not e.requires)
         }
-        self._candidates = Candidates(vehicle, self.library)
+        self._candidates = Candidates.for_vehicle(vehicle, shown)
+        self.library = self._candidates.library
         self.vehicles = [self._candidates.corrected(h.values) for h in self.hypotheses]
         best = max(self.hypotheses, key=lambda h: h.probability)
         self.base = self._candidates.corrected(best.values)

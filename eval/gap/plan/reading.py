@@ -12,9 +12,9 @@ from msgspec import Meta, Struct, field
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
-from inclined_landing.eval.gap.result import VERSION, Diagnosis, ScoredSet, marginal
+from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
 from inclined_landing.models import schema, storage
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.schema import Real, Table
@@ -109,6 +109,7 @@ class PlanInput:
 def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, Path | None]:
     """Return the input of a plan from `report.json` and `run.json`; vehicle: file of the vehicle diagnosed.
 
+    Without `vehicle` it is the one that gap identified and put into the folder, or else that of `run.json`.
     Also that file where its room is not that of the shipped vehicle. Raises UserError, naming file and entry,
     for what is missing or invalid.
     """
@@ -121,7 +122,9 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     options: dict[str, Any] = {}
     if run.is_file():
         options = schema.parse(storage.read_json(run, "record"), dict[str, Any], f"record {run}: ")
-    if vehicle is None and isinstance(options.get("vehicle"), str):
+    if vehicle is None and (folder / REFERENCE).is_file():
+        vehicle = folder / REFERENCE
+    elif vehicle is None and isinstance(options.get("vehicle"), str):
         vehicle = Path(options["vehicle"])
     if data.get("version") != VERSION or "sets" not in data:
         raise UserError(f"report {path} was not written by this version of landing-eval gap; run gap again")
@@ -129,36 +132,36 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
     where = f"report {path}: "
     content = schema.parse({"platform": options.get("platform", False)} | data, _Report, where)
-    _check(content.sets, f"{where}sets")
-    _check(content.unidentifiable_sets, f"{where}unidentifiable_sets")
+    library = {name: effect.sized_for(diagnosed) for name, effect in LIBRARY.items()}
+    _check(content.sets, library, f"{where}sets")
+    _check(content.unidentifiable_sets, library, f"{where}unidentifiable_sets")
     if sum(one.probability for one in content.sets) <= 0.0:
         raise UserError(f"{where}no set has a probability above 0")
     found = PlanInput.of(content, diagnosed, read_reference(vehicle, diagnosed)[0])
     return found, None if same else vehicle
 
 
-def _check(rows: Sequence[_Set], where: str) -> None:
-    """Raise UserError for an unknown effect, or a value that is missing or out of bounds."""
+def _check(rows: Sequence[_Set], library: Mapping[str, Effect], where: str) -> None:
+    """Raise UserError for an unknown effect, or a value that is missing or out of bounds.
+
+    library: its effects with the bounds that apply to the vehicle diagnosed.
+    """
     for k, row in enumerate(rows):
         what = f"{where}[{k}]"
-        unknown = [n for n in row.effects if n not in LIBRARY]
+        unknown = [n for n in row.effects if n not in library]
         if unknown:
             raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        for name in (n for n in row.effects if not LIBRARY[n].contact):
+        for name in (n for n in row.effects if not library[n].contact):
             if name not in row.values:
                 raise UserError(f"{what}.values.{name} is missing")
-            _check_parameters(f"{what}.values.{name}", name, row.values[name])
-            errors = row.standard_errors.get(name, {})
-            _check_parameters(f"{what}.standard_errors.{name}", name, errors, bounds=False)
-
-
-def _check_parameters(where: str, name: str, given: Mapping[str, float], bounds: bool = True) -> None:
-    """Raise UserError for an unknown parameter of an effect, or a value out of bounds."""
-    parameters = {p.name: p for p in LIBRARY[name].parameters}
-    for key, value in given.items():
-        if key not in parameters:
-            raise UserError(f"{where} has the unknown parameter {shown(repr(key), 60)}")
-        low, high = parameters[key].bounds
-        if bounds and not low <= value <= high:
-            unit = parameters[key].unit
-            raise UserError(f"{where}.{key} is {value:g} {unit}; it must be from {low:g} to {high:g}")
+            parameters = {p.name: p for p in library[name].parameters}
+            for kind in ("values", "standard_errors"):
+                given = getattr(row, kind).get(name, {})
+                if unknown := [key for key in given if key not in parameters]:
+                    at = f"{what}.{kind}.{name}"
+                    raise UserError(f"{at} has the unknown parameter {shown(repr(unknown[0]), 60)}")
+            for key, value in row.values[name].items():
+                low, high = parameters[key].bounds
+                if not low <= value <= high:
+                    unit, at = parameters[key].unit, f"{what}.values.{name}.{key}"
+                    raise UserError(f"{at} is {value:g} {unit}; it must be from {low:g} to {high:g}")

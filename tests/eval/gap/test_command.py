@@ -15,6 +15,8 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
+from inclined_landing.eval.gap.plan.reading import read_report
+from inclined_landing.eval.gap.result import REFERENCE
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.gap.test_report import example
 from tests.proof.gap_blind.causes import Drawn
@@ -97,6 +99,20 @@ def test_identification_recovers_a_weak_thrust(logs, tmp_path, capsys):
     assert not said and np.diag(known.covariance).min() >= 0.0 and known.repeating.weights
     shown = capsys.readouterr().out
     assert "85.3 %" in shown and "thrust gain" in shown and "flight_3" in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_gap_keeps_the_vehicle_that_it_identified(logs, gap, tmp_path):
+    """From these flights, or from the file that identify writes of them: the same answer, and a plan."""
+    files = logs()
+    one, two = (tmp_path / name for name in ("identified", "alone"))
+    assert cli.main(["identify", *files[:2], "--out", str(one)]) == 0
+    assert cli.main(["gap", *files[2:], "--vehicle", str(one / "vehicle.toml"), "--out", str(two)]) == 0
+    _, report, _ = gap(*files[2:], "--reference", *files[:2])
+    assert report["sets"] == json.loads((two / "report.json").read_text("utf-8"))["sets"]
+    kept = load_vehicle(tmp_path / "out" / REFERENCE)
+    assert kept == load_vehicle(one / "vehicle.toml")
+    assert read_report(tmp_path / "out")[0].vehicle == kept
 
 
 def without(column):

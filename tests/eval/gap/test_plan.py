@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.gap.model.columns import ParameterColumn
-from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
+from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
+from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior, free_effects
 from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.eval.gap.result import REFERENCE
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 
 VEHICLE = load_vehicle()
@@ -300,6 +302,46 @@ def test_bad_reports_are_refused_in_one_sentence(tmp_path, capsys, change, sente
     said = capsys.readouterr().err
     assert sentence in said and said.count("\n") == 1
     assert not out.exists()
+
+
+# What identification gives a vehicle: delays, a battery, a slower yaw loop, drag and a standing trim.
+IDENTIFIED = {
+    "as shipped": VEHICLE,
+    "late": VEHICLE.changed(
+        effects_attitude_delay=0.045, effects_thrust_delay=0.021, effects_mocap_delay=0.013
+    ),
+    "drained": VEHICLE.changed(effects_battery_sag=0.3),
+    "quick yaw": VEHICLE.changed(attitude_yaw_bandwidth=40.0, attitude_yaw_gain=0.8),
+    "heavy": VEHICLE.changed(body_mass=0.041, effects_body_drag=0.004, effects_attitude_trim=(0.02, 0.01)),
+    "little drag": VEHICLE.changed(drag_coefficients=(-2e-7, -2e-7, -3e-7)),
+}
+
+
+@pytest.mark.parametrize("vehicle", IDENTIFIED.values(), ids=IDENTIFIED)
+def test_whatever_the_search_finds_for_an_identified_vehicle_can_be_planned_from(tmp_path, vehicle):
+    """The search clips values to the bounds for the vehicle diagnosed: the widest of them are read."""
+    file = tmp_path / "vehicle.toml"
+    write_vehicle(file, vehicle)
+    candidates = Candidates.for_vehicle(load_vehicle(file), free_effects())
+    found = {
+        end: {n: {p.name: p.possible[end] for p in e.parameters} for n, e in candidates.library.items()}
+        for end in (0, 1)
+    }
+    rows = [ScoredSet((name,), 0.01, {name: v[name]}) for v in found.values() for name in v]
+    plan_input, _ = read_report(report(tmp_path, *rows), file)
+    assert plan_input.vehicle == load_vehicle(file)
+    assert {h.effects for h in plan_input.hypotheses} == {(name,) for name in candidates.library}
+
+
+def test_the_vehicle_that_gap_identified_is_planned_for(tmp_path):
+    """`gap --reference` puts it into its folder, and the values of the report are on top of it."""
+    folder = report(tmp_path, ScoredSet(("attitude_delay",), 0.5, {"attitude_delay": {"delay": -0.02}}))
+    with pytest.raises(UserError, match=r"attitude_delay\.delay is -0\.02 s; it must be from 0 to 0\.2"):
+        read_report(folder)
+    (folder / REFERENCE).parent.mkdir()
+    write_vehicle(folder / REFERENCE, IDENTIFIED["late"])
+    plan_input, _ = read_report(folder)
+    assert plan_input.vehicle.effects_attitude_delay == 0.045
 
 
 def test_no_report_and_no_room_are_refused(tmp_path, capsys):
