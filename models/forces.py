@@ -10,7 +10,7 @@ body frame, v velocity, R attitude matrix (body to world).
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 
 import numba
@@ -56,6 +56,36 @@ def pack(vehicle: Vehicle) -> np.ndarray:
     for value in values(vehicle):
         numbers += value if isinstance(value, tuple) else (value,)
     return np.array(numbers, float).view(layout)
+
+
+def numbers(records: np.ndarray) -> np.ndarray:
+    """Return `pack`'s records (n,) as rows of numbers (n, m), of the same memory."""
+    return records.view(float).reshape(len(records), -1)
+
+
+def columns_besides(fields: Sequence[str]) -> np.ndarray:
+    """Return the columns of `numbers` of all fields of a `Vehicle` but these."""
+    besides, (_, layout) = set(fields), _layout()
+    columns = []
+    for field in dataclasses.fields(Vehicle):
+        table, _, entry = field.name.partition("_")
+        within, begin = layout.fields[table]
+        values, offset = within.fields[entry]
+        if field.name in besides:
+            besides.remove(field.name)
+        else:
+            columns += range((begin + offset) // 8, (begin + offset + values.itemsize) // 8)
+    assert not besides, f"a vehicle has no {besides}"
+    return np.array(columns, int)
+
+
+@numba.njit(cache=True, inline="always")
+def neutral(row, numbers, columns):
+    """Return whether a row of `numbers` is 0 in all of these columns."""
+    for k in columns:
+        if numbers[row, k] != 0.0:
+            return False
+    return True
 
 
 @numba.njit(cache=True, inline="always")

@@ -34,7 +34,15 @@ from inclined_landing.models.attitude import (
 )
 from inclined_landing.models.attitude_loops import damping_rate, held_angle, held_step
 from inclined_landing.models.equations import OMEGA, RATES, body_torque
-from inclined_landing.models.forces import TIME, VOLTAGE, in_the_air, lag_pole, rotors
+from inclined_landing.models.forces import (
+    TIME,
+    VOLTAGE,
+    columns_besides,
+    in_the_air,
+    lag_pole,
+    neutral,
+    rotors,
+)
 from inclined_landing.models.perturbation import GAIN_SCALE, LAG_SCALE, MASS_SCALE, TIME_CONSTANT_SCALE
 
 _STEP = 0.6
@@ -43,17 +51,45 @@ _STEP = 0.6
 _UNLIMITED = 0.95
 
 
-@numba.njit(cache=True, inline="always")
-def only_loops(s, v):
-    """Return whether nothing but its attitude loops turns a vehicle with the record v, and those linearly.
+# Fields of a vehicle that `fly` solves, or that change nothing in the air while all others are 0.
+SOLVED = (
+    *("body_mass", "body_inertia", "environment_gravity"),
+    *("thrust_lag_rate", "thrust_state_gain", "thrust_direct_gain"),
+    *("motor_count", "motor_pwm_to_force", "motor_pwm_to_speed"),
+    *("rotor_arm", "rotor_height", "rotor_radius", "drag_coefficients"),
+    *("attitude_gain", "attitude_time_constant", "attitude_bandwidth", "attitude_damping"),
+    *("attitude_yaw_gain", "attitude_yaw_bandwidth", "attitude_integral_limit"),
+    *("attitude_torque_limit", "attitude_yaw_torque_limit"),
+    *("command_control_period", "command_pwm_range", "command_angle_limit"),
+    *("command_yaw_rate_limit", "command_pwm_centre", "command_pwm_span"),
+    *("arena_x", "arena_y", "arena_z", "contact_friction", "contact_solref"),
+    *("platform_surface_height", "platform_width", "platform_depth", "platform_thickness"),
+    *("platform_inclination", "platform_max_inclination"),
+    *("disturbance_acceleration", "disturbance_acceleration_time"),
+    *("disturbance_angular", "disturbance_angular_time"),
+    *("effects_thrust_bias", "effects_thrust_fade", "effects_battery_sag", "effects_battery_reference"),
+    *("effects_voltage_sensitivity", "effects_voltage_reference", "effects_voltage_open"),
+    *("effects_voltage_drop", "effects_voltage_discharge", "effects_spin_down"),
+    *("effects_body_drag", "effects_wind", "effects_translational_lift", "effects_axial_inflow"),
+    *("effects_rotor_loss", "effects_com_offset", "effects_attitude_trim", "effects_yaw_drift"),
+    *("effects_ground_fading", "effects_load_length", "effects_foot_height", "effects_yaw_imbalance"),
+    *("effects_thrust_delay", "effects_attitude_delay", "effects_estimator_delay"),
+    *("effects_mocap_tilt", "effects_mocap_delay"),
+)
+_OTHERS = columns_besides(SOLVED)
 
-    s: its `equations.STEP`.
+
+@numba.njit(cache=True, inline="always")
+def solvable(s, v, i, numbers):
+    """Return whether `fly` knows all that moves a vehicle: no torque but that of its loops, which are linear.
+
+    s: its `equations.STEP`; v: its record, which is row i of `numbers`. A field that is not in SOLVED is
+    taken for something else, unless it is 0.
     """
-    e, push = v.effects, s.push
-    linear = e.estimator_lean == 0.0 and e.attitude_saturation == 0.0 and not (s.integrated or s.loaded)
-    centred = e.com_offset[0] == v.thrust_centre[0] and e.com_offset[1] == v.thrust_centre[1]
+    push = s.push
+    centred = v.effects.com_offset[0] == v.thrust_centre[0] and v.effects.com_offset[1] == v.thrust_centre[1]
     pushed = s.pushed and (push[3] != 0.0 or push[4] != 0.0 or push[5] != 0.0)
-    return linear and centred and not pushed and e.ground_effect == 0.0
+    return centred and not pushed and neutral(i, numbers, _OTHERS)
 
 
 @numba.njit(cache=True, inline="always")
@@ -120,7 +156,7 @@ def _allowed(now, turns, rests, poles, limits, v):
 
 @numba.njit(cache=True, error_model="numpy")
 def fly(s, v, period, largest_angle, largest_rate):
-    """Advance a STEP for which `only_loops` holds, its integrated vector and time, by `period` [s] if it may.
+    """Advance a STEP that is `solvable`, its integrated vector and time, by `period` [s] if it may.
 
     Returns whether that was so. It may not, and the STEP is as it was, where a torque comes near its limit,
     roll or pitch is beyond `largest_angle` [rad] or the rate of an angle beyond `largest_rate` [rad/s].

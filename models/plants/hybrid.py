@@ -23,9 +23,9 @@ Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. 
 commands, motors that are off, perturbations, disturbance and all effects are in the equations; delayed
 commands are written into the engine's history as the engine would write them. The engine flies all with
 kinematic attitude, the mode for exact comparison, and while its steps are recorded (`advance(record=...)`).
-It also flies vehicles with a ground effect over platforms that can move, because the equations know the
-ground effect of a platform at rest only. The engine's delayed motion capture sensors, which nothing reads,
-are as old as its last step.
+It also flies vehicles over platforms that can move whose forces may depend on where the platform is, such as
+the ground effect, because the equations know a platform at rest only. The engine's delayed motion capture
+sensors, which nothing reads, are as old as its last step.
 """
 
 from __future__ import annotations
@@ -67,6 +67,14 @@ _SHARE = 1024  # vehicles: with fewer a thread is not worth its while
 _LARGEST_ANGLE = 1.2  # rad, of roll and pitch: cos(roll) is far from 0
 # In a time step; RK4 is then within _TURN^5/120 = 1e-7 rad of the true attitude.
 _TURN = 0.1  # rad
+# Columns of a vehicle's numbers that are 0 where no force depends on where a platform is.
+_OF_THE_PLACE = forces.columns_besides(
+    (
+        *held.SOLVED,
+        *("effects_estimator_lean", "effects_attitude_integral", "effects_attitude_saturation"),
+        "effects_load_mass",
+    )
+)
 
 
 class _Period(NamedTuple):
@@ -183,7 +191,8 @@ class HybridPlant(MujocoPlant):
     def _fly(self, ids: np.ndarray, period: _Period) -> np.ndarray:
         """Fly what the equations can of the vehicles `ids` (k,), in threads; return which are left."""
         parts = threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
-        of_all = period, self._kernel_vehicles, self._platforms, self._engine, self._results
+        numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
+        of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
         counts = threads.in_threads(lambda part: _fly(ids, *part, *of_all), parts)
         return np.concatenate(
             [self._results.for_engine[first : first + count] for (first, _), count in zip(parts, counts)]
@@ -208,9 +217,10 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def _fly(ids, first, last, period, vehicles, platforms, engine, results):
+def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results):
     """Fly those of the vehicles `ids[first:last]` by the equations that stay out of reach.
 
+    numbers: those of `vehicles.constants`, see `forces.numbers`.
     Returns how many the engine has to fly; their numbers are in `results.for_engine` from `first` on. The
     engine's arrays of the others are what it would have made of them, without a warm start of its solver,
     which had no contact.
@@ -226,7 +236,8 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         i = ids[row]
         present, flown = platforms.present[i], engine.state[i]
         time = flown[at.time]
-        v = vehicles.constants[i if len(vehicles.constants) > 1 else 0]
+        record = i if len(vehicles.constants) > 1 else 0
+        v = vehicles.constants[record]
         s = steps[0]
         y, u, ambient = s.y, s.command, s.ambient
         s.rate_loop = s.limited = True
@@ -254,8 +265,9 @@ def _fly(ids, first, last, period, vehicles, platforms, engine, results):
         radius = vehicles.fleet.reach[vehicles.size[i]] + lowered
         equations.pack_state(state, i, y)
         equations.take_states(s, results.load, integral, i, v)
-        out_of_reach, step = not (moving and present and v.effects.ground_effect != 0.0), 0
-        solvable = held.only_loops(s, v)
+        known_there = not (moving and present) or forces.neutral(record, numbers, _OF_THE_PLACE)
+        out_of_reach, step = known_there, 0
+        solvable = held.solvable(s, v, record, numbers)
         if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
             _take_command(u, period.commands, 0, i, vehicles.command_range)

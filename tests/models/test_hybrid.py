@@ -161,6 +161,39 @@ def test_free_flight_is_the_engines_within_the_bound_of_the_equivalence():
     assert largest_gaps(unlimited, limited)[0] > 100 * metres  # the limit does act
 
 
+# Effects on what is measured, on the motors' requests and on the landing: they move nothing in the air.
+UNFELT = {name for name, effect in LIBRARY.items() if set(effect.channels) == {"touchdown"}}
+UNFELT |= {"mocap_tilt", "mocap_delay", "estimator_delay", "yaw_imbalance"}
+
+
+def half_a_second(kind, vehicle):
+    """Return the states (20, 13) of a plant half a second later, low over the floor, and who flew alone."""
+    rng, n = np.random.default_rng(11), 20
+    states = rng.uniform(-1, 1, (n, 13)) * [1, 1, 0.1, 2, 2, 0.5, 0.3, 0.3, 3, 1, 1, 1, 0]
+    states[:, Z], states[:, LAG] = states[:, Z] + 0.6, vehicle.hover_lag
+    low, high = [0.98 * V.hover_pwm, -0.3, -0.3, -1.0], [1.15 * V.hover_pwm, 0.3, 0.3, 1.0]
+    plant, alone = kind(n, vehicle), np.ones(n, bool)
+    plant.set_platform(np.arange(n), 0.0, False)
+    plant.reset(np.arange(n), states)
+    for row in rng.uniform(low, high, (25, n, 4)):
+        plant.step(row)
+        alone &= ~getattr(plant, "in_engine", ~alone)
+    return plant.state, alone
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_every_effect_of_the_library_is_the_engines_in_free_flight(name):
+    """Apart by no more than half a second's share of the bound for 6 s; the effect is ten times as large."""
+    vehicle = LIBRARY[name].apply(V, LIBRARY[name].plausible)
+    (hybrid, alone), (engine, _) = half_a_second(HybridPlant, vehicle), half_a_second(MujocoPlant, vehicle)
+    plain, _ = half_a_second(MujocoPlant, V)
+    assert alone.mean() > 0.8
+    bound = FLIGHT_LIMITS["rate_loop"][0] * 0.5 / 6.0
+    assert np.abs(hybrid - engine)[alone, X : Z + 1].max() < bound
+    moved = np.abs(engine - plain)[:, X : Z + 1].max()
+    assert moved == 0.0 if name in UNFELT else moved > 10 * bound
+
+
 def test_the_shipped_policy_has_the_same_outcomes():
     """From every third frozen start: success, and no touch before it."""
     policy = load_policy("landing-nominal")
