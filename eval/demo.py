@@ -18,7 +18,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
-from inclined_landing.eval.base.options import Folder, Look, Seed
+from inclined_landing.eval.base.options import Look, RunFolder, Seed
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 
@@ -37,7 +37,7 @@ In Python:
 
 
 def command(
-    out: Folder = Path("landing-demo"),
+    out: RunFolder = Path("landing-demo"),
     starts: Annotated[int, Meta(ge=1, le=1000)] = 50,
     seed: Seed = 0,
 ) -> None:
@@ -50,7 +50,6 @@ def command(
         starts: random starts to fly from.
         seed: seed for the random starts.
     """
-    runs.check_new_run(out)
     began = time.monotonic()
     policy = load_policy(POLICY)
     task = policy.task

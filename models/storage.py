@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import glob
 import json
+import math
 import os
 import re
+import secrets
+import shutil
 import stat
 import tempfile
+import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +26,8 @@ from inclined_landing.models.errors import UserError, shown
 LARGEST = 1_000_000  # bytes of a file that people write
 LARGEST_JSON = 100_000_000
 LONGEST_NAME = 255  # bytes, of any file system in use
+_PART = re.compile(r"\..*\.([0-9a-f]{8}|\d+)\.part(\..*)?", re.DOTALL)
+_STALE = 86_400.0  # s since its last change, after which a temporary file that is not locked is removed
 _DOTS = 3e7  # squared and summed over the lines of a TOML file: a dotted key takes a second for this many
 
 
@@ -106,60 +114,114 @@ def _lower(error: Exception) -> str:
 
 @contextlib.contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path next to `path`, with the same suffix, renamed to `path` on success.
+    """Yield a temporary file next to `path`, with the same suffix, renamed to `path` on success.
 
     On any error the temporary file is removed and `path` is unchanged. OSErrors (a full disk, a
     folder that cannot be written) become UserErrors.
     """
     with scratch(path) as part:
-        try:
-            yield part
-            os.replace(part, path)
-        except OSError as error:
-            raise UserError(f"cannot write {path}: {reason(error)}") from error
+        yield part
+        os.replace(part, path)
 
 
 @contextlib.contextmanager
-def scratch(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path next to `path`, with the same suffix, whose file is removed at the end."""
+def scratch(path: str | Path, folder: Path | None = None) -> Iterator[Path]:
+    """Yield a new temporary file next to `path`, with the same suffix, which is removed at the end.
+
+    It has a random name and is locked, so that what is found unlocked was left by a process that was killed:
+    such files of the same `path`, if they are older than _STALE, are removed. folder: make a temporary folder
+    in this one instead. OSErrors become UserErrors that name `path`.
+    """
     path = as_path(path, "output")
-    part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
+    name = (path.name if folder else path.stem)[:40] or "run"
+    where = folder or path.parent
+    part = where / f".{name}.{secrets.token_hex(4)}.part{'' if folder else path.suffix}"
+    handle = None
     try:
+        _remove(where.glob(f".{glob.escape(name)}.*.part*"), time.time() - _STALE)
+        if folder:
+            part.mkdir()
+        # Writable, because a network file system locks no other file.
+        handle = os.open(part, os.O_RDONLY if folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        lock(handle)
         yield part
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {reason(error)}") from error
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+        _remove_part(part)
+        if handle is not None:
+            os.close(handle)
+
+
+def lock(handle: int) -> bool:
+    """Lock an open file or folder until it is closed; returns False where another process has locked it."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
 
 
 @contextlib.contextmanager
 def made(folder: Path) -> Iterator[None]:
-    """Make a folder, with those above it; what of them was not there before goes again on any error.
+    """Make a folder, with those above it; those that this process made go again on any error.
 
     Raises UserError where that is impossible.
     """
+    ours: list[Path] = []
     try:
-        missing = [path for path in (folder, *folder.parents) if not path.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
+        for path in reversed([path for path in (folder, *folder.parents) if not path.exists()]):
+            with contextlib.suppress(FileExistsError):  # another process was quicker
+                path.mkdir()
+                ours.insert(0, path)
+        folder.mkdir(exist_ok=True)
     except OSError as error:
+        _remove_empty(ours)
         raise UserError(f"cannot create the folder {folder}: {reason(error)}") from error
     try:
         yield
     except BaseException:
-        with contextlib.suppress(OSError):  # something else is in it by now
-            for path in missing:
-                path.rmdir()
+        _remove_empty(ours)
         raise
 
 
+def _remove_empty(folders: Iterable[Path]) -> None:
+    with contextlib.suppress(OSError):  # something else is in it by now
+        for path in folders:
+            path.rmdir()
+
+
 def is_part(path: Path) -> bool:
-    """Return whether this is a temporary file or folder of `atomic` or of a staged run."""
-    return re.fullmatch(r"\..*\.\d+\.part(\..*)?", path.name, re.DOTALL) is not None
+    """Return whether this is a temporary file or folder of `scratch`."""
+    return _PART.fullmatch(path.name) is not None
 
 
 def remove_parts(folder: Path) -> None:
     """Remove what killed processes left in a folder that only this one writes, and in its folders."""
-    for path in folder.rglob(".*.part*"):
-        if is_part(path) and path.is_file():
+    _remove(folder.rglob(".*.part*"))
+
+
+def _remove(paths: Iterable[Path], before: float = math.inf) -> None:
+    """Remove those of the paths that are temporary, not locked and last changed before this time."""
+    for path in filter(is_part, paths):
+        with contextlib.suppress(OSError):
+            if path.lstat().st_mtime < before:
+                mode = os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_NONBLOCK
+                handle = os.open(path, mode | os.O_NOFOLLOW)
+                try:
+                    if lock(handle):
+                        _remove_part(path)
+                finally:
+                    os.close(handle)
+
+
+def _remove_part(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
 
 

@@ -155,8 +155,7 @@ class Run:
 
     def execute(self) -> dict:
         """Train to the end (or the wall-time limit) and return the metrics."""
-        runs.new_run(self.folder, resumable=RECORD if self.resumed else None)
-        with runs.locked(self.folder):
+        with runs.owned(self.folder, RECORD if self.resumed else None):
             storage.remove_parts(self.folder)
             if self.metrics is not None:
                 return self.metrics

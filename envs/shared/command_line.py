@@ -23,7 +23,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import Any, TextIO
 
@@ -155,25 +155,42 @@ def versions(prog: str) -> str:
 def bound(command: Callable) -> Callable:
     """Return `command` with the same signature and docstring, which returns the call instead of making it.
 
-    Values beyond the limits of their option's type are refused here, before any work.
+    Values beyond the limits of their option's type are refused here, before any work. The call owns the run
+    folder that it writes, see `runs.owned`.
     """
 
     @functools.wraps(command)
     def later(*arguments: Any, **options: Any) -> Callable:
-        from inclined_landing.envs.shared.options import flag_of
+        from inclined_landing.envs.shared.options import RUN_FOLDER, flag_of
         from inclined_landing.models import schema
 
-        values = inspect.signature(command).bind(*arguments, **options).arguments
+        given = inspect.signature(command).bind(*arguments, **options)
+        kinds = schema.kinds_of(command)
         try:
-            schema.check(values, schema.kinds_of(command), flag_of)
+            schema.check(given.arguments, kinds, flag_of)
         except (
             UserError
         ) as error:  # an option of several values is called without the number of the wrong one
             flag, must, rest = str(error).partition(" must be ")
             raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
-        return functools.partial(command, *arguments, **options)
+        given.apply_defaults()
+        folders = [given.arguments[name] for name, kind in kinds.items() if RUN_FOLDER in _metadata(kind)]
+        return functools.partial(_with_folders, filter(None, folders), command, *arguments, **options)
 
     return later
+
+
+def _metadata(kind: Any) -> tuple:
+    return getattr(kind, "__metadata__", ())
+
+
+def _with_folders(folders: Iterable[Any], command: Callable, /, *arguments: Any, **options: Any) -> Any:
+    from inclined_landing.envs.shared import runs
+
+    with contextlib.ExitStack() as owned:
+        for folder in folders:
+            owned.enter_context(runs.owned(folder))
+        return command(*arguments, **options)
 
 
 def exit_code(

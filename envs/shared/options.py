@@ -10,7 +10,9 @@ from msgspec import Meta
 
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
-NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
+RUN_FOLDER = "run folder"  # marks options whose folder belongs to the command while it runs, see `runs.owned`
+RunFolder = Annotated[Path, tyro.conf.arg(metavar="DIR"), RUN_FOLDER]
+NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR"), RUN_FOLDER]
 
 
 def flag_of(name: str) -> str:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import importlib.metadata
 import os
 import platform
-import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -20,32 +18,25 @@ _PACKAGES = (
     *("mujoco", "gymnasium", "stable-baselines3", "torch", "numpy", "numba"),
     "inclined-landing",
 )
+_owned: dict[Path, bool] = {}  # run folders that this process has locked, and whether it made them
 
 
-def new_run(path: str | Path | None, name: str = "run", *, resumable: str | None = None) -> Path:
+def new_run(path: str | Path | None, name: str = "run") -> Path:
     """Create the run folder `path` (default: `runs/<name>-<date>-<time>`) and return it.
 
-    resumable: a file name; an existing folder with this file is returned unchanged.
     Raises UserError when the folder exists and is not empty, or cannot be created.
     """
     if path is None:
         path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    path = storage.as_path(path, "run folder")
-    if resumable is not None and (path / resumable).is_file():
-        return path
     check_new_run(path)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        storage.remove_parts(path)
-    except OSError as error:
-        raise UserError(f"cannot create the run folder {path}: {storage.reason(error)}") from error
-    return path
+    path = Path(path)
+    with storage.made(path):
+        return path
 
 
 def check_new_run(path: str | Path) -> None:
     """Raise UserError if `path` could not become a new run folder; leaves nothing behind."""
     path = storage.as_path(path, "run folder")
-    storage.check_folder(path.parent)
     try:
         if path.exists() and not path.is_dir():
             raise UserError(f"the run folder {path} exists and is not a folder; choose another name")
@@ -79,20 +70,53 @@ def hand_over(
 
 
 @contextlib.contextmanager
+def owned(path: str | Path, resumable: str | None = None) -> Iterator[bool]:
+    """Make the run folder `path` and keep other processes from using it; yields whether it is made here.
+
+    resumable: a file name; an existing folder with this file is taken with its content. Raises UserError
+    where `check_new_run` does, and when another process owns the folder. A folder that is made here and
+    stays empty is removed. A process that owns a folder may ask for it again.
+    """
+    path = storage.as_path(path, "run folder")
+    if (key := storage.real(path)) in _owned:
+        yield _owned[key]
+        return
+    if resumable is None or not (path / resumable).exists():
+        check_new_run(path)
+        resumable = None
+    fresh = not path.is_dir()
+    with storage.made(path), locked(path):
+        if resumable is None:
+            check_new_run(path)  # again: until it was locked, others could write there
+            storage.remove_parts(path)
+        _owned[key] = fresh
+        try:
+            yield fresh
+            if fresh:
+                with contextlib.suppress(OSError):  # it is not empty
+                    path.rmdir()
+        finally:
+            del _owned[key]
+
+
+@contextlib.contextmanager
 def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
     """Lock the run folder for this process, and for those that it gives the descriptor it gets.
 
     log: the file that is opened, to append to it: a folder is not locked for other machines that share it.
     patience: for how long [s] another process is waited for. Raises UserError when it still works there.
     """
-    handle = (
-        os.open(folder, os.O_RDONLY)
-        if log is None
-        else os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-    )
+    try:
+        handle = (
+            os.open(folder, os.O_RDONLY)
+            if log is None
+            else os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        )
+    except OSError as error:
+        raise UserError(f"cannot use the run folder {folder}: {storage.reason(error)}") from error
     until = time.monotonic() + patience
     try:
-        while not _locked(handle):
+        while not storage.lock(handle):
             if time.monotonic() >= until:
                 raise UserError(f"another process is using the run folder {folder}; wait until it ends")
             time.sleep(0.2)
@@ -101,44 +125,26 @@ def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iter
         os.close(handle)
 
 
-def _locked(handle: int) -> bool:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        pass
-    return True
-
-
 @contextlib.contextmanager
 def staged_run(path: str | Path) -> Iterator[Path]:
     """Yield a folder to write a run into; when everything is written, it becomes `path`.
 
     An existing empty folder, which may be a mount or the current folder of the shell, is kept and receives
     the files. After any error, including an interruption, nothing of the run remains. Raises UserError as
-    `new_run` does, and when the disk is full.
+    `owned` does, and when the disk is full.
     """
-    check_new_run(path)
-    path = Path(path)
-    there = path.is_dir()
-    parent = path if there else path.parent
-    part = parent / f".{path.name[:40] or 'run'}.{os.getpid()}.part"
-    with storage.made(parent):
-        try:
-            part.mkdir()
-            yield part
-            if not there:
+    with owned(path) as fresh:
+        path = Path(path)
+        with storage.scratch(path, path.parent if fresh else path) as part:
+            try:
+                yield part
+            except UserError as error:
+                raise UserError(str(error).replace(str(part), str(path))) from error
+            if fresh:
                 os.replace(part, path)
             else:
                 for item in sorted(part.iterdir()):
                     os.replace(item, path / item.name)
-        except OSError as error:
-            raise UserError(f"cannot write the run folder {path}: {storage.reason(error)}") from error
-        except UserError as error:
-            raise UserError(str(error).replace(str(part), str(path))) from error
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
 
 
 def versions() -> dict[str, str | int | None]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared.options import Flag, NewFolder, Seed  # noqa: F401
+from inclined_landing.envs.shared.options import Flag, NewFolder, RunFolder, Seed  # noqa: F401
 from inclined_landing.models.errors import UserError
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.shared.runs import check_new_run, staged_run
+from inclined_landing.envs.shared.runs import staged_run
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import import_task, is_path
-from inclined_landing.eval.base.options import Folder, PolicyFile, TaskName, VehicleFile
+from inclined_landing.eval.base.options import PolicyFile, RunFolder, TaskName, VehicleFile
 from inclined_landing.eval.export import c_source, contract, vectors
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.models import storage
@@ -29,7 +29,12 @@ FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
 
 
 def command(
-    policy: PolicyFile, /, format: FormatName, out: Folder, task: TaskName = None, vehicle: VehicleFile = None
+    policy: PolicyFile,
+    /,
+    format: FormatName,
+    out: RunFolder,
+    task: TaskName = None,
+    vehicle: VehicleFile = None,
 ) -> None:
     """Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.
 
@@ -42,7 +47,6 @@ def command(
             parameters that a policy observes become constants of the network.
     """
     check_format(format)
-    check_new_run(out)
     flown = None if vehicle is None else load_vehicle(vehicle)
     loaded = contract.load(
         policy, import_task(task).name if task is not None and is_path(task) else task, flown

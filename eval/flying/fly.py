@@ -13,7 +13,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.policy import Policy, load_policy, trained_task
-from inclined_landing.envs.shared.runs import check_new_run, new_run
+from inclined_landing.envs.shared.runs import new_run
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
@@ -226,8 +226,6 @@ def command(
     elif flight.no_platform:
         raise UserError("--no-platform is only for planned flights; a landing needs the platform")
     landing, setpoint, starts = flight.load()
-    if out is not None:
-        check_new_run(out)
     connection = simulation.connection(flight, real) if simulation.simulated else real.connection()
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what it logs is said in a sentence
     description = {

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.options import Flat, FlightSource, Folder
+from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
@@ -26,7 +26,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 def command(
     source: Flat[FlightSource],
-    out: Folder,
+    out: RunFolder,
     reference: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = (),
 ) -> None:
     """Name the effects that the model lacks, from flights, and write the corrected model.
@@ -40,7 +40,6 @@ def command(
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml; with --reference
             also for the vehicle identified from these, in reference/.
     """
-    runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with run.read_run(source, parts=5, reference_files=reference) as (logs, kept, notes, tick, plain):

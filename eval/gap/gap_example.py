@@ -11,7 +11,7 @@ from pathlib import Path
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Folder
+from inclined_landing.eval.base.options import RunFolder
 from inclined_landing.models import storage
 
 HIDDEN = """# What is hidden in these flights: landing-eval gap should name these effects, with these sizes.
@@ -21,7 +21,7 @@ ground_effect = { strength = 5.0 }  # a floor that the model lacks
 """
 
 
-def command(out: Folder) -> None:
+def command(out: RunFolder) -> None:
     """Write twenty example flights with hidden effects, as input for gap.
 
     Args:

@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.options import Flat, FlightSource, Folder
+from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.report import identified, model, run
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(source: Flat[FlightSource], out: Folder) -> None:
+def command(source: Flat[FlightSource], out: RunFolder) -> None:
     """Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file.
 
     Takes seconds.
@@ -21,7 +21,6 @@ def command(source: Flat[FlightSource], out: Folder) -> None:
         out: new folder for vehicle.toml, vehicle.posterior.json (posterior covariance, read by gap),
             report.html and report.json.
     """
-    runs.check_new_run(out)
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with run.read_run(source, parts=2) as (logs, kept, notes, tick, _):

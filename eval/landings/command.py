@@ -55,27 +55,29 @@ def command(
     """
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
-    if resume and (out / RECORD).is_file():
-        wanted = _resumed(wanted, out)
-    else:
-        runs.check_new_run(out)
-        wanted = with_starts(wanted)
-        record = {
-            "study": dataclasses.asdict(wanted),
-            "fingerprint": wanted.fingerprint(),
-            "landings": wanted.total,
-            "chunk": CHUNK,
-            "versions": runs.versions(),
-        }
-        with storage.made(out / PARTS):
+    if resume and not (out / RECORD).is_file():
+        raise UserError(f"nothing to resume: {out} holds no {RECORD}")
+    with runs.owned(out, RECORD if resume else None):
+        if resume:
+            storage.remove_parts(out)
+            wanted = _resumed(wanted, out)
+        else:
+            wanted = with_starts(wanted)
+            record = {
+                "study": dataclasses.asdict(wanted),
+                "fingerprint": wanted.fingerprint(),
+                "landings": wanted.total,
+                "chunk": CHUNK,
+                "versions": runs.versions(),
+            }
             storage.write_json(out / RECORD, record)
-    table = _read(out / RESULTS, range(wanted.total))
-    if table is None:
-        table = _simulated(wanted, out, engine, address)
-    from inclined_landing.eval.landings import report
+        table = _read(out / RESULTS, range(wanted.total))
+        if table is None:
+            table = _simulated(wanted, out, engine, address)
+        from inclined_landing.eval.landings import report
 
-    summary = report.write(wanted, table, out)
-    shutil.rmtree(out / PARTS, ignore_errors=True)
+        summary = report.write(wanted, table, out)
+        shutil.rmtree(out / PARTS, ignore_errors=True)
     report.show(summary, out)
 
 
@@ -117,7 +119,6 @@ def _resumed(wanted: Study, out: Path) -> Study:
         raise UserError(
             f"{out} was begun with a different study, vehicle or engine version; choose another folder"
         )
-    storage.remove_parts(out)
     return wanted
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.shared.runs import check_new_run, hand_over, versions
+from inclined_landing.envs.shared.runs import hand_over, versions
 from inclined_landing.envs.shared.statistics import spread
 from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
 from inclined_landing.envs.tasks import make_task
@@ -56,8 +56,6 @@ def command(
         json: print only JSON on standard output.
         out: new folder for benchmark.json, and with --peers for benchmark.md.
     """
-    if out is not None:
-        check_new_run(out)
     report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
     report["load_before"] = os.getloadavg()
     if peers:

@@ -106,8 +106,6 @@ def command(
         out: new folder for mission.json, the figure mission.png and .pdf, and flight.mp4, flight.gif and
             flight.png of the first mission.
     """
-    if out is not None:
-        runs.check_new_run(out)
     if start and missions is not None:
         raise UserError("--missions sets the number of random starts and cannot be combined with --start")
     if look.width % 2 or look.height % 2:

@@ -125,8 +125,6 @@ def command(
     _check(policies, over, vehicle)
     changes.check_effects(thrust_and_effects.effect)
     check_plant(plant)
-    if out is not None:
-        runs.check_new_run(out)
     every = every or (1 if full else QUICK_EVERY)
     controllers = find_all(policies) if "moving" in over else []
     found: list[Study] = []

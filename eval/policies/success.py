@@ -115,8 +115,6 @@ def command(
     scales = tuple(dict.fromkeys(itertools.chain(*thrust_scale))) or (1.0,)
     if effects and (scales != (1.0,) or disturbance):
         raise UserError("--effects cannot be combined with --thrust-scale or --disturbance")
-    if out is not None:
-        runs.check_new_run(out)
     loaded, vehicles = {}, {}
     for name, path in named_policies(policies).items():
         vehicle = "" if name == Path(path).stem else name.partition("@")[2]

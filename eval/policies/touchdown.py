@@ -178,8 +178,6 @@ def command(
     contact.check_friction(friction)
     contact.check_restitution(restitution)
     check_effects(effect)
-    if out is not None:
-        runs.check_new_run(out)
     flown = load_vehicle(vehicle) if vehicle is not None else None
     report, flights = evaluate(
         load_policy(policy, "touchdown", vehicle=flown),

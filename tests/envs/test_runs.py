@@ -4,11 +4,13 @@ import errno
 import json
 import os
 import pathlib
+import tempfile
 
 import numpy as np
 import pytest
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.eval import cli
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -51,15 +53,93 @@ def test_new_run_refuses_what_is_there(tmp_path):
         runs.new_run(tmp_path / "a")
     with pytest.raises(UserError, match="not a folder"):
         runs.new_run(tmp_path / "a" / "file")
-    assert runs.new_run(tmp_path / "a", resumable="file") == tmp_path / "a"
     with pytest.raises(UserError, match="cannot write"):
         runs.new_run(tmp_path / "a" / "file" / "c")
+
+
+def test_a_run_folder_is_owned_by_one_process(tmp_path):
+    """A second lock in this process stands for another process: locks belong to open files."""
+    for out in (tmp_path / "new", tmp_path / "there"):
+        if out.name == "there":
+            out.mkdir()
+        with runs.owned(out) as fresh, runs.owned(out) as again:
+            assert fresh is again is (out.name == "new")
+            with pytest.raises(UserError, match="another process is using the run folder"), runs.locked(out):
+                pass
+            (out / "x").touch()
+        with pytest.raises(UserError, match="not empty"), runs.owned(out):
+            pass
+        with runs.owned(out, resumable="x") as fresh:
+            assert not fresh
+    with runs.locked(tmp_path / "new"), pytest.raises(UserError, match="another process"):
+        with runs.owned(tmp_path / "new", resumable="x"):
+            pass
+    with runs.owned(tmp_path / "deep" / "empty"):
+        pass
+    assert not (tmp_path / "deep" / "empty").exists()
+
+
+def test_what_another_process_writes_while_the_lock_is_awaited_is_not_mixed_up(tmp_path, monkeypatch):
+    def quicker(handle):
+        (tmp_path / "out" / "theirs").touch()
+        return True
+
+    monkeypatch.setattr(storage, "lock", quicker)
+    with pytest.raises(UserError, match="not empty"), runs.staged_run(tmp_path / "out"):
+        pass
+    assert os.listdir(tmp_path / "out") == ["theirs"]
+
+
+def test_a_command_owns_its_run_folder_from_the_beginning(tmp_path, capsys):
+    out = tmp_path / "out"
+    with runs.locked(tmp_path), runs.owned(out):
+        runs._owned.clear()  # as another process sees it
+        assert cli.main(["success", "landing-nominal", "--out", str(out)]) == 2
+        runs._owned[out] = True
+    assert "another process is using the run folder" in capsys.readouterr().err
+
+
+def test_a_writable_folder_is_enough(tmp_path, monkeypatch):
+    """Its parent need not be writable, as that of a mounted folder."""
+    out = tmp_path / "there"
+    out.mkdir()
+    probe = tempfile.TemporaryFile
+
+    def probed(dir):
+        if os.path.samefile(dir, tmp_path):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return probe(dir=dir)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", probed)
+    with pytest.raises(UserError, match="permission denied"):
+        runs.check_new_run(tmp_path / "new")
+    with runs.staged_run(out) as folder:
+        assert folder.parent == out
+        (folder / "x").touch()
+    assert os.listdir(out) == ["x"]
+
+
+def test_temporary_files_of_killed_processes_go(tmp_path):
+    """Not those that are locked, nor recent ones, whose owner may be a machine that does not see the lock."""
+    names = {"old": ".x.1234.part.json", "folder": ".x.0123abcd.part.json", "used": ".x.0123abce.part.json"}
+    kept = {"young": ".x.0123abcf.part.json", "other": ".y.0123abcf.part.json", "theirs": ".x.json"}
+    for name in (names | kept).values():
+        (tmp_path / name).mkdir() if name == names["folder"] else (tmp_path / name).touch()
+        if name != kept["young"]:
+            os.utime(tmp_path / name, (0, 0))
+    with open(tmp_path / names["used"]) as used:
+        assert storage.lock(used.fileno())
+        with storage.scratch(tmp_path / "x.json") as part, storage.scratch(tmp_path / "x.json") as other:
+            assert part.exists() and other.exists() and part != other
+        assert {path.name for path in tmp_path.iterdir()} == {names["used"], *kept.values()}
+        storage.remove_parts(tmp_path)
+        assert {path.name for path in tmp_path.iterdir()} == {names["used"], kept["theirs"]}
 
 
 def test_a_staged_run_appears_whole_or_not_at_all(tmp_path):
     with runs.staged_run(tmp_path / "deep" / "run") as folder:
         (folder / "x").write_text("1")
-        assert not (tmp_path / "deep" / "run").exists()
+        assert not os.listdir(tmp_path / "deep" / "run")
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["run"]
     with pytest.raises(UserError, match="not empty"), runs.staged_run(tmp_path / "deep" / "run"):
         pass
@@ -83,7 +163,7 @@ def test_an_empty_folder_that_is_there_gets_the_files_and_stays(tmp_path, monkey
         (folder / "figures").mkdir()
         (folder / "figures" / "x").write_text("1")
         (folder / "y").write_text("2")
-    assert sorted(os.listdir(".")) == [".x.1.part", "figures", "y"] and os.stat(tmp_path).st_ino == before
+    assert sorted(os.listdir(".")) == ["figures", "y"] and os.stat(tmp_path).st_ino == before
     with pytest.raises(UserError, match="not empty"), runs.staged_run("."):
         pass
     with pytest.raises(UserError, match="leads through a folder that does not exist"):

@@ -18,7 +18,6 @@ from msgspec import Meta
 from inclined_landing.envs.shared import pool
 from inclined_landing.envs.shared import runs as run_folders
 from inclined_landing.envs.shared.command_line import bound, parse
-from inclined_landing.envs.shared.options import NewFolder
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
@@ -47,7 +46,7 @@ def command(
     recipe: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECIPE.toml")],
     /,
     *,
-    out: NewFolder = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     jobs: Annotated[int, Meta(ge=0, le=1024)] = 0,
     on: Annotated[str, tyro.conf.arg(metavar="{local,ray}")] = "local",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
@@ -72,19 +71,12 @@ def command(
     folder = Path("runs", path.stem) if out is None else out
     if on == "ray":
         folder = folder.absolute()
-    storage.check_folder(folder)
-    if not (folder / STEPS).is_dir():
-        run_folders.check_new_run(folder)
     sweep = Sweep(read_one, folder, f"landing-train sweep {shlex.quote(recipe)}")
     try:
         sweep.check()
     except UserError as error:
         raise UserError(f"recipe {shown(path, 200)}: {error}") from error
-    try:
-        (folder / STEPS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot create the folder {folder}: {storage.reason(error)}") from error
-    with run_folders.locked(folder):
+    with run_folders.owned(folder, STEPS), storage.made(folder / STEPS):
         return sweep.run(on, address, jobs)
 
 

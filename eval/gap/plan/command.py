@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.eval.base.options import Folder, Seed, VehicleFile
+from inclined_landing.eval.base.options import RunFolder, Seed, VehicleFile
 from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.gap import thresholds
@@ -27,7 +27,7 @@ from inclined_landing.models import storage
 def command(
     report: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REPORT")],
     /,
-    out: Folder,
+    out: RunFolder,
     seconds: Annotated[float, Meta(ge=8.0, le=120.0)] = SECONDS,
     vehicle: VehicleFile = None,
     seed: Seed = 0,
@@ -44,7 +44,6 @@ def command(
         vehicle: the vehicle file (TOML) of the report, if it has been moved.
         seed: seed for the search.
     """
-    runs.check_new_run(out)
     plan_input, arena = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED and not plan_input.vary:

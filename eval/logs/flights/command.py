@@ -40,7 +40,6 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
         return
     if out is None:
         raise UserError("give a new folder for the converted flights with --out DIR")
-    runs.check_new_run(out)
     seen: dict[str, str] = {}
     with runs.staged_run(out) as folder:
         for file in files:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Section
-from inclined_landing.eval.base.options import Folder, VehicleFile
+from inclined_landing.eval.base.options import RunFolder, VehicleFile
 from inclined_landing.eval.truth.contact.figures import DRAW
 from inclined_landing.eval.truth.contact.laws import LAWS
 from inclined_landing.eval.truth.report import progress, publish
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(*, out: Folder, vehicle: VehicleFile = None) -> None:
+def command(*, out: RunFolder, vehicle: VehicleFile = None) -> None:
     """Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.
 
     Args:
         out: new folder for contact.html, contact.json and the figures.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
-    runs.check_new_run(out)
     tested = load_vehicle(vehicle)
     sections = []
     with progress(len(LAWS)) as tick:

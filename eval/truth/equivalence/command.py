@@ -11,7 +11,7 @@ from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.claims import Section
-from inclined_landing.eval.base.options import Flag, Folder, PolicyName, Seed, VehicleFile
+from inclined_landing.eval.base.options import Flag, PolicyName, RunFolder, Seed, VehicleFile
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
     closed_loop,
@@ -33,7 +33,7 @@ QUICK_STARTS = 4  # every fourth of the frozen grid
 
 def command(
     *,
-    out: Folder,
+    out: RunFolder,
     policy: PolicyName = "landing",
     vehicle: VehicleFile = None,
     seed: Seed = 0,
@@ -50,7 +50,6 @@ def command(
         seed: seed for commands and states.
         quick: use fewer commands, states and starts.
     """
-    runs.check_new_run(out)
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
     with progress(8) as tick:

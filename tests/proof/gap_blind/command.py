@@ -54,8 +54,7 @@ def command(
         raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)
     labels = {case.name: case.label() for case in drawn}
-    out = runs.new_run(out, "gap-blind", resumable=_SET)
-    with runs.locked(out):
+    with runs.owned(out, _SET):
         storage.remove_parts(out)
         description = _open_set(out, {"set": set, "seed": seed, "cases drawn": len(drawn)}, labels)
         style.make_folder(out / "reports")
