@@ -84,7 +84,6 @@ COMMANDS = {
         "flying",
         "Fly a real or simulated Crazyflie onto the slope, or along a plan; logs as CSV.",
     ),
-    "crazyflie": ("flying", "Run a simulated Crazyflie in real time, for cflib over UDP."),
     "benchmark": (
         "machine",
         "Measure the speed of steps, actions and training on this machine (about a minute).",
@@ -97,7 +96,7 @@ GROUPS = {
     "Pictures": ("figure", "picture", "video", "replay", "view", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "flights", "identify", "gap", "plan", "gap-example"),
-    "A real vehicle": ("fly", "crazyflie"),
+    "A real vehicle": ("fly",),
 }
 
 

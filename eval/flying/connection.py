@@ -15,8 +15,9 @@ from inclined_landing.eval.flying.interfaces import FlightClock, MotionCapture, 
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated.faults import Fault
+from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
-from inclined_landing.eval.flying.vehicle import Radio
+from inclined_landing.eval.flying.vehicle import CflibLink, Radio
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
 from inclined_landing.models.errors import UserError, not_installed
 
@@ -38,11 +39,9 @@ class SimulatedConnection:
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
         """Return radio, clock and positions of a new vehicle."""
-        from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
-
         seed = int(np.random.SeedSequence((self.seed, k)).generate_state(1)[0])
         flight = fly_simulated(self.setting, seed=seed, faults=self.faults)
-        radio = Radio(flight.crazyflie, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
+        radio = Radio(flight.link, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(flight.uri)
         capture = None if self.setting.lighthouse else flight.motion_capture
         return radio, flight.clock, _positions(radio, capture)
@@ -75,7 +74,7 @@ class RealConnection:
             print("Put the vehicle back, switch it off and on, press Enter: ", end="", flush=True)
             if not sys.stdin.readline():
                 raise UserError("standard input is closed, so no one can confirm the vehicle's position")
-        radio = Radio(Crazyflie(), self._clock, plan.vehicle.command_angle_limit, dry=dry)
+        radio = Radio(CflibLink(Crazyflie()), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
         return radio, self._clock, _positions(radio, self._capture)
 

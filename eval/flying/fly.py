@@ -33,7 +33,6 @@ from inclined_landing.eval.flying.connection import (
     SimulatedConnection,
     checked_pilot,
 )
-from inclined_landing.eval.flying.crazyflie import FaultNames
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
 from inclined_landing.eval.flying.report import FlightReport, describe, describe_all, summary
 from inclined_landing.eval.flying.simulated.body import named_vehicle
@@ -43,6 +42,8 @@ from inclined_landing.eval.flying.vehicle import check_uri
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
+
+FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
 
 
 def _reject(why: str, **options: object) -> None:
@@ -115,8 +116,7 @@ class VehicleOptions:
 
     Args:
         uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
-        mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body, or
-            poses:HOST:PORT for datagrams sent to that address.
+        mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body.
         mocap_latency: latency of that system from exposure to arrival, in seconds (default: 0).
         position: source of positions, motion capture or the vehicle's own Lighthouse deck.
         stand: height of the vehicle's stand in metres (default: 0).

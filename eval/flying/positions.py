@@ -1,15 +1,8 @@
-"""Where positions come from: motion capture systems, poses as UDP datagrams, a Lighthouse deck.
+"""Where positions come from: motion capture systems, a Lighthouse deck.
 
 Motion capture is reached by the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
 Set up the axes of the system like the arena's: x along the slope's direction, z up, metres, and the rigid
 body's origin in the vehicle's centre of mass, its axes along the vehicle's.
-
-Datagrams are what the simulated Crazyflie's process sends, and what any other source may. One is one pose, a
-JSON object:
-
-    {"position": [x, y, z], "attitude": [w, x, y, z], "age": 0.008}
-
-Metres; a unit quaternion, or null where only a point is seen; how many seconds before sending it was taken.
 
 A vehicle with a Lighthouse deck measures its own position: the firmware's Kalman filter runs on board, and
 its estimate arrives in a log block. It is used while the filter reports a small variance of the velocity.
@@ -18,9 +11,7 @@ its estimate arrives in a log block. It is used while the filter reports a small
 from __future__ import annotations
 
 import atexit
-import json
 import math
-import socket
 import subprocess
 import sys
 import threading
@@ -30,13 +21,10 @@ import numpy as np
 
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
 from inclined_landing.models.errors import UserError, not_installed, shown
-from inclined_landing.models.storage import reason
 
 CONNECTING = 10.0  # s that a connection to motion capture may take
 _FIRST = 5.0  # s that its first frame may take
 _PROBE = "import sys, motioncapture; motioncapture.connect(sys.argv[1], {'hostname': sys.argv[2]})"
-LARGEST = 1024  # bytes of a datagram
-OLDEST = 1.0  # s that a pose may be old when it is sent
 LIGHTHOUSE = "deck.bcLighthouse4"  # parameter, 1 where the deck is there
 POSITION = ("stateEstimate.x", "stateEstimate.y", "stateEstimate.z")
 VARIANCE = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")  # of the velocity, m2/s2 (`estimator_kalman.c`)
@@ -45,13 +33,11 @@ UNSURE = 0.2  # m/s: a filter that knows its velocity no better has lost what it
 
 
 def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionCapture:
-    """Return the body TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1, or the poses sent to poses:HOST:PORT.
+    """Return the body TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1.
 
     latency [s]: of the system, from exposure to arrival. Raises UserError where nothing is seen.
     """
     kind, *rest = name.split(":")
-    if kind == "poses":
-        return PoseStream(":".join(rest), clock)
     if len(rest) != 2 or not all((kind, *rest)):
         raise UserError(
             f"--mocap must be TYPE:HOST:BODY, like vicon:192.168.1.10:cf1, not {shown(repr(name), 60)}"
@@ -64,7 +50,7 @@ def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionC
     try:
         # In another process first, which can be killed where the host does not answer.
         subprocess.run(
-            [sys.executable, "-c", _PROBE, kind, host],
+            [sys.executable, "-P", "-c", _PROBE, kind, host],
             capture_output=True,
             text=True,
             timeout=CONNECTING,
@@ -133,89 +119,6 @@ class TrackedBody:
                 attitude = np.array([q.w, q.x, q.y, q.z], float)
                 self._pose = MeasuredPose(arrival - self._latency, position, attitude)
                 self._first.set()
-
-
-def encode(pose: MeasuredPose, now: float) -> bytes:
-    """Return the datagram of a pose that is sent at `now` [s]."""
-    attitude = None if pose.attitude is None else [round(float(x), 6) for x in pose.attitude]
-    position = [round(float(x), 6) for x in pose.position]
-    return json.dumps({"position": position, "attitude": attitude, "age": round(now - pose.time, 6)}).encode()
-
-
-def decode(datagram: bytes, now: float) -> MeasuredPose | None:
-    """Return the pose of a datagram that arrives at `now` [s]; None for an invalid one."""
-    try:
-        entry = json.loads(datagram.decode())
-        position = np.array(entry["position"], float)
-        attitude = None if entry.get("attitude") is None else np.array(entry["attitude"], float)
-        age = float(entry.get("age", 0.0))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
-        return None
-    if position.shape != (3,) or not np.isfinite(position).all() or not 0.0 <= age <= OLDEST:
-        return None
-    if attitude is not None:
-        norm = np.linalg.norm(attitude)
-        if attitude.shape != (4,) or not math.isfinite(norm) or abs(norm - 1.0) > 1e-2:
-            return None
-        attitude = attitude / norm
-    return MeasuredPose(now - age, position, attitude)
-
-
-def resolved(text: str) -> tuple[str, int]:
-    """Return the IP address and port of HOST:PORT, or of a port alone on this machine. Raises UserError."""
-    host, _, port = text.rpartition(":")
-    if not (port.isascii() and port.isdigit() and len(port) <= 5 and 0 < int(port) < 65536):
-        raise UserError(f"expected HOST:PORT with a port from 1 to 65535, not {shown(text, 60)}")
-    try:
-        return socket.gethostbyname(host or "127.0.0.1"), int(port)
-    except (OSError, UnicodeError) as error:
-        raise UserError(f"{shown(host, 60)} is an unknown host") from error
-
-
-class PoseStream:
-    """A `MotionCapture` that listens on a UDP port. address: HOST:PORT to listen on, or a port.
-
-    Raises UserError where that address cannot be bound.
-    """
-
-    def __init__(self, address: str, clock: FlightClock):
-        self._clock = clock
-        self._pose: MeasuredPose | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind(resolved(address))
-        except OSError as error:
-            self._socket.close()
-            raise UserError(f"cannot listen for poses on {shown(address, 60)}: {reason(error)}") from error
-        self._closed = False
-        self._thread = threading.Thread(target=self._listen, name="poses", daemon=True)
-        self._thread.start()
-
-    def latest(self) -> MeasuredPose | None:
-        """Return the newest pose; None before the first one."""
-        return self._pose
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._closed = True
-        try:
-            self._socket.shutdown(socket.SHUT_RDWR)
-        except OSError:  # a UDP socket is not connected, but the call wakes the thread up
-            pass
-        self._thread.join(timeout=1.0)
-        self._socket.close()
-
-    def _listen(self) -> None:
-        while True:
-            try:
-                datagram = self._socket.recv(LARGEST + 1)
-            except OSError:
-                return
-            if self._closed:
-                return
-            pose = decode(datagram, self._clock.now()) if len(datagram) <= LARGEST else None
-            if pose is not None and (self._pose is None or pose.time > self._pose.time):
-                self._pose = pose
 
 
 class OnboardPosition:

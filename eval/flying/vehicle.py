@@ -1,4 +1,4 @@
-"""The Crazyflie behind cflib: its URI, connecting, what it logs, set-points, stopping."""
+"""The Crazyflie behind its radio link: its URI, cflib, connecting, what it logs, set-points, stopping."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import collections
 import contextlib
 import dataclasses
 import re
+import socket
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from inclined_landing.eval.flying import frames, positions
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
-from inclined_landing.eval.flying.interfaces import FlightClock
+from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
 from inclined_landing.models.errors import UserError, shown
 
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
@@ -32,7 +34,7 @@ _REMEDIES = {  # by scheme, where a vehicle does not answer
     "radio": "is the vehicle on, do channel, rate and address match, is the Crazyradio plugged in and "
     f"free? On Linux udev rules give access to it: {UDEV}",
     "usb": "is the vehicle connected by its cable?",
-    "udp": "is a server such as `landing-eval crazyflie` running there?",
+    "udp": "is a simulator of the firmware running there?",
 }
 
 
@@ -42,7 +44,7 @@ def check_uri(uri: str) -> None:
     cflib flies an unknown rate at 2M, and puts zeros before a short address.
     """
     if udp := re.fullmatch(r"udp://([^/?#@:\s]+:[0-9]{1,5})", uri):
-        positions.resolved(udp[1])
+        _resolve(udp[1])
         return
     radio = _RADIO.fullmatch(uri)
     if not ((radio and int(radio["channel"]) <= 125) or re.fullmatch(r"usb://[0-9]{1,3}", uri, re.ASCII)):
@@ -51,6 +53,17 @@ def check_uri(uri: str) -> None:
             "or 2M, address of ten hexadecimal digits), usb://0 or udp://127.0.0.1:19850, not "
             f"{shown(repr(uri), 60)}"
         )
+
+
+def _resolve(text: str) -> None:
+    """Raise UserError unless the text is HOST:PORT with a known host."""
+    host, _, port = text.rpartition(":")
+    if not 0 < int(port) < 65536:
+        raise UserError(f"expected HOST:PORT with a port from 1 to 65535, not {shown(text, 60)}")
+    try:
+        socket.gethostbyname(host)
+    except (OSError, UnicodeError) as error:
+        raise UserError(f"{shown(host, 60)} is an unknown host") from error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,21 +75,12 @@ class Status:
     locked: bool  # by its supervisor; False where the firmware does not tell
 
 
-class Radio:
-    """The radio link to one connected vehicle.
+class CflibLink:
+    """cflib's `Crazyflie` as a `Link`. Its callbacks come in cflib's own thread."""
 
-    crazyflie: cflib's, or an object with the same interface. Incoming data arrives in cflib's thread and
-    waits in `received`.
-    dry: nothing that moves a motor is sent.
-    """
-
-    def __init__(self, crazyflie: Any, clock: FlightClock, angle_limit: float, *, dry: bool = False):
-        self.crazyflie, self.clock, self.dry = crazyflie, clock, dry
-        self.angle_limit = angle_limit  # rad
-        self.lost: str | None = None  # why, once the link is
-        self._connected = False
-        self._received: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
-        self._dates = ClockOffset()
+    def __init__(self, crazyflie: Any):
+        self.crazyflie, self.connected = crazyflie, False
+        self.lost: str | None = None
         self._logs: list[Any] = []
         for caller, react in (
             (crazyflie.connected, self._is_connected),
@@ -86,11 +90,87 @@ class Radio:
         ):
             caller.add_callback(react)
 
+    def open(self, uri: str) -> None:
+        """Begin to connect to a vehicle."""
+        self.crazyflie.open_link(uri)
+
+    def parameter(self, name: str) -> float:
+        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
+        return float(self.crazyflie.param.get_value(name))
+
+    def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
+        """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
+        from cflib.crazyflie.log import LogConfig
+
+        config = LogConfig(name, period)
+        for variable in variables:
+            config.add_variable(variable, None)
+        self.crazyflie.log.add_config(config)
+        config.data_received_cb.add_callback(lambda stamp, values, _: arrived(stamp, values))
+        config.start()
+        self._logs.append(config)
+
+    def arm(self) -> None:
+        """Request arming."""
+        self.crazyflie.supervisor.send_arming_request(True)
+
+    def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
+        """Send a set-point [deg, deg, deg/s, 0 to 65535]."""
+        self.crazyflie.commander.send_setpoint(roll, pitch, yaw_rate, thrust)
+
+    def notice(self) -> None:
+        """Feed the firmware's emergency watchdog."""
+        self.crazyflie.supervisor.send_emergency_stop_watchdog()
+
+    def stop(self) -> None:
+        """Send the set-point that stops the motors."""
+        self.crazyflie.commander.send_stop_setpoint()
+
+    def emergency_stop(self) -> None:
+        """Stop the motors and lock the vehicle."""
+        self.crazyflie.supervisor.send_emergency_stop()
+
+    def close(self) -> None:
+        """End the logs and the connection; ignores errors."""
+        for log in self._logs:
+            with contextlib.suppress(Exception):
+                log.stop()
+        with contextlib.suppress(Exception):
+            self.crazyflie.close_link()
+
+    def _is_connected(self, uri: str) -> None:
+        self.connected = True
+
+    def _is_lost(self, uri: str, why: str = "") -> None:
+        self.lost = why or "connection lost"
+
+    def _is_gone(self, uri: str) -> None:
+        if self.connected and self.lost is None:
+            self.lost = "disconnected"
+
+
+class Radio:
+    """The radio link as a pilot uses it. What arrives waits in `received`.
+
+    dry: nothing that moves a motor is sent.
+    """
+
+    def __init__(self, link: Link, clock: FlightClock, angle_limit: float, *, dry: bool = False):
+        self.link, self.clock, self.dry = link, clock, dry
+        self.angle_limit = angle_limit  # rad
+        self._received: collections.deque[Attitude | Status] = collections.deque(maxlen=10_000)
+        self._dates = ClockOffset()
+
+    @property
+    def lost(self) -> str | None:
+        """Why the link is lost; None while it is not."""
+        return self.link.lost
+
     def connect(self, uri: str) -> None:
         """Open the link and start the logs. Raises UserError where that fails."""
         end = self.clock.now() + CONNECTING
-        self.crazyflie.open_link(uri)
-        while not self._connected:
+        self.link.open(uri)
+        while not self.link.connected:
             if self.lost is not None or self.clock.now() > end:
                 reason = (self.lost or f"no answer for {CONNECTING:g} s").strip().partition("\n")[0]
                 self.close()
@@ -100,18 +180,18 @@ class Radio:
                 raise UserError(f"no connection to {shown(uri)}: {shown(reason, 200)}{hint}")
             self.clock.wait_until(self.clock.now() + 0.02)
         specific_force = ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw", "acc.z")
-        self._log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
+        self.link.log("attitude", ATTITUDE_PERIOD, specific_force, self._attitude)
         try:
-            self._log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
+            self.link.log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # older firmware
-            self._log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
+            self.link.log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
 
     def onboard_position(self) -> positions.OnboardPosition:
         """Return the position that the vehicle logs. Raises UserError without a Lighthouse deck."""
         try:
-            found = int(float(self.crazyflie.param.get_value(positions.LIGHTHOUSE)))
+            found = bool(self.link.parameter(positions.LIGHTHOUSE))
         except KeyError:  # older firmware
-            found = 0
+            found = False
         if not found:
             raise UserError(
                 "the vehicle has no deck that measures its position: no Lighthouse deck was found "
@@ -119,15 +199,15 @@ class Radio:
             )
         to = positions.OnboardPosition()
 
-        def position(stamp: int, data: dict[str, float], _) -> None:
+        def position(stamp: int, data: Mapping[str, float]) -> None:
             time = self._dates.date(stamp, self.clock.now())
             to.add_position(time, np.array([data[name] for name in positions.POSITION]))
 
-        def variance(stamp: int, data: dict[str, float], _) -> None:
+        def variance(stamp: int, data: Mapping[str, float]) -> None:
             to.add_variance(np.array([data[name] for name in positions.VARIANCE]))
 
-        self._log("variance", VARIANCE_PERIOD, positions.VARIANCE, variance)
-        self._log("position", ATTITUDE_PERIOD, positions.POSITION, position)
+        self.link.log("variance", VARIANCE_PERIOD, positions.VARIANCE, variance)
+        self.link.log("position", ATTITUDE_PERIOD, positions.POSITION, position)
         return to
 
     def received(self) -> list[Attitude | Status]:
@@ -143,9 +223,9 @@ class Radio:
         thrust, one of which must arrive: without it the vehicle does not start.
         """
         if not self.dry:
-            self.crazyflie.supervisor.send_arming_request(True)
+            self.link.arm()
             for _ in range(REPEATS):
-                self.crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 0)
+                self.link.setpoint(0.0, 0.0, 0.0, 0)
 
     def send(self, command: np.ndarray) -> None:
         """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading.
@@ -156,13 +236,13 @@ class Radio:
         setpoint = frames.radio_setpoint(command, self.angle_limit)
         if self.dry:
             return
-        self.crazyflie.commander.send_setpoint(*setpoint)
-        self.crazyflie.supervisor.send_emergency_stop_watchdog()
+        self.link.setpoint(*setpoint)
+        self.link.notice()
 
     def stop(self) -> None:
         """Switch the motors off; they can be started again."""
         if not self.dry:
-            self.crazyflie.commander.send_stop_setpoint()
+            self.link.stop()
 
     def emergency_stop(self) -> None:
         """Switch the motors off whatever fails: the vehicle stays locked until it is power-cycled.
@@ -172,47 +252,19 @@ class Radio:
         if self.dry:
             return
         for _ in range(REPEATS):
-            for command in (
-                self.crazyflie.commander.send_stop_setpoint,
-                self.crazyflie.supervisor.send_emergency_stop,
-            ):
+            for command in (self.link.stop, self.link.emergency_stop):
                 with contextlib.suppress(Exception):
                     command()
 
     def close(self) -> None:
-        """Stop the logs and close the link, ignoring errors."""
-        for log in self._logs:
-            with contextlib.suppress(Exception):
-                log.stop()
-        with contextlib.suppress(Exception):
-            self.crazyflie.close_link()
+        """End the logs and the connection; ignores errors."""
+        self.link.close()
 
-    def _log(self, name: str, period: int, variables: tuple[str, ...], arrived) -> None:
-        from cflib.crazyflie.log import LogConfig
-
-        config = LogConfig(name, period)
-        for variable in variables:
-            config.add_variable(variable, None)
-        self.crazyflie.log.add_config(config)
-        config.data_received_cb.add_callback(arrived)
-        config.start()
-        self._logs.append(config)
-
-    def _attitude(self, stamp: int, data: dict[str, float], _) -> None:
+    def _attitude(self, stamp: int, data: Mapping[str, float]) -> None:
         angles = (data[f"stateEstimate.{name}"] for name in ("roll", "pitch", "yaw"))
         time = self._dates.date(stamp, self.clock.now())
         self._received.append(Attitude(time, frames.logged_rotation(*angles), float(data["acc.z"])))
 
-    def _status(self, stamp: int, data: dict[str, float], _) -> None:
+    def _status(self, stamp: int, data: Mapping[str, float]) -> None:
         locked = bool(int(data.get("supervisor.info", 0)) & _LOCKED)
         self._received.append(Status(self.clock.now(), float(data["pm.vbat"]), locked))
-
-    def _is_connected(self, uri: str) -> None:
-        self._connected = True
-
-    def _is_lost(self, uri: str, why: str = "") -> None:
-        self.lost = why or "connection lost"
-
-    def _is_gone(self, uri: str) -> None:
-        if self._connected and self.lost is None:
-            self.lost = "disconnected"

@@ -75,7 +75,7 @@ class DeadManSwitch:
 
     def __enter__(self) -> DeadManSwitch:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__, self._uri],
+            [sys.executable, "-P", "-m", __name__, self._uri],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # what the terminal sends to the pilot is not meant for it

@@ -19,8 +19,8 @@ NO_CODE = re.compile(r'^\s*r?"""(?:.|\n)*?"""|(?:^|\s)#.*$', re.MULTILINE)
 NAME = re.compile(r"-{0,2}[A-Za-z_][\w./-]*(\(\))?")
 SUFFIXES = (".py", ".toml", ".cc", ".h", ".in", ".j2", ".js", ".xml", ".yml", ".cff", ".txt", ".json", ".md")
 FOREIGN = {  # names of other programs, and names that are put together from parts
-    *("kalman_core.c", "estimator_complementary.c", "crtpservice.c", "platformservice.c", "param_logic.c"),
-    *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c", "UdpDriver"),
+    *("kalman_core.c", "estimator_complementary.c"),
+    *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c"),
     *("supervisor_state_machine.c", "platform_defaults.h", "thrustLocked", "Commander", "send_setpoint"),
     *(
         "_nr_of_retries",

@@ -1,15 +1,12 @@
 """The whole chain of a flight, every fault in it, and how what happened is judged."""
 
 import dataclasses
-import logging
 import math
 
 import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-
-pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval.flying.estimate import TIME_CONSTANT, ConsistencyMonitor
@@ -24,7 +21,6 @@ from tests.proof.flight_table import faults
 from tests.proof.flight_table.chain import Flown, fly_once, truth_of
 
 G = 9.81
-logging.getLogger("cflib").setLevel(logging.CRITICAL)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 # commander, crtp_commander_rpyt.c
 LEAST_THRUST, MOST_THRUST = 1000, 60000
@@ -69,19 +69,13 @@ class FirmwareSetpoint:
 
 
 class Firmware:
-    """Commander and supervisor. Times are seconds since the vehicle was switched on.
+    """Commander and supervisor. Times are seconds since the vehicle was switched on."""
 
-    said: called with every line that the firmware would print.
-    """
-
-    def __init__(self, said: Callable[[str], None] = lambda line: None):
+    def __init__(self):
         self.state = State.NOT_INITIALIZED
-        # What a client may set: not 0 is an emergency stop, tumbling is checked, the deck is there.
-        self.parameters = {"stabilizer.stop": 0, "supervisor.tmblChckEn": 1, "deck.bcLighthouse4": 0}
         self.setpoint = FirmwareSetpoint()
         self.thrust = 0.0  # that the motors have
         self.armed = self.crashed = self.emergency = self.tumbled = False
-        self._print = said
         self._commanded = False  # has the commander had a set-point: its priority is no longer "disable"
         self._locked = True
         self._last_supervision = -math.inf
@@ -156,15 +150,15 @@ class Firmware:
             setpoint.thrust, roll, pitch, _bounded(setpoint.yaw_rate, 720.0), setpoint.time
         )
 
-    def _transitions(self, time: float, age: float, tumbled: bool) -> Iterator[tuple[State, bool]]:
+    def _transitions(self, time: float, age: float) -> Iterator[tuple[State, bool]]:
         """Yield the transitions from the present state in their order, and whether their conditions hold.
 
         age [s]: of the set-point. One is taken per period, the first that holds.
         """
         late, too_late = age > WATCHDOG_LEVELS, age > WATCHDOG_STOPS
         silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG
-        emergency = self.emergency or silent or bool(self.parameters["stabilizer.stop"])
-        flying = time - self._last_thrust < FLYING_HYSTERESIS
+        emergency = self.emergency or silent
+        flying, tumbled = time - self._last_thrust < FLYING_HYSTERESIS, self.tumbled
         match self.state:
             case State.NOT_INITIALIZED | State.RESET:
                 yield State.CHECKS_NOT_PASSED, True
@@ -214,8 +208,7 @@ class Firmware:
 
     def _supervise(self, time: float, age: float, up: float, norm: float) -> None:
         self.tumbled = self._is_tumbled(time, up, norm)
-        tumbled = self.tumbled and bool(self.parameters["supervisor.tmblChckEn"])
-        new = next((to for to, holds in self._transitions(time, age, tumbled) if holds), self.state)
+        new = next((to for to, holds in self._transitions(time, age) if holds), self.state)
         if new is self.state:
             return
         self.state = new
@@ -225,11 +218,6 @@ class Firmware:
             self._landed = time
         elif new is State.CRASHED:
             self.crashed = True
-            self._print("SUP: Crashed, recovery required")
-        elif new is State.FREE_FALL:
-            self._print("SUP: free falling!")
-        elif new is State.LOCKED:
-            self._print("SUP: Locked, reboot required")
         if new not in _ARMED:
             self.armed = False
         if new is State.CHECKS_PASSED:

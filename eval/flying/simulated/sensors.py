@@ -14,9 +14,16 @@ import numpy as np
 
 from inclined_landing.eval.flying.simulated.body import Body, firmware_attitude
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
-from inclined_landing.models.attitude import VX, VZ, WX, X, Z
+from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.effects import LIBRARY
 
+# Angles in deg, pitch inverted; position in m, the filter's variance of the velocity in m2/s2; specific force
+# in g, voltage in V; supervisor.info are the bits of cflib's `Supervisor`.
+LOGGED = (
+    *(f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw", "x", "y", "z")),
+    *(f"kalman.{name}" for name in ("varPX", "varPY", "varPZ")),
+    *("acc.z", "pm.vbat", "supervisor.info"),
+)
 _SEEN = 0.03  # m/s, standard deviation of the velocity that the filter shows while its deck sees
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
 
@@ -99,22 +106,11 @@ class OnboardSensors:
             self._body.plant.perturb(thrust_scale=share)
 
     def values(self, time: float) -> dict[str, float]:
-        """Return the log variables of crtp.LOGGED."""
+        """Return the log variables LOGGED at a time [s] within the last step."""
         body, firmware = self._body, self._firmware()
         roll, pitch, yaw = body.estimate_at(time)
         angles = firmware_attitude(self.sign * roll, self.sign * pitch, yaw - self._heading)
         angles = np.add(angles, self._random.normal(0.0, self.angle_noise, 3)).tolist()
         position, variance = (np.zeros(3), 0.0) if self._deck is None else self._deck.estimate(time)
-        groups = {
-            "stateEstimate": zip(("roll", "pitch", "yaw", *"xyz"), [*angles, *position.tolist()]),
-            "kalman": zip(("varPX", "varPY", "varPZ"), [variance] * 3),
-            "stabilizer": zip(("roll", "pitch", "yaw"), angles),
-            "gyro": zip("xyz", np.degrees(body.state_at(time)[WX : WX + 3]).tolist()),
-            "acc": zip("xyz", body.specific_force.tolist()),
-        }
-        return {
-            **{f"{group}.{name}": value for group, values in groups.items() for name, value in values},
-            "stabilizer.thrust": firmware.thrust,
-            "pm.vbat": self.voltage,
-            "supervisor.info": firmware.info,
-        }
+        shown = [*angles, *position.tolist(), *[variance] * 3]
+        return dict(zip(LOGGED, [*shown, body.specific_force[2], self.voltage, firmware.info]))

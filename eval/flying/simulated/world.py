@@ -1,7 +1,7 @@
 """Everything except the pilot: vehicle, firmware, radio, cameras and faults, on one time axis.
 
-The caller advances the time: in one go for flights in virtual time, by the real clock in `server.py`. All
-random numbers come from one seed, so that a flight repeats bit for bit if the pilot does.
+The caller advances the time. All random numbers come from one seed, so that a flight repeats bit for bit if
+the pilot does.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import functools
 import heapq
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.eval.flying.interfaces import MeasuredPose
+from inclined_landing.eval.flying.interfaces import Arrived
+from inclined_landing.eval.flying.positions import LIGHTHOUSE
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
-from inclined_landing.eval.flying.simulated.crtp import Packet, Port, Services, port_of
 from inclined_landing.eval.flying.simulated.faults import (
     BURST_LENGTH,
     BURST_LOSS,
@@ -27,7 +27,7 @@ from inclined_landing.eval.flying.simulated.faults import (
     Fault,
 )
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
-from inclined_landing.eval.flying.simulated.sensors import Lighthouse, OnboardSensors
+from inclined_landing.eval.flying.simulated.sensors import LOGGED, Lighthouse, OnboardSensors
 from inclined_landing.eval.flying.simulated.transport import (
     CameraQuality,
     LinkDirection,
@@ -41,12 +41,6 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 BOOT = 1.0  # s from switching on until somebody connects
-# Packets whose answers the pilot waits for while it sets up: they take no time, and none is lost.
-_ANSWERED_AT_ONCE = {
-    *((Port.LINK, 0), (Port.LINK, 1), (Port.PLATFORM, 1), (Port.SUPERVISOR, 0), (Port.MEM, 0)),
-    *((Port.PARAM, channel) for channel in range(4)),
-    *((Port.LOG, 0), (Port.LOG, 1)),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,12 +86,21 @@ class Trace:
         )
 
 
+@dataclasses.dataclass
+class LogBlock:
+    """Variables that the vehicle sends together."""
+
+    variables: tuple[str, ...]
+    period: float  # s
+    arrived: Arrived  # called with every packet that arrives
+    next: float  # s
+
+
 class World:
     """A simulated Crazyflie with its surroundings, from the moment it is switched on.
 
-    on_packet is called with every packet that arrives at the pilot's side, on_link_lost with a reason where
-    the link is given up, on_message with every line of what happens, on_pose with every pose that arrives.
-    Raises UserError for a setting that cannot be.
+    on_link_lost is called with a reason where the link is given up. Raises UserError for an impossible
+    setting.
     """
 
     def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
@@ -105,7 +108,7 @@ class World:
         generators = (np.random.default_rng(s) for s in seeds)
         up, down, seen, specific_force, self.random, start, positions = generators
         if not setting.lighthouse and any(fault.name == "deck-blind" for fault in faults):
-            raise UserError("the fault deck-blind needs --lighthouse or --position onboard")
+            raise UserError("the fault deck-blind needs --position onboard")
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
         self.body = Body(
@@ -118,14 +121,13 @@ class World:
         )
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
-        self._switch_on()
+        self.parameters = {LIGHTHOUSE: float(setting.lighthouse)}
+        self.logs: list[LogBlock] = []
+        self.firmware = Firmware()
         self.deck = Lighthouse(self.body, positions) if setting.lighthouse else None
         self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
-        self.on_packet: Callable[[Packet], None] = lambda packet: None
         self.on_link_lost: Callable[[str], None] = lambda reason: None
-        self.on_message: Callable[[str], None] = lambda line: None
-        self.on_pose: Callable[[MeasuredPose], None] = lambda pose: None
         self.thrust = 0.0  # that the motors are given
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
@@ -138,16 +140,6 @@ class World:
         self.advance(BOOT)
         self._trigger("start")
 
-    def _switch_on(self) -> None:
-        self.firmware = Firmware(self._print)
-        self.firmware.parameters["deck.bcLighthouse4"] = int(self.setting.lighthouse)
-        self.services = Services(self.firmware, lambda time: self.sensors.values(time))
-
-    def _print(self, line: str) -> None:
-        self.on_message(f"console: {line}")
-        for packet in self.services.console(line):
-            self._send_down(self.body.time, packet)
-
     @property
     def trace(self) -> Trace:
         """The ground truth so far."""
@@ -155,16 +147,18 @@ class World:
 
     # --- what the pilot's side does --------------------------------------------------------------
 
-    def send(self, packet: Packet) -> None:
-        """Send a packet of the pilot, now."""
-        if port_of(packet[0]) in _ANSWERED_AT_ONCE:
-            if self.link_up:
-                for answer in self.services.answer(self.time, packet):
-                    self.on_packet(answer)
-            return
+    def send(self, received: Callable[[float], object]) -> None:
+        """Send a packet of the pilot, now; `received` is called with the time [s] at which it arrives."""
         arrival = self.up.arrival(self.time)
         if arrival is not None:
-            self.schedule(arrival, lambda: self._receive(packet))
+            self.schedule(arrival, lambda: received(self.time))
+
+    def log(self, variables: Sequence[str], period: float, arrived: Arrived) -> None:
+        """Log variables every `period` [s] from now on. Raises KeyError for one that the vehicle has not."""
+        for name in variables:
+            if name not in LOGGED:
+                raise KeyError(name)
+        self.logs.append(LogBlock(tuple(variables), period, arrived, self.time + period))
 
     @property
     def link_up(self) -> bool:
@@ -173,14 +167,9 @@ class World:
 
     def advance(self, until: float) -> None:
         """Advance to `until` [s], with everything that is due meanwhile in its order."""
-        for _ in self.events(until):
-            pass
-
-    def events(self, until: float) -> Iterator[float]:
-        """Advance as `advance` does, but yield the time [s] after each event."""
         while True:
             queued = self._queue[0][0] if self._queue else math.inf
-            due = min(queued, self._frame, self.services.next_log)
+            due = min(queued, self._frame, *(block.next for block in self.logs))
             if due > until:
                 break
             self._run(due)
@@ -190,9 +179,9 @@ class World:
             elif self._frame == due:
                 self._capture(due)
             else:
-                for packet in self.services.logged(due):
-                    self._send_down(due, packet)
-            yield due
+                for block in self.logs:
+                    if block.next <= due + 1e-9:
+                        self._send_log(block, due)
         self._run(until)
         self.time = max(self.time, until)
 
@@ -206,7 +195,6 @@ class World:
 
     def begin(self, fault: Fault) -> None:
         """Begin a fault now, whatever event it was to wait for."""
-        self.on_message(f"fault: {fault.name}")
         self.begun_faults.append((self.time, fault.name))
         match fault.name:
             case "link-lost":
@@ -239,7 +227,8 @@ class World:
             case "low-battery":
                 self.sensors.failing = True
             case "reboot":
-                self._switch_on()
+                self.firmware = Firmware()
+                self.logs.clear()
                 self._lose_link()
 
     def _lose_packets(self, share: float) -> None:
@@ -253,25 +242,21 @@ class World:
 
     # --- what happens by itself ------------------------------------------------------------------
 
-    def _receive(self, packet: Packet) -> None:
-        for answer in self.services.answer(self.time, packet):
-            self._send_down(self.time, answer)
-
-    def _send_down(self, time: float, packet: Packet) -> None:
+    def _send_log(self, block: LogBlock, time: float) -> None:
+        """Send the values of a block, which travel as floats, with the vehicle's time in milliseconds."""
+        now, stamp = self.sensors.values(block.next), int(1000.0 * block.next)
+        values = {name: float(np.float32(now[name])) for name in block.variables}
+        block.next += block.period
         arrival = self.down.arrival(time)
         if arrival is not None:
-            self.schedule(arrival, lambda: self.on_packet(packet))
+            self.schedule(arrival, functools.partial(block.arrived, stamp, values))
 
     def _capture(self, time: float) -> None:
         self._frame += 1.0 / self.setting.cameras.rate
         frame = self.view.expose(time, *self.body.pose_at(time))
         if frame is not None:
             arrival, pose = frame
-            self.schedule(arrival, lambda: self._arrive(pose))
-
-    def _arrive(self, pose: MeasuredPose) -> None:
-        self.view.arrive(pose)
-        self.on_pose(pose)
+            self.schedule(arrival, functools.partial(self.view.arrive, pose))
 
     def _run(self, until: float) -> None:
         while self.body.time < until - 1e-9:

@@ -6,12 +6,10 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("cflib", reason="the extra fly is not installed")
-
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import positions
 from inclined_landing.eval.flying.positions import OnboardPosition
-from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.sensors import DeckQuality, Lighthouse
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.errors import UserError
@@ -77,7 +75,7 @@ def test_positions_are_believed_while_the_filter_knows_its_velocity():
 
 def test_a_vehicle_without_the_deck_cannot_fly_by_it():
     flight = fly_simulated(seed=1)
-    radio = Radio(flight.crazyflie, flight.clock, 0.5)
+    radio = Radio(flight.link, flight.clock, 0.5)
     radio.connect(flight.uri)
     with pytest.raises(UserError, match="no deck that measures its position"):
         radio.onboard_position()
@@ -102,10 +100,10 @@ def test_a_deck_that_goes_blind_ends_the_flight(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--position=onboard", "--mocap=poses:1"], "--mocap is only for --position mocap"),
+        (["--position=onboard", "--mocap=vicon:a:b"], "--mocap is only for --position mocap"),
         (["--position=gps"], "must be mocap or onboard"),
         (["--position=onboard", "--heading=0"], "--heading is only for"),
-        (["--fault=deck-blind"], "deck-blind needs --lighthouse"),
+        (["--fault=deck-blind"], "deck-blind needs --position onboard"),
     ],
 )
 def test_what_cannot_be_flown_by_it_is_one_sentence(words, said, tmp_path, capsys):

@@ -11,8 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("cflib", reason="the extra fly is not installed")
-
 from inclined_landing.envs import load_policy
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
@@ -25,7 +23,7 @@ from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_pl
 from inclined_landing.eval.flying.positions import TrackedBody, open_capture
 from inclined_landing.eval.flying.report import FlightReport, describe_all
 from inclined_landing.eval.flying.safety import Phase
-from inclined_landing.eval.flying.simulated.crazyflie import fly_simulated
+from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog
@@ -49,7 +47,7 @@ def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, se
     """A flight: pilot, report, world. before: called with the pilot before it flies."""
     flight = fly_simulated(setting, seed=seed)
     plan = FlightPlan(*policies, start)
-    radio = Radio(flight.crazyflie, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
+    radio = Radio(flight.link, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
     radio.connect(flight.uri)
     options = {"say": lambda line: None, "hang_limit": 30.0} | options
     pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, **options)
@@ -73,7 +71,7 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
     lost = {"arm": 3, "stop": 8}
 
     def lossy(pilot):
-        up = pilot.radio.crazyflie._world.up
+        up = pilot.radio.link._world.up
         link = up.arrival
 
         def arrival(time):
@@ -297,7 +295,7 @@ def test_a_dry_run_moves_nothing(policies, monkeypatch):
 def test_checks_refuse_what_must_not_fly(policies):
     def failed(change=lambda flight: None, **plan):
         flight = fly_simulated(SETTING, seed=3)
-        radio = Radio(flight.crazyflie, flight.clock, 0.5)
+        radio = Radio(flight.link, flight.clock, 0.5)
         radio.connect(flight.uri)
         change(flight)
         pilot = Pilot(radio, flight.clock, flight.motion_capture, FlightPlan(*policies, NEAR, **plan))
@@ -397,7 +395,7 @@ def test_the_command_writes_what_happened(tmp_path, capsys):
     ):
         words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "new")]
         assert cli.main([*words, *wrong]) == 2
-    for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=poses:1"], ["fly", "--seed=1"]):
+    for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=vicon:a:b"], ["fly", "--seed=1"]):
         assert cli.main(wrong) == 2
     assert not (tmp_path / "new").exists()
 

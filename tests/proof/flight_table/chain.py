@@ -13,8 +13,8 @@ from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.report import FlightReport
-from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.faults import Fault
+from inclined_landing.eval.flying.simulated.flight import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import PITCH, PWM, VX, VZ, X, Z, rotations
@@ -91,7 +91,7 @@ def fly_once(
             for fault in in_landing:
                 world.schedule(world.time + fault.after, lambda f=fault: world.begin(f))
 
-    radio = Radio(flight.crazyflie, flight.clock, plan.landing.task.vehicle.command_angle_limit)
+    radio = Radio(flight.link, flight.clock, plan.landing.task.vehicle.command_angle_limit)
     try:
         radio.connect(flight.uri)
         pilot = Pilot(radio, flight.clock, flight.motion_capture, plan, say=say, hang_limit=_PATIENCE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Mapping
 from typing import Annotated
@@ -56,7 +55,6 @@ def command(
         raise UserError("name at least one policy and one vehicle")
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
     loaded = {name: FlightOptions(name).load() for name in policies}
-    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # it reports lost links, which are meant here
     count = flights * (len(trouble.CASES) if faults else len(policies) * len(vehicles) * 3)
     with progress() as bar:
         task = bar.add_task("flights", total=count)

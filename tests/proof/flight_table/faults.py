@@ -14,8 +14,8 @@ from inclined_landing.eval.flying.interfaces import FlightClock
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated import firmware
-from inclined_landing.eval.flying.simulated.crazyflie import SimulatedFlight
 from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
+from inclined_landing.eval.flying.simulated.flight import SimulatedFlight
 from inclined_landing.eval.flying.simulated.world import Setting
 from tests.proof.flight_table.chain import Flown, Loaded, flight_record, fly_once, seeds_of
 
