@@ -24,7 +24,7 @@ def test_metadata_say_how_it_was_made(name):
     assert name == metadata["task"] or name.startswith(f"{metadata['task']}-")
     assert metadata["command"].startswith("landing-train")
     assert name not in FIRST_SEED or metadata["seed"] == FIRST_SEED[name]
-    assert metadata["versions"]["mujoco"] == "4.0.0" and metadata["steps"] >= 400_000
+    assert metadata["versions"]["mujoco"] >= "4" and metadata["steps"] >= 400_000
 
 
 def test_a_further_policy_is_found_by_its_file(tmp_path):
