@@ -66,7 +66,7 @@ def numbers(records: np.ndarray) -> np.ndarray:
 def columns_besides(fields: Sequence[str]) -> np.ndarray:
     """Return the columns of `numbers` of all fields of a `Vehicle` but these."""
     besides, (_, layout) = set(fields), _layout()
-    columns = []
+    columns: list[int] = []
     for field in dataclasses.fields(Vehicle):
         table, _, entry = field.name.partition("_")
         within, begin = layout.fields[table]
