@@ -26,7 +26,7 @@ BOXES = {
     "train": (-1.05, 2, 1.8, "PPO, curricula, sweeps"),
     "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
     "eval.replay": (6.85, 5, 1.0, "flights to see"),
-    "eval.policies": (8.6, 5, 1.9, "how well do policies do?"),
+    "eval.study": (8.6, 5, 1.9, "how well do policies do?"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
     "eval.landings": (1.47, 4, 1.7, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
@@ -47,7 +47,7 @@ _PLACES = {  # x at the start and at the end of arrows that go beside other boxe
     ("eval.cli", "eval.truth"): (6.17, 6.17),
     ("eval.replay", "eval.gap"): (6.5, 5.6),
     ("eval.replay", "eval.pictures"): (7.3, 7.6),
-    ("eval.policies", "eval.pictures"): (8.0, 8.0),
+    ("eval.study", "eval.pictures"): (8.0, 8.0),
 }
 _HIGH, _ROW = 0.62, 1.06
 

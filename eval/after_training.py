@@ -10,7 +10,7 @@ from typing import Any
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.envs.tasks import InclinedLanding
+from inclined_landing.envs.tasks import InclinedLanding, Task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import figure, video
@@ -19,11 +19,11 @@ from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import flight_view, strobe, write_picture, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.policies import success, touchdown
-from inclined_landing.eval.policies.flying import LANDINGS, headline
-from inclined_landing.eval.policies.moving import controllers
-from inclined_landing.eval.policies.moving import study as moving
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.study import moving, success, touchdown
+from inclined_landing.eval.study.engine import Study, run
+from inclined_landing.eval.study.platforms import controllers
+from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
+from inclined_landing.eval.study.show import document, show
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
 
@@ -46,14 +46,16 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
         return load_policy(policy, vehicle=None if vehicle is None else load_vehicle(vehicle))
 
     final = load(folder / "final.zip")
-    task = final.task
     with ThreadPoolExecutor(1) as pool:  # of the table, whose time is the engine's
         pictures = pool.submit(_draw, folder, final, stages)
-        show = _TABLES.get(task.table, _success)(folder, metrics, load)
+        results = run([_study(final, metrics, load)])
         for path in pictures.result():
             print(path)
+    command = final.task.evaluated_by.split()[-1]
+    storage.write_json(folder / f"{command}.json", document(command, results))
+    metrics["success"] = {"final": results[0].all(results[0].study.views[0].measures[0])}
     storage.write_json(folder / "metrics.json", metrics)  # last: it says that the report is whole
-    show()
+    show(results)
     say(f"The report of this run is in {folder}.")
 
 
@@ -76,40 +78,20 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     return files
 
 
-def _success(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """Write success.json of `final.zip`, and return what prints it."""
-    final = load(folder / "final.zip")
+def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -> Study:
+    """Return the study of a trained policy: a touchdown next to the policy that training started from."""
     task = final.task
-    table = success.evaluate(final, thrust_scales=_LANDING_SCALES if task.table in LANDINGS else (1.0,))
-    storage.write_json(folder / "success.json", table)
-    metrics["success"] = {"final": [headline(task, c) for c in table["conditions"]]}
-    return lambda: success.show({"final": table})
+    if task.evaluated_by == "success":
+        scales = _LANDING_SCALES if task.cut_at_success else (1.0,)
+        return success.study({"final": final}, thrust_scales=scales)
+    if task.evaluated_by == "touchdown":
+        return touchdown.study(final, _origin(task, metrics["config"]["start_from"], load))
+    controller = controllers.of_policy(final, controllers.vehicle_flown())
+    return moving.study([read_scenario(name) for name in shipped()], [controller])
 
 
-def _touchdown(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """Write touchdown.json of `final.zip` against the policy that training started from."""
-    final, began = load(folder / "final.zip"), metrics["config"]["start_from"]
-    landed = began in SHIPPED or Path(began).exists()  # and not a law
+def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:
+    """Return the landing policy that a training started from; otherwise, as after a law, the paper's."""
+    landed = began in SHIPPED or Path(began).exists()
     origin = load(began) if landed else None
-    if origin is None or origin.task.name == final.task.name:  # the comparison is with a motor cut
-        origin = load(touchdown.BASELINE)
-    table, _ = touchdown.evaluate(final, origin)
-    storage.write_json(folder / "touchdown.json", table)
-    everything = table["all"]
-    metrics["success"] = {"final": everything["touchdown"]["at_rest"] if everything else None}
-    return lambda: touchdown.show(table)
-
-
-def _moving(folder: Path, metrics: dict, load: Callable[[str | Path], Policy]) -> Callable[[], None]:
-    """Write moving.json: `final.zip` on the benchmark of moving platforms."""
-    controller = controllers.of_policy(load(folder / "final.zip"), controllers.vehicle_flown())
-    study = moving.run([read_scenario(name) for name in shipped()], [controller])
-    storage.write_json(folder / "moving.json", study.report)
-    metrics["success"] = {"final": study.report["all"][0]["at_rest"]}
-    return study.show
-
-
-_TABLES = {
-    "touchdown": _touchdown,
-    "moving": _moving,
-}  # by the `table` of a task, where it is not one of success
+    return load(touchdown.BASELINE) if origin is None or origin.task.name == task.name else origin

@@ -24,19 +24,19 @@ COMMANDS = {
         "Fly the shipped landing policy: success table, video, picture and 3D page (half a minute).",
     ),
     "success": (
-        "policies",
+        "study",
         "Compare policies: how often, how fast and how hard they reach their goals.",
     ),
     "touchdown": (
-        "policies",
+        "study",
         "Compare a touchdown policy with a landing policy whose motors are cut (minutes).",
     ),
     "robustness": (
-        "policies",
+        "study",
         "Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.",
     ),
     "mission": (
-        "policies",
+        "study",
         "Fly whole missions, from anywhere in the room to rest on the slope; count and film them.",
     ),
     "export": (

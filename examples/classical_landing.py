@@ -11,7 +11,8 @@ import sys
 
 import numpy as np
 
-from inclined_landing.envs import load_policy, make_task, record_flights, starts
+from inclined_landing.envs import load_policy, make_task, record_flights
+from inclined_landing.envs.tasks import frozen as starts
 
 ABOVE = np.array([-0.1, 0.45])  # m from the goal to the waypoint in x, z
 CRUISE, APPROACH = (0.9, 0.45), 1.0  # s, and s per m, to the waypoint; s from there to the goal

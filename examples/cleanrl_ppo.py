@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import torch
 
-from inclined_landing.envs import starts
+from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.train import AdaptiveCurriculum, scaled_observation
 
 seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "300_000"][len(sys.argv[1:3]) :]))

@@ -10,9 +10,9 @@ import numpy as np
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared.user_code import blame
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
 from inclined_landing.envs.tasks.guard import TaskError
-from inclined_landing.envs.tasks.own import blame
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.plants import make_plant

@@ -238,7 +238,7 @@ def exit_code(
                 sentence = f"the output cannot be written: {sentence}"
                 _drop_output()
         except Exception as error:
-            from inclined_landing.envs.tasks.own import blame
+            from inclined_landing.envs.shared.user_code import blame
 
             sentence = blame(error) or ""
             if not sentence:

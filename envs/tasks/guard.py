@@ -1,7 +1,7 @@
 """Checks of custom tasks: of the class when it is imported, and of one step when it is made.
 
 The package's own tasks have tests instead. Later exceptions of their code become sentences at the end of a
-command (`envs.tasks.own.blame`); `BatchEnv` refuses rewards that are not finite.
+command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards that are not finite.
 """
 
 from __future__ import annotations

@@ -19,10 +19,13 @@ about the attitude of a vehicle that stands on the slope. Steep slopes need atti
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numba
 import numpy as np
 
-from inclined_landing.envs.tasks.base import Start, StepContext, hover_states
+from inclined_landing.envs.tasks.base import Start, StepContext, Task, hover_states
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VY, VZ, YAW, X, Y, Z, rotation
@@ -32,6 +35,10 @@ from inclined_landing.models.errors import UserError, shown
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
 SEEN_SCALE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5, 0.5])
 _PLANAR = np.array([SEEN.index(name) for name in ("x", "z", "vx", "vz", "pitch", "slope pitch")])
+_SLOPES_SEED = 25_700_550  # of `over_slopes`; training never uses it, and it never changes
+_CELLS = 20  # of the inclination in the plane, and in space
+_SPACE_CELLS, _AZIMUTHS = 6, 12
+_EACH, _SPACE_EACH = 50, 15  # starts of a cell
 
 
 @numba.njit(cache=True)
@@ -74,7 +81,6 @@ class SlopeLanding(InclinedLanding):
     observation_names: tuple[str, ...] = tuple(SEEN[column] for column in _PLANAR)
     observation_scale = SEEN_SCALE[_PLANAR]
     observes_slope = True
-    table = "slopes"
     goal_height = GOAL_HEIGHT  # over the surface along its normal, m
     columns = _PLANAR  # of the heading frame, those that are observed
     observed_motion = 0  # numbers of the platforms' own motion that are observed
@@ -88,6 +94,10 @@ class SlopeLanding(InclinedLanding):
             said = shown(repr(self.steepest), 40)
             raise UserError(f"steepest must be an angle above 0 and up to {limit:.3g} rad, not {said}")
         return float(np.clip(super()._usual_inclination(), -self.steepest, self.steepest))
+
+    def evaluation_groups(self, seed: int) -> dict[str, Start]:
+        """Return the frozen starts over all slopes."""
+        return {"frozen set": over_slopes(self).start}
 
     @property
     def goal(self) -> None:
@@ -146,3 +156,40 @@ class SlopeLanding(InclinedLanding):
         if start.azimuth is not None:
             start.azimuth = np.array(azimuth, float)
         return self._place(rng, start)
+
+
+@dataclasses.dataclass(frozen=True)
+class Slopes:
+    """Stratified starts over many slopes, equally many in each cell of the angles, azimuths innermost."""
+
+    start: Start
+    cell: np.ndarray  # (2, k) which of the inclination, and which of the azimuth
+    inclinations: np.ndarray  # (a + 1,) rad, edges of the cells
+    azimuths: np.ndarray  # (b + 1,) rad; of one cell from 0 to 0 in the plane
+
+
+def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Slopes:
+    """Return the frozen starts of a task over slopes up to `steepest` [rad], by default the task's own.
+
+    In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
+    azimuth with 15 each. Angles are uniform within their cells, starts within the upper half of the arena.
+    A task in space with a single slope has only that one. every: each k-th start only. Raises UserError for a
+    task that does not observe the slope.
+    """
+    if not isinstance(task, SlopeLanding):
+        raise UserError(f"the {task.name} task of this policy has one slope and does not observe it")
+    steepest = task.steepest if steepest is None else steepest
+    rng = np.random.default_rng(_SLOPES_SEED)
+    if steepest is None:
+        inclinations, azimuths = np.full(2, task.inclination), np.full(2, task.azimuth)
+        each = _CELLS * _EACH
+    elif task.is_planar:
+        inclinations, azimuths, each = np.linspace(-steepest, steepest, _CELLS + 1), np.zeros(2), _EACH
+    else:
+        inclinations, each = np.linspace(0.0, steepest, _SPACE_CELLS + 1), _SPACE_EACH
+        azimuths = np.linspace(-math.pi, math.pi, _AZIMUTHS + 1)
+    cells = np.indices((len(inclinations) - 1, len(azimuths) - 1)).reshape(2, -1).repeat(each, axis=1)
+    drawn = [
+        edges[k] + np.diff(edges)[k] * rng.random(len(k)) for edges, k in zip((inclinations, azimuths), cells)
+    ]
+    return Slopes(task.sample_over(rng, *drawn)[::every], cells[:, ::every], inclinations, azimuths)

@@ -62,6 +62,7 @@ class Table:
     caption: str
     heads: tuple[str, ...]
     rows: list[tuple]
+    labels: int = 2  # columns in front that name the row; in the terminal they are repeated, aligned left
 
     @property
     def numbers(self) -> tuple[str, ...]:
@@ -112,7 +113,7 @@ def show_sections(sections: Sequence[Section]) -> None:
         for table in section.tables:
             if table.caption:
                 continue
-            printed = new_table(section.title, *table.heads, labels=2)
+            printed = new_table(section.title, *table.heads, labels=table.labels)
             grouped = not all(row[0] for row in table.rows)
             for row in table.rows:
                 if grouped and row[0]:

@@ -88,9 +88,9 @@ def with_starts(study: Study) -> Study:
     """
     if study.policy is None:
         return study
-    from inclined_landing.envs import starts as landing_starts
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.policy import load_policy
+    from inclined_landing.envs.tasks import frozen as landing_starts
 
     policy = load_policy(study.policy, "landing", vehicle=study.vehicle)
     inclination = known_parameters(study.vehicle)["inclination"].default

@@ -31,7 +31,7 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.landings.design import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
+from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train

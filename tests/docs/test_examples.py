@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from inclined_landing import envs, train
-from inclined_landing.envs import starts
+from inclined_landing.envs.tasks import frozen as starts
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples"

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.envs import starts
 from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.camera import nearest_position
@@ -16,6 +15,7 @@ from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.envs.rendering.scenery import scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
+from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle

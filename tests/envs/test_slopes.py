@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import inclined_landing  # noqa: F401 (registers the environments)
-from inclined_landing.envs import load_policy, make_batch, starts
+from inclined_landing.envs import load_policy, make_batch
 from inclined_landing.envs.policy import locate, write_metadata
 from inclined_landing.envs.tasks import StepContext, make_task
-from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, START_CLEARANCE, LandingConditions
+from inclined_landing.envs.tasks.frozen import START_CLEARANCE
+from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, LandingConditions
+from inclined_landing.envs.tasks.slopes import over_slopes
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.base import PLATFORM_SIZE
@@ -141,7 +143,7 @@ def test_frozen_starts_over_slopes_never_change():
     """The digests stand here so that an edit of the set is seen."""
     for task, digest, shape in ((PLANE, PLANE_DIGEST, (21, 2)), (SPACE, SPACE_DIGEST, (7, 13))):
         fixed = make_task("landing", **{k: v for k, v in task.options.items() if k != "random_yaw"})
-        found = starts.over_slopes(fixed)
+        found = over_slopes(fixed)
         assert (len(found.inclinations), len(found.azimuths)) == shape
         numbers = [found.start.state[:, :3], found.start.inclination, found.cell]
         text = " ".join(f"{x:.6f}" for rows in numbers for x in np.ravel(rows))
@@ -149,7 +151,7 @@ def test_frozen_starts_over_slopes_never_change():
         low, high = (found.inclinations[found.cell[0] + k] for k in (0, 1))
         assert ((found.start.inclination >= low) & (found.start.inclination <= high)).all()
     with pytest.raises(UserError, match="has one slope and does not observe it"):
-        starts.over_slopes(make_task("landing"))
+        over_slopes(make_task("landing"))
 
 
 def test_in_space_a_slope_is_always_told_as_the_drawn_ones_are():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.starts import at_rest
 from inclined_landing.envs.tasks import InclinedTouchdown, StepContext, make_task
+from inclined_landing.envs.tasks.frozen import at_rest
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, TouchdownConditions
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, VX, WY, X, Z

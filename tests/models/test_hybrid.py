@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from inclined_landing.envs import starts
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.eval.truth.equivalence.flying import fly, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VZ, WX, WZ, YAW, X, Z

@@ -18,8 +18,9 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from inclined_landing.envs import load_policy, record_flights, starts
+from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder
 from inclined_landing.models import storage

@@ -7,8 +7,8 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.starts import at_rest
 from inclined_landing.envs.tasks import TASKS, StepContext, make_task
+from inclined_landing.envs.tasks.frozen import at_rest
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.errors import UserError

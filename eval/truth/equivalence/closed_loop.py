@@ -7,10 +7,10 @@ import functools
 
 import numpy as np
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.statistics import proportion
+from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from matplotlib.figure import Figure
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Flag, PolicyName, RunFolder, Seed, VehicleFile
 from inclined_landing.eval.truth.equivalence import (

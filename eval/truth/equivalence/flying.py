@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models.attitude import (
     LAG,

@@ -13,9 +13,9 @@ import re
 import numpy as np
 import pytest
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.truth.equivalence import (

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.policy import SHIPPED, load_policy
-from inclined_landing.envs.shared import runs
+from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
 from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, NewFolder, PlantName, Seed
-from inclined_landing.eval.policies import changes, slopes, vehicles
-from inclined_landing.eval.policies.moving import study as moving
-from inclined_landing.eval.policies.moving.controllers import BASELINES, find_all
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
-from inclined_landing.eval.policies.study import Study, named_policies, write_studies
-from inclined_landing.models import storage
+from inclined_landing.eval.study import changes, moving, slopes, vehicles
+from inclined_landing.eval.study.engine import Study, run
+from inclined_landing.eval.study.flights import named_policies
+from inclined_landing.eval.study.platforms.controllers import BASELINES, find_all
+from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
+from inclined_landing.eval.study.show import hand_over
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -119,7 +120,7 @@ def command(
             always uses mujoco.
         every: fly from every n-th start of the frozen sets (default: 12; with --full 1).
         vehicle: vehicle files or names of shipped vehicles; more than one only with --over vehicles.
-        json: print only JSON on standard output; several condition sets are entries by name.
+        json: print only JSON on standard output.
     """
     over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
     _check(policies, over, vehicle)
@@ -137,29 +138,37 @@ def command(
         known = load_vehicle(vehicle[0]) if vehicle else None
         loaded = {x: load_policy(policy, vehicle=known) for x, policy in named_policies(policies).items()}
         if {"thrust", "effects"} & set(over):
-            found.append(changes.run(loaded, cases, plant=plant, every=every))
+            check_one_slope(loaded)
+            found.append(changes.study(loaded, cases, plant=plant, every=every))
         if "slopes" in over:
-            found.append(slopes.run(loaded, plant=plant, every=every))
+            found.append(slopes.study(loaded, plant=plant, every=every))
     if "vehicles" in over:
         draws = drawn_vehicles.draws
         options = dataclasses.asdict(drawn_vehicles)
         options["draws"] = (DRAWS if full else QUICK_DRAWS) if draws is None else draws
         named = vehicle or vehicles.NAMED
-        found.append(vehicles.run(named_policies(policies), named, plant=plant, every=every, **options))
+        found.append(vehicles.study(named_policies(policies), named, plant=plant, every=every, **options))
     if "moving" in over:
         names = moving_platforms.scenario or shipped()
         scenarios = [read_scenario(name) for name in dict.fromkeys(names)]
         flights = moving_platforms.flights or (None if full else QUICK_FLIGHTS)
-        found.append(moving.run(scenarios, controllers, flights))
-    if out is not None:
-        with runs.staged_run(out) as folder:
-            write_studies(folder, found)
-    if json:
-        reports = {study.name: study.report for study in found}
-        print(storage.to_json(reports if len(found) > 1 else found[0].report))
-        return
-    for study in found:
-        study.show()
+        found.append(moving.study(scenarios, controllers, flights))
+    hand_over("robustness", run(found), json=json, out=out)
+
+
+def check_one_slope(policies: Mapping[str, Policy]) -> None:
+    """Raise UserError for policies that do not land, or on different slopes."""
+    first = next(iter(policies.values())).task
+    for policy in policies.values():
+        task = policy.task
+        if not task.cut_at_success or task.observes_slope:
+            what = "observes the slope" if task.cut_at_success else f"is for {task.name}"
+            raise UserError(
+                f"policy {policy.path} {what}; --over thrust and effects needs policies that land on one "
+                "slope"
+            )
+        if not math.isclose(task.inclination, first.inclination):
+            raise UserError(f"policy {policy.path} was trained for another inclination than the first")
 
 
 def _check(policies: tuple[str, ...], over: tuple[str, ...], vehicle: tuple[str, ...]) -> None:

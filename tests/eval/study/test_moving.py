@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.policies.moving import controllers, study
-from inclined_landing.eval.policies.moving.controllers import vehicle_flown
-from inclined_landing.eval.policies.moving.scenario import read_scenario, shipped
-from inclined_landing.eval.policies.moving.study import fly
+from inclined_landing.eval.study import moving
+from inclined_landing.eval.study.engine import run
+from inclined_landing.eval.study.moving import fly
+from inclined_landing.eval.study.platforms import controllers
+from inclined_landing.eval.study.platforms.controllers import vehicle_flown
+from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
 from tests import ROOT
-from tests.eval.policies import spectra
+from tests.eval.study import spectra
 
 VEHICLE = vehicle_flown()
 MOVING = ("robustness", "--over", "moving", "--every", "1")
 # Never edited: a change is another scenario, with another name.
-FROZEN = (ROOT / "tests/eval/policies/scenarios.txt").read_text()
+FROZEN = (ROOT / "tests/eval/study/scenarios.txt").read_text()
 DRAWN = "38373780da98e06d"
 
 
@@ -129,13 +131,13 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     arguments = [*MOVING, "planner", "--scenario", "ship_5_bow", "--flights", "3"]
     assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed == json.loads((tmp_path / "out/moving.json").read_text())
-    assert printed["scenarios"][0]["outcomes"][0]["at_rest"]["count"] == 3
-    assert not printed["scenarios"][0]["whole"]
+    assert printed == json.loads((tmp_path / "out/robustness.json").read_text())
+    counts = [row["count"] for row in printed["rows"] if row["measure"] == "at_rest" and row["scenario"]]
+    assert counts == [3]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
-        *("flights.csv", "index.html", "moving.json", "moving.pdf", "moving.png")
+        *("flights.csv", "index.html", "moving.pdf", "moving.png", "robustness.json")
     ]
-    assert "not a benchmark result" in (tmp_path / "out/index.html").read_text()
+    assert moving.PARTLY in (tmp_path / "out/index.html").read_text()
 
 
 def test_who_does_nothing_does_not_land(tmp_path):
@@ -145,8 +147,8 @@ def test_who_does_nothing_does_not_land(tmp_path):
     found = controllers.find(f"{file}:off", VEHICLE)
     flown = fly(read_scenario("travel_200_cm_s"), found, 4)
     assert not flown["at_rest"].any()
-    made = study.run([read_scenario("travel_200_cm_s")], [found], 1).report
-    assert made["all"][0]["at_rest"]["count"] == 0
+    (results,) = run([moving.study([read_scenario("travel_200_cm_s")], [found], 1)])
+    assert results.one("at_rest", together="all scenarios")["count"] == 0
 
 
 def test_a_pilot_gets_no_more_than_it_is_told(tmp_path):

@@ -194,7 +194,7 @@ class DrawnFlights:
 
 def shipped() -> dict[str, Path]:
     """Return the paths of the frozen scenarios by name, in the order of the tables."""
-    folder = Path(str(resources.files("inclined_landing.eval.policies.moving") / "scenarios"))
+    folder = Path(str(resources.files("inclined_landing.eval.study.platforms") / "scenarios"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 

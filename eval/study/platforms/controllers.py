@@ -21,11 +21,11 @@ import numpy as np
 
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.policy import Policy, load_policy
+from inclined_landing.envs.shared.user_code import import_named
 from inclined_landing.envs.tasks import StepContext, is_path
-from inclined_landing.envs.tasks.own import import_named
-from inclined_landing.eval.policies.moving.planner import Planner
-from inclined_landing.eval.policies.rest import Pilot, PolicyPilot
-from inclined_landing.eval.policies.study import named_policies
+from inclined_landing.eval.study.flights import named_policies
+from inclined_landing.eval.study.platforms.planner import Planner
+from inclined_landing.eval.study.rest import Pilot, PolicyPilot
 from inclined_landing.models.attitude import COMMAND_SIZE, PWM, WZ
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle

@@ -1,4 +1,4 @@
-"""Waves of the ship and car scenarios; `python -m tests.eval.policies.spectra` prints them.
+"""Waves of the ship and car scenarios; `python -m tests.eval.study.spectra` prints them.
 
 Ship: a sea of the spectrum of ITTC (two parameters, Bretschneider's), of the significant heights and modal
 periods of NATO's sea states (STANAG 4194, annual North Atlantic). Heave and pitch answer by the closed
@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from inclined_landing.eval.policies.moving.scenario import Waves
+from inclined_landing.eval.study.platforms.scenario import Waves
 from inclined_landing.models.motion import MODES
 
 GRAVITY = 9.81  # m/s2

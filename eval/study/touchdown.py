@@ -3,9 +3,9 @@
 From every start of the frozen grid, at each friction and restitution, two vehicles fly in the MuJoCo plant
 (RK4, 4 ms):
 
-- `motor_cut`: a landing policy; at its entry into the goal box the motors are cut from outside, as in the
-  paper. It has 300 control steps to get there and 2 s more to come to rest;
-- `touchdown`: a touchdown policy, which idles the motors itself, within 300 control steps.
+- `cut in goal box`: a landing policy; at its entry into the goal box the motors are cut from outside, as in
+  the paper. It has 300 control steps to get there and 2 s more to come to rest;
+- `touchdown policy`: idles the motors itself, within 300 control steps.
 
 Both are evaluated by the rule of the touchdown task: 0.3 s at rest on the feet; the floor ends a flight. A
 vehicle under PWM 0 has no attitude torque. Speeds are those of the centre of mass before any part first meets
@@ -20,31 +20,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import tyro
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.mission import slope_normal
 from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.statistics import proportion
-from inclined_landing.envs.shared.tables import count_words
+from inclined_landing.envs.shared.measures import alone, count_words, median_of, share_of
+from inclined_landing.envs.tasks import frozen
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
-from inclined_landing.eval.base.claims import Section, show_sections
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
-from inclined_landing.eval.policies.changes import check_effects, sizes
-from inclined_landing.eval.policies.flying import summary
-from inclined_landing.eval.policies.rest import PolicyPilot, fly_to_rest
-from inclined_landing.eval.policies.study import csv, fly_all, joined
-from inclined_landing.eval.policies.tables import outcomes_table
+from inclined_landing.eval.study import changes
+from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, fact, run
+from inclined_landing.eval.study.flights import policy_facts
+from inclined_landing.eval.study.rest import PolicyPilot, fly_to_rest
+from inclined_landing.eval.study.show import hand_over
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
@@ -54,9 +50,18 @@ from inclined_landing.models.vehicle import Vehicle
 FRICTIONS = (0.5, 0.6, 0.8, 1.2)
 RESTITUTIONS = (0.0, 0.25, 0.5)
 SETTLING = 100  # control steps that the motor cut has after the goal box
-MODES = {"motor_cut": "cut in goal box", "touchdown": "touchdown policy"}
+CUT, OWN = "cut in goal box", "touchdown policy"
 BASELINE = "landing-nominal"  # whose motors are cut
-_COUNTED = ("at_rest", "normal_speed", "tangential_speed", "peak_normal_force", "time")
+AT_REST = share_of("at_rest", "at rest", said="came to rest on its feet")
+MEASURES = (
+    AT_REST,
+    median_of(
+        "time", "time", "s", cell=alone, note="speeds at the first touch, peak normal force on the feet"
+    ),
+    median_of("normal_speed", "normal speed", "m/s", cell=alone),
+    median_of("tangential_speed", "tangential speed", "m/s", cell=alone),
+    median_of("peak_normal_force", "peak force", "N", cell=alone),
+)
 
 
 def land(
@@ -85,67 +90,75 @@ def land(
     return fly_to_rest(plant, states, pilot, steps=task.max_steps, hold=HOLD_STEPS, after_cut=settling)
 
 
-def evaluate(
+def study(
     policy: Policy,
     baseline: Policy,
     *,
     frictions: Sequence[float] = FRICTIONS,
     restitutions: Sequence[float] = RESTITUTIONS,
     effects: Sequence[str] = (),
-) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Return the comparison as plain numbers, and all flights.
+) -> Study:
+    """Return the study of a touchdown policy and the motor cut; effects: of the library."""
+    _check(policy, baseline)
+    task = policy.task
+    states = frozen.at_rest(task, frozen.clear(task, frozen.grid()))
+    slip, angle = math.tan(abs(task.inclination)), math.degrees(abs(task.inclination))
+    pairs = itertools.product(sorted({mu for mu in frictions if mu > slip}), sorted(set(restitutions)))
+    cases = []
+    for (mu, e), (motors, pilot) in itertools.product(pairs, ((CUT, baseline), (OWN, policy))):
+        labels = {"motors": motors, "friction": float(mu), "restitution": float(e), "contact": "all"}
+        cases.append(Case(labels, partial(land, pilot, states, mu, e)))
+    of_effects = [c for c in changes.changes((), effects, ("medium",)) if c.size]
+    for change, (motors, pilot) in itertools.product(of_effects, ((CUT, baseline), (OWN, policy))):
+        labels = {"motors": motors, "effect": change.effect.name}
+        cases.append(Case(labels, partial(land, pilot, states, vehicle=change.vehicle(task.vehicle))))
+    weight = task.vehicle.body_mass * task.vehicle.environment_gravity
+    return Study(
+        name="touchdown",
+        title=f"At rest on a slope of {angle:.1f} deg, {len(states)} starts per condition",
+        series="motors",
+        cases=cases,
+        views=[
+            *(View((label, "motors"), MEASURES, f"by {label}") for label in ("friction", "restitution")),
+            View(("contact", "motors"), MEASURES, "friction and restitution together"),
+            View(("effect", "motors"), MEASURES, "effects"),
+            View(("friction", "restitution", "motors"), MEASURES),
+        ],
+        panels=[
+            Panel("", AT_REST, "friction", "friction", where={"restitution": None}),
+            Panel("", AT_REST, "restitution", "restitution", where={"friction": None}),
+            Panel("Effects", AT_REST, "effect"),
+        ],
+        remarks=partial(_remarks, [mu for mu in sorted(set(frictions)) if mu <= slip], angle),
+        facts=[
+            *policy_facts({OWN: policy, CUT: baseline}),
+            fact("vehicle", "weight", weight, "N"),
+            *(row for change in of_effects for row in change.facts),
+        ],
+    )
 
-    effects: effects of the library, one entry of `effects` for each.
-    """
+
+def _check(policy: Policy, baseline: Policy) -> None:
+    """Raise UserError unless one touches down and the other lands, on the same slope."""
     if not isinstance(policy.task, InclinedTouchdown):
         raise UserError(f"policy {policy.path} is for the task {policy.task.name}, not for touchdown")
     if not baseline.task.cut_at_success:
         raise UserError(f"the baseline {baseline.path} is for the task {baseline.task.name}, not for landing")
     if not np.allclose(slope_normal(policy.task), slope_normal(baseline.task), atol=1e-6):
         raise UserError("the touchdown policy and the baseline are for different slopes")
-    task = policy.task
-    starts = landing_starts.clear(task, landing_starts.grid())
-    states = landing_starts.at_rest(task, starts)
-    slip = math.tan(abs(task.inclination))
-    gripping = sorted({mu for mu in frictions if mu > slip})
-    work, pairs = {}, list(itertools.product(gripping, sorted(set(restitutions))))
-    for mode, pilot in zip(MODES, (baseline, policy)):
-        for mu, e in pairs:
-            work[mode, f"friction {mu:g}, restitution {e:g}"] = partial(land, pilot, states, mu, e)
-        for name in effects:
-            vehicle = LIBRARY[name].apply(task.vehicle, LIBRARY[name].plausible)
-            work[mode, name] = partial(land, pilot, states, vehicle=vehicle)
-    flown = fly_all(work)
 
-    def both(names: Sequence[str]) -> dict[str, Any]:
-        return {mode: summary(pd.concat([flown[mode, name] for name in names]), *_COUNTED) for mode in MODES}
 
-    def of(pairs: Sequence[tuple[float, float]]) -> list[str]:
-        return [f"friction {mu:g}, restitution {e:g}" for mu, e in pairs]
-
-    report = {
-        "command": "touchdown",
-        "policy": str(policy.path),
-        "baseline": str(baseline.path),
-        "trained": policy.metadata,
-        "inclination": task.inclination,
-        "starts": len(states),
-        "weight": task.vehicle.body_mass * task.vehicle.environment_gravity,
-        "cannot_hold": sorted({float(mu) for mu in frictions if mu <= slip}),
-        "all": both(of(pairs)) if pairs else None,
-        "friction": [{"friction": mu} | both(of([p for p in pairs if p[0] == mu])) for mu in gripping],
-        "restitution": [
-            {"restitution": e} | both(of([p for p in pairs if p[1] == e]))
-            for e in (sorted(set(restitutions)) if pairs else ())
-        ],
-        "conditions": [{"friction": mu, "restitution": e} | both(of([(mu, e)])) for mu, e in pairs],
-        "effects": [
-            {"effect": name, "parameters": sizes(LIBRARY[name], LIBRARY[name].plausible)} | both([name])
-            for name in effects
-        ],
-        "versions": runs.versions(),
-    }
-    return report, joined(flown)
+def _remarks(cannot_hold: Sequence[float], angle: float, results: Results) -> list[str]:
+    """Return what is not counted, and how often vehicles came to rest."""
+    said = [
+        f"Not counted: friction {mu:g}, which is below tan({angle:.1f} deg) and cannot hold the vehicle."
+        for mu in cannot_hold
+    ]
+    for motors in (OWN, CUT):
+        rows = results.all(AT_REST, motors=motors, contact="all") or results.all(AT_REST, motors=motors)
+        where = "" if rows[0]["contact"] else f" with {rows[0]['effect']}"
+        said.append(f"{motors.capitalize()}: {AT_REST.said} in {count_words(rows[0])}{where}.")
+    return said
 
 
 def command(
@@ -171,51 +184,19 @@ def command(
         effect: effects of the library, at a plausible size, that the policies were not trained with (default:
             none).
         json: print only JSON on standard output.
-        out: new folder for touchdown.json and flights.csv.
+        out: new folder for index.html, the numbers as JSON, flights.csv, and the figures.
     """
     if not (friction and restitution):
         raise UserError("give at least one --friction and one --restitution")
     contact.check_friction(friction)
     contact.check_restitution(restitution)
-    check_effects(effect)
+    changes.check_effects(effect)
     flown = load_vehicle(vehicle) if vehicle is not None else None
-    report, flights = evaluate(
+    found = study(
         load_policy(policy, "touchdown", vehicle=flown),
         load_policy(baseline, "landing", vehicle=flown),
         frictions=friction,
         restitutions=restitution,
         effects=tuple(dict.fromkeys(effect)),
     )
-    report["vehicle"] = str(vehicle) if vehicle is not None else "crazyflie.toml"
-    runs.hand_over(report, show, json, out, {"flights.csv": csv(flights)})
-
-
-def show(report: Mapping[str, Any]) -> None:
-    """Print the report of `evaluate`."""
-    angle = math.degrees(report["inclination"])
-    named = [(f"mu {row['friction']:g}", row) for row in report["friction"]]
-    named += [(f"restitution {row['restitution']:g}", row) for row in report["restitution"]]
-    named += [("all", report["all"])] if report["all"] else []
-    named += [(row["effect"], row) for row in report["effects"]]
-    rows = [((label, motors), row[mode]) for label, row in named for mode, motors in MODES.items()]
-    remarks = [
-        "Shares have 95 % Wilson intervals. Speeds at the first touch, peak normal force on the feet (the "
-        f"weight is {report['weight']:.2f} N) and time until rest are medians."
-    ]
-    for mu in report["cannot_hold"]:
-        remarks.append(
-            f"Not counted: friction {mu:g}, which is below tan({abs(angle):.1f} deg) and cannot hold the "
-            "vehicle."
-        )
-    counted = [report["all"]] if report["all"] else report["effects"]
-    ends = {
-        mode: proportion(*(sum(row[mode]["at_rest"][key] for row in counted) for key in ("count", "of")))
-        for mode in MODES
-    }
-    remarks.append(
-        f"The touchdown policy came to rest on its feet in {count_words(ends['touchdown'])}; with the "
-        f"motors cut in the goal box, in {count_words(ends['motor_cut'])}."
-    )
-    title = f"At rest on a slope of {abs(angle):.1f} deg, {report['starts']} starts per condition"
-    table = outcomes_table(("", "motors"), rows)
-    show_sections([Section("touchdown", title, [], [], [table], remarks=remarks)])
+    hand_over("touchdown", run([found]), json=json, out=out)

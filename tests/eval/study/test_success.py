@@ -1,7 +1,6 @@
 """The numbers of the success table, from cases whose answers are known."""
 
 import dataclasses
-import functools
 import json
 import math
 import shutil
@@ -11,14 +10,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from inclined_landing.envs import starts as landing_starts
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import statistics
-from inclined_landing.envs.tasks import StepContext, make_task
+from inclined_landing.envs.shared.measures import SUCCESS, TOUCHED
+from inclined_landing.envs.tasks import StepContext, frozen, make_task, slopes
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.policies import flying, rest, success
+from inclined_landing.eval.study import changes, flights, rest, show, success
+from inclined_landing.eval.study.engine import count, run
+from inclined_landing.eval.study.flights import ARRIVAL, fly, table_of
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.effects import LIBRARY
@@ -74,21 +75,21 @@ def test_intervals_by_hand():
 
 def test_the_frozen_grid_is_what_its_rule_makes():
     task = make_task("landing")
-    made = landing_starts.make_grid(task)
+    made = frozen.make_grid(task)
     file = resources.files("inclined_landing.envs") / "shipped" / "landing_grid.csv"
     lines = [line for line in file.read_text("utf-8").splitlines() if not line.startswith("#")]
     assert lines == [f"{x:.2f},{z:.2f}" for x, z in made]
-    np.testing.assert_array_equal(landing_starts.grid(), made)
+    np.testing.assert_array_equal(frozen.grid(), made)
     assert len(np.unique(made, axis=0)) == len(made) == 251
-    assert task.start_clearance(task.start(landing_starts.at_rest(task, made))).min() >= 0.05
+    assert task.start_clearance(task.start(frozen.at_rest(task, made))).min() >= 0.05
 
 
 def test_scattered_starts_are_the_papers_within_ten_centimetres():
-    starts = landing_starts.scattered(5)
+    starts = frozen.scattered(5)
     offset = starts.reshape(3, 10, 2) - np.array([(0, 2), (-1.5, 1.6), (1.5, 1.8)])[:, None]
     assert 0.05 < np.abs(offset).max() <= 0.1
-    np.testing.assert_array_equal(starts, landing_starts.scattered(5))
-    assert (starts != landing_starts.scattered(6)).all()
+    np.testing.assert_array_equal(starts, frozen.scattered(5))
+    assert (starts != frozen.scattered(6)).all()
 
 
 # ---- flights and strictness
@@ -103,10 +104,9 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert [f.success for f in flights] == [True, True]
     assert [f.touched for f in flights] == [False, True]
     assert [f.strict for f in flights] == [True, False]
-    summary = flying.outcome(landing, flying.table_of(landing, flights))
-    assert summary["success"]["count"] == 2
-    assert summary["strict"]["count"] == 1
-    assert summary["touched"]["count"] == 1
+    table = table_of(landing, flights)
+    counts = {measure.name: measure.of(table)["count"] for measure in landing.measures[:3]}
+    assert counts == {"strict": 1, "success": 2, "touched": 1}
 
 
 def test_a_recorded_flight_replays(landing):
@@ -181,99 +181,91 @@ def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
         np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
 
 
-# ---- reports
+# ---- studies
 
 
-def test_landing_report_of_a_policy_that_hovers(landing):
-    report = success.evaluate(Constant(landing, 0.0, 0.0), plant="analytic", thrust_scales=(1.0, 0.9), seed=1)
-    hover, weak = report["conditions"]
-    assert (hover["thrust_scale"], weak["thrust_scale"]) == (1.0, 0.9)
-    for name, flights in (("paper_starts", 3), ("scattered_starts", 30), ("grid", 251)):
-        assert hover[name]["success"]["of"] == flights
-        assert hover[name]["success"]["count"] == 0
-        assert hover[name]["touched"]["count"] == 0
-    assert weak["paper_starts"]["touched"]["count"] == 1  # sinks onto the slope from (0, 2)
-    assert hover["entry"] is None and hover["motors_cut"] is None
-    assert hover["grid"]["left_out"] == 0
-    storage.to_json(report)
+def of_one(policy, **options):
+    """Return the results of one policy on its task."""
+    (results,) = run([success.study({"one": policy}, **options)])
+    return results
+
+
+def test_landings_of_a_policy_that_hovers(landing):
+    results = of_one(Constant(landing, 0.0, 0.0), plant="analytic", thrust_scales=(1.0, 0.9), seed=1)
+    flown = {"paper's three": 3, "paper's +-0.1 m": 30, "frozen grid": 251}
+    assert {row["starts"]: row["flights"] for row in results.all(SUCCESS)} == flown
+    assert not any(row["count"] for row in results.all(SUCCESS))
+    assert not any(row["count"] for row in results.all(TOUCHED, thrust_scale=1.0))
+    # it sinks onto the slope from (0, 2)
+    assert results.one(TOUCHED, thrust_scale=0.9, starts="paper's three")["count"] == 1
+    speed = results.one("entry_speed", thrust_scale=1.0)
+    assert speed["value"] is None and speed["flights"] == 0
+    storage.to_json(show.document("success", [results]))
 
 
 def test_the_disturbance_of_the_vehicle_is_flown_where_asked_for(capsys):
     """Hovering without feedback, the vehicle is blown from where it starts; still air is refused."""
     sizes = {"disturbance_acceleration": (2.0, 2.0, 2.0), "disturbance_acceleration_time": (1.0, 1.0, 1.0)}
     task = make_task("landing", dataclasses.replace(load_vehicle(), **sizes), pwm_centre="hover")
-    still, restless = (
-        success.evaluate(Constant(task, 0.0, 0.0), plant="analytic", disturbance=disturbance)
-        for disturbance in (False, True)
-    )
-    touched = [report["conditions"][0]["grid"]["touched"]["count"] for report in (still, restless)]
+    touched = []
+    for disturbance in (False, True):
+        results = of_one(Constant(task, 0.0, 0.0), plant="analytic", disturbance=disturbance)
+        touched.append(results.one(TOUCHED, starts="frozen grid")["count"])
     assert touched[0] == 0 and touched[1] > 10
-    assert restless["disturbance"] and "disturbance" not in still
     assert cli.main(["success", "landing", "--disturbance"]) == 2
     assert (
         "--disturbance needs a --vehicle whose table [disturbance] is not all zero" in capsys.readouterr().err
     )
 
 
-def test_entry_statistics(landing):
+def test_how_landings_enter_the_goal_box(landing):
     policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
     states = np.concatenate([pose(landing.goal_position[1])] * 4)
     states[:, VX], states[:, VZ] = [0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, -0.5]
-    flights = flying.fly(policy, landing.start(states), "mujoco").assign(group="grid")
-    entry = flying.condition_outcome(landing, flights)["entry"]
+    table = fly(policy, landing.start(states), "mujoco")
+    entry = {measure.name: measure.of(table) for measure in ARRIVAL}
     # normal (-0.434, 0, 0.901): only the second and the third move away
-    assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["of"] == 4
-    assert entry["speed"]["median"] == pytest.approx(0.5, abs=0.1)  # 20 ms later
-    assert entry["normal_speed"]["max"] == pytest.approx(0.45, abs=0.1)
+    assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["flights"] == 4
+    assert entry["entry_speed"]["value"] == pytest.approx(0.5, abs=0.1)  # 20 ms later
+    assert entry["entry_normal_speed"]["max"] == pytest.approx(0.45, abs=0.1)
 
 
-def test_setpoint_report_of_a_policy_that_hovers():
+def test_setpoint_flights_of_a_policy_that_hovers():
     task = make_task("setpoint", pwm_centre="hover")
-    report = success.evaluate(Constant(task, 0.0, 0.0, 0.0), plant="analytic", seed=2)
+    results = of_one(Constant(task, 0.0, 0.0, 0.0), plant="analytic", seed=2)
     starts = task.sample(np.random.default_rng(2), 200).state
     distance = np.linalg.norm(starts[:, :3] - [0, 0, 1.2], axis=1)
-    error = report["conditions"][0]["error"]
-    assert error["mean"] == pytest.approx(distance.mean(), abs=1e-9)
-    assert report["conditions"][0]["within"]["count"] == (distance < 0.05).sum()
-    assert report["paper"] is None
+    assert results.one("mean_error")["value"] == pytest.approx(distance.mean(), abs=1e-9)
+    assert results.one("within")["count"] == (distance < 0.05).sum()
 
 
 # ---- effects
 
 
-@pytest.fixture
-def few(monkeypatch):
-    """Three effects, ten starts of the grid and as many over slopes."""
-    names = ("thrust_scale", "motor_lag", "platform_tilt")
-    monkeypatch.setattr(success, "LIBRARY", {name: LIBRARY[name] for name in names})
-    grid = landing_starts.grid()[::25]
-    monkeypatch.setattr(landing_starts, "grid", lambda: grid)
-    some = functools.partial(landing_starts.over_slopes, every=25)
-    monkeypatch.setattr(landing_starts, "over_slopes", some)
+THREE = changes.changes((), ("thrust_scale", "motor_lag", "platform_tilt"), ("medium",))
 
 
-def test_effects_report_of_a_policy_that_hovers(landing, few, capsys):
+def under_effects(policy, plant="hybrid"):
+    """Return the results of one policy under three effects, from every 25th start."""
+    (results,) = run([changes.study({"one": policy}, THREE, plant=plant, every=25)])
+    return results
+
+
+def test_effects_on_a_policy_that_hovers(landing, capsys):
     """It hangs where it starts, unless the thrust is another; the start keeps its load under another lag."""
-    reports, _ = success.evaluate_all({"one": Constant(landing, 0.0, 0.0)}, effects=True)
-    report = reports["one"]
-    none, weak, slow, tilted = report["effects"]
-    assert [row["effect"] for row in report["effects"]] == [
-        "none",
-        "thrust_scale",
-        "motor_lag",
-        "platform_tilt",
-    ]
-    assert weak["parameters"] == {"scale": {"value": 0.88, "unit": "1"}}
-    assert none["strict"]["of"] >= 10 and none["touched"]["count"] == 0
-    assert weak["touched"]["count"] > 0
-    assert slow["touched"]["count"] == tilted["touched"]["count"] == 0
-    assert none["at_rest_on_feet"]["count"] == 0
-    storage.to_json(reports)
-    success.show(reports)
+    results = under_effects(Constant(landing, 0.0, 0.0))
+    touched = {row["effect"]: row["count"] for row in results.all(TOUCHED) if row["effect"]}
+    assert list(touched) == ["none", "thrust_scale", "motor_lag", "platform_tilt"]
+    assert touched.pop("thrust_scale") > 0 and not any(touched.values())
+    assert results.one("strict", effect="none")["flights"] >= 10
+    assert results.one("at_rest_on_feet", effect="none")["count"] == 0
+    (fact,) = [row for row in results.study.facts if row["of"] == "thrust_scale medium"]
+    assert fact["value"] == 0.88 and fact["unit"] == "1"
+    show.show([results])
     assert "scale 0.88" in capsys.readouterr().out
 
 
-def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypatch):
+def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, monkeypatch):
     inclinations = []
 
     def recorded(policy, plant, states, **options):
@@ -281,18 +273,16 @@ def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, few, monkeypat
         inclinations.append(flights[0].inclination)
         return flights
 
-    monkeypatch.setattr(flying, "record_flights", recorded)
-    success.evaluate_all({"one": Constant(landing, 0.0, 0.0)}, effects=True, plant="analytic")
+    monkeypatch.setattr(flights, "record_flights", recorded)
+    under_effects(Constant(landing, 0.0, 0.0), plant="analytic")
     assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
 
 
-def test_effects_report_of_a_setpoint_policy(few, capsys):
+def test_effects_on_a_setpoint_policy():
     task = make_task("setpoint", pwm_centre="hover")
-    reports, _ = success.evaluate_all({"one": Constant(task, 0.0, 0.0, 0.0)}, effects=True, plant="analytic")
-    none, weak, _, _ = reports["one"]["effects"]
-    assert weak["error"]["mean"] > none["error"]["mean"] + 1.0
-    success.show(reports)
-    assert "thrust_scale" in capsys.readouterr().out
+    results = under_effects(Constant(task, 0.0, 0.0, 0.0), plant="analytic")
+    error = {row["effect"]: row["value"] for row in results.all("mean_error") if row["effect"]}
+    assert error["thrust_scale"] > error["none"] + 1.0
 
 
 def test_the_policy_sees_what_motion_capture_shows(landing):
@@ -314,35 +304,48 @@ def test_the_policy_sees_what_motion_capture_shows(landing):
 # ---- side by side
 
 
-def test_policies_stand_side_by_side_each_on_its_task(few, tmp_path, capsys):
-    """A run folder is its final policy; one report for each, as of the policy alone."""
-    run = tmp_path / "my-run"
-    run.mkdir()
-    shutil.copy(load_policy("landing-nominal").path, run / "final.zip")
+def test_policies_stand_side_by_side_each_on_its_task(monkeypatch, tmp_path, capsys):
+    """A run folder is its final policy; the numbers of each are those of the policy alone."""
+    grid = frozen.grid()[::25]
+    monkeypatch.setattr(frozen, "grid", lambda: grid)
+    monkeypatch.setattr(slopes, "_EACH", 2)
+    run_folder = tmp_path / "my-run"
+    run_folder.mkdir()
+    shutil.copy(load_policy("landing-nominal").path, run_folder / "final.zip")
     arguments = ["--plant", "analytic", "--thrust-scale", "1", "0.9"]
-    names = ["landing-slopes", str(run), "big@hummingbird=landing-vehicles", "setpoint"]
+    names = ["landing-slopes", str(run_folder), "big@hummingbird=landing-vehicles", "setpoint"]
     assert cli.main(["success", *names, *arguments, "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     report = json.loads((tmp_path / "out/success.json").read_text())
-    assert list(report["policies"]) == ["landing-slopes", "my-run", "big@hummingbird", "setpoint"]
-    assert report["policies"]["big@hummingbird"]["vehicle"] == "hummingbird"
-    assert report["policies"]["my-run"]["vehicle"] == "crazyflie.toml"
-    assert "my-run landed in" in printed and printed.splitlines()[-1].startswith("setpoint was")
+    by_name = {name: [row for row in report["rows"] if row["policy"] == name] for name in NAMED}
+    assert {row["policy"] for row in report["rows"]} == set(NAMED)
+    assert "my-run reached the goal box in" in printed
+    assert printed.splitlines()[-1].startswith("setpoint was")
     flights = pd.read_csv(tmp_path / "out/flights.csv")
-    assert set(flights["condition"]) == {"thrust x 1", "thrust x 0.9"}
-    assert cli.main(["success", str(run), *arguments, "--json"]) == 0
-    alone = json.loads(capsys.readouterr().out)
-    assert alone["conditions"] == report["policies"]["my-run"]["conditions"]
+    assert set(flights["thrust_scale"]) == {1.0, 0.9}
+    assert cli.main(["success", str(run_folder), *arguments, "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["rows"]
+    keys = alone[0].keys() - {"study"}
+    assert [{key: row[key] for key in keys} for row in by_name["my-run"]] == [
+        {key: row[key] for key in keys} for row in alone
+    ]
+
+
+NAMED = ("landing-slopes", "my-run", "big@hummingbird", "setpoint")
 
 
 @pytest.mark.parametrize(
     ("flown", "landed", "hinted"), [(20.0, 0, True), (20.0, 3, False), (-20.0, 0, False)]
 )
 def test_a_slope_of_the_other_sign_on_which_nothing_lands_gets_a_hint(flown, landed, hinted):
-    report = {
-        "trained": {"task_options": {"inclination": math.radians(-25.7)}},
-        "task_options": {"inclination": math.radians(flown)},
-        "conditions": [{"grid": {"strict": statistics.proportion(landed, 250)}}],
-    }
-    hint = success.sign_hint(report)
-    assert hint.endswith("try --inclination -20.") if hinted else hint == ""
+    task = make_task("landing", inclination=math.radians(flown))
+    policy = Constant(task, 0.0, 0.0)
+    policy.metadata = {"task_options": {"inclination": math.radians(-25.7)}}
+    study = success.study({"one": policy}, plant="analytic")
+    flights = pd.DataFrame({"strict": np.arange(250) < landed, "cut": False}).assign(
+        policy="one", thrust_scale=1.0, starts="frozen grid", slope="", success=False, touched=False
+    )
+    columns = {measure.column or measure.name for measure in (*task.measures, *ARRIVAL)}
+    flights = flights.assign(**dict.fromkeys(columns - set(flights), 0.0))
+    remark = study.remarks(count(study, flights))[-1]
+    assert remark.endswith("try --inclination -20.") == hinted

@@ -39,7 +39,7 @@ from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import video
 from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
-from inclined_landing.eval.policies.study import LONG
+from inclined_landing.eval.study.engine import LONG
 from inclined_landing.models import storage
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
 from inclined_landing.models.errors import UserError, shown

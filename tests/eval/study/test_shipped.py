@@ -7,11 +7,12 @@ import sys
 import pytest
 
 from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_task
-from inclined_landing.eval.policies.moving import controllers
-from inclined_landing.eval.policies.moving.controllers import vehicle_flown
-from inclined_landing.eval.policies.moving.scenario import read_scenario
-from inclined_landing.eval.policies.moving.study import fly
-from inclined_landing.eval.policies.success import evaluate
+from inclined_landing.eval.study.engine import run
+from inclined_landing.eval.study.moving import fly
+from inclined_landing.eval.study.platforms import controllers
+from inclined_landing.eval.study.platforms.controllers import vehicle_flown
+from inclined_landing.eval.study.platforms.scenario import read_scenario
+from inclined_landing.eval.study.success import study
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 9100, "touchdown-nominal": 10}
 MOVING = [name for name in SHIPPED if name.endswith("-moving")]
@@ -52,31 +53,35 @@ def every(names):
     return pytest.mark.parametrize("name, plant", [(name, "hybrid") for name in names] + slow)
 
 
-ONE_SLOPE = [
-    name for name in LANDING if load_policy(name).task.table == "goal_box"
-]  # the others: test_slopes
+ONE_SLOPE = [name for name in LANDING if not load_policy(name).task.observes_slope]  # the others: test_slopes
+
+
+def last_group(name, plant, *scales):
+    """Return the rows on success of a policy's frozen starts, at each factor on the thrust."""
+    (results,) = run([study({name: load_policy(name)}, plant=plant, thrust_scales=scales or (1.0,))])
+    measure = results.study.views[0].measures[0]
+    rows = [row for row in results.all(measure) if row["policy"]]
+    return [row for row in rows if row["starts"] == rows[-1]["starts"]], results
 
 
 @every(ONE_SLOPE)
 def test_landing_succeeds_on_the_frozen_grid(name, plant):
     scales = (1.0, 1.05, 0.95) if plant == "mujoco" else (1.0,)
-    report = evaluate(load_policy(name), plant=plant, thrust_scales=scales)
-    nominal, *others = [condition["grid"] for condition in report["conditions"]]
-    assert nominal["strict"]["of"] >= 200 and nominal["strict"]["share"] >= 0.99
-    assert all(grid["success"]["share"] >= 0.95 for grid in others)
+    (nominal, *others), _ = last_group(name, plant, *scales)
+    assert nominal["flights"] >= 200 and nominal["value"] >= 0.99
+    assert all(row["value"] >= 0.95 for row in others)
 
 
 @every(["landing"])
 def test_the_policy_of_varied_vehicles_lands_with_another_thrust(name, plant):
-    scales = (0.8, 0.9, 1.1) if plant == "mujoco" else (0.8,)
-    report = evaluate(load_policy(name), plant=plant, thrust_scales=scales)
-    assert min(condition["grid"]["strict"]["share"] for condition in report["conditions"]) >= 0.97
+    rows, _ = last_group(name, plant, *((0.8, 0.9, 1.1) if plant == "mujoco" else (0.8,)))
+    assert min(row["value"] for row in rows) >= 0.97
 
 
 @every(["setpoint"])
 def test_setpoint_is_reached(name, plant):
-    error = evaluate(load_policy(name), plant=plant)["conditions"][0]["error"]
-    assert error["mean"] < 0.05  # m, after 3 s, from 200 random starts
+    _, results = last_group(name, plant)
+    assert results.one("mean_error")["value"] < 0.05  # m, after 3 s, from 200 random starts
 
 
 @pytest.mark.parametrize("name", MOVING)

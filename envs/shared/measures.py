@@ -1,0 +1,124 @@
+"""Measures: what is counted of flights, with its unit, its statistic, and how a table shows it.
+
+A statistic of the values of some flights has one shape, whatever it is: value, interval or quantiles, range,
+and of how many of the flights.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from inclined_landing.envs.shared import statistics
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Row = Mapping[str, Any]  # labels, and the statistic of one measure
+SIZES = ("value", "low", "high", "min", "max", "count", "flights")
+
+
+def share(values: np.ndarray) -> dict[str, Any]:
+    """Return the share of true values with its Wilson 95 % interval; `count` are true."""
+    found = statistics.proportion(int(values.sum()), len(values))
+    low, high = found["interval"] or (None, None)
+    return {"value": found["share"], "low": low, "high": high, "count": found["count"]}
+
+
+def median(values: np.ndarray) -> dict[str, Any]:
+    """Return the median with 5 % and 95 % quantiles and the range, of `count` values that are not NaN."""
+    found = statistics.spread(values)
+    of = {"value": "median", "low": "p5", "high": "p95", "min": "min", "max": "max"}
+    return {name: found[key] for name, key in of.items()} | {"count": int(np.isfinite(values).sum())}
+
+
+def mean(values: np.ndarray) -> dict[str, Any]:
+    """Return the mean with the 95 % interval of Student's t."""
+    found = statistics.mean(values)
+    low, high = found["interval"] or (None, None)
+    return {"value": found["mean"], "low": low, "high": high, "count": len(values)}
+
+
+def with_ends(row: Row, factor: float, digits: int) -> str:
+    """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`."""
+    value, low, high = (f"{factor * row[key]:,.{digits}f}" for key in ("value", "low", "high"))
+    return f"{value} [{low}, {high}]" if row["statistic"] == "share" else f"{value} ({low} to {high})"
+
+
+def alone(row: Row, factor: float, digits: int) -> str:
+    """Return the value without its interval."""
+    return f"{factor * row['value']:.{digits}f}"
+
+
+def counted(row: Row, factor: float, digits: int) -> str:
+    """Return the count behind a share."""
+    return str(row["count"])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Measure:
+    """One quantity of flights. Tables and figures show it times `factor`, in `shown_unit`."""
+
+    name: str  # in rows
+    title: str  # in the heading of a column
+    statistic: Callable[[np.ndarray], dict[str, Any]]
+    column: str = ""  # of the flights; "": that of its name
+    among: str = ""  # a column: only flights where it is true are counted; "": all
+    unit: str = "1"
+    shown_unit: str = ""
+    factor: float = 1.0
+    digits: int = 2
+    cell: Callable[[Row, float, int], str] = with_ends
+    said: str = ""  # what flights did that are counted: "landed"
+    note: str = ""  # what it means, under a table
+
+    @property
+    def heading(self) -> str:
+        """Return the heading of its column."""
+        return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
+
+    def of(self, flights: pd.DataFrame) -> dict[str, Any]:
+        """Return its statistic of flights, as part of a row."""
+        among = flights[flights[self.among].astype(bool)] if self.among else flights
+        found = self.statistic(among[self.column or self.name].to_numpy())
+        about = {"measure": self.name, "unit": self.unit, "statistic": self.statistic.__name__}
+        return about | dict.fromkeys(SIZES) | found | {"flights": len(among)}
+
+    def text(self, row: Row | None) -> str:
+        """Return a row of this measure as the cell of a table."""
+        return "-" if row is None or row["value"] is None else self.cell(row, self.factor, self.digits)
+
+
+def share_of(name: str, title: str, **others: Any) -> Measure:
+    """Return the measure of how often a column is true, shown in per cent."""
+    style: dict[str, Any] = {"shown_unit": "%", "factor": 100.0, "digits": 1}
+    return Measure(name=name, title=title, statistic=share, **style | others)
+
+
+def median_of(name: str, title: str, unit: str, **others: Any) -> Measure:
+    """Return the measure of the median of a column."""
+    return Measure(name=name, title=title, statistic=median, **{"unit": unit, "shown_unit": unit} | others)
+
+
+# What every flight of a policy has.
+SUCCESS = share_of("success", "success", said="succeeded")
+STRICT = share_of(
+    "strict",
+    "strict",
+    said="reached the goal box",
+    note="strict: the vehicle reaches the goal box within 300 steps without touching anything first",
+)
+TOUCHED = share_of("touched", "touched", cell=counted, shown_unit="")
+TIME_TO_GOAL = median_of("time_to_goal", "time", "s")
+DURATION = median_of("duration", "duration", "s", column="time")
+REWARD = median_of("reward", "reward", "1", shown_unit="")
+MEAN_REWARD = Measure(name="mean_reward", title="mean reward", statistic=mean, column="reward", cell=alone)
+
+
+def count_words(row: Row, what: str = "flights") -> str:
+    """Return a share in words: `250 of 251 flights (99.6 % [97.8, 99.9])`."""
+    count = f"{row['count']} of {row['flights']} {what}"
+    return count if row["value"] is None else f"{count} ({with_ends(row, 100.0, 1).replace(' [', ' % [')})"

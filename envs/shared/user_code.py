@@ -1,0 +1,73 @@
+"""Code of the user, named as `module:NAME` or `file.py:NAME`.
+
+Naming it imports and so runs it. That happens only where a person names it, never because a policy file or
+a run folder does.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import TypeGuard
+
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+_FILES: dict[str, str] = {}  # what was imported here: what people called it, by the file that it is in
+
+
+def would_import(text: object) -> TypeGuard[str]:
+    """Would a task or controller of this name be imported: is it `module:NAME` or `file.py:NAME`."""
+    source, _, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
+    return bool(source) and name.isidentifier()
+
+
+def import_named(path: str, what: str, kind: str):
+    """What `path`, `module:NAME` or `file.py:NAME`, names, imported; None where the module has no such name.
+
+    what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
+    """
+    if not would_import(path):
+        raise UserError(f"write a custom {what} as module:{kind} or file.py:{kind}, not {shown(path, 60)}")
+    source, _, name = path.rpartition(":")
+    if source.endswith(".py"):
+        storage.read_bytes(source, f"{what} file")  # no pipe, which has no end
+    try:
+        module = _from_file(Path(source)) if source.endswith(".py") else _from_module(source)
+    except (Exception, SystemExit) as error:  # whatever the code does
+        said = f"{type(error).__name__}: {shown(error, 120)}"
+        raise UserError(f"{what} {shown(path, 60)} cannot be imported: {said}") from error
+    if file := getattr(module, "__file__", None):
+        _FILES[file] = f"{what} {shown(path, 60)}"
+    return getattr(module, name, None)
+
+
+def blame(error: BaseException) -> str | None:
+    """Return which line of a custom module raised an error, as a sentence; None if none did."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in _FILES:
+            said = f"{type(error).__name__}{f': {shown(error, 120)}' if str(error) else ''}"
+            return f"{_FILES[frame.filename]}: {frame.name} raised {said} (line {frame.lineno})"
+    return None
+
+
+def _from_file(path: Path) -> ModuleType:
+    name = f"_own_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path.resolve(strict=True))
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
+
+
+def _from_module(name: str) -> ModuleType:
+    here = str(Path.cwd())
+    if here not in sys.path:  # as python -m has it
+        sys.path.insert(0, here)
+    return importlib.import_module(name)

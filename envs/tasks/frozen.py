@@ -1,0 +1,59 @@
+"""The starts of the evaluation of landing policies; training never uses them.
+
+`starts/landing_grid.csv` is the frozen set: a grid over the upper half of the arena without the
+starts whose shapes lie closer than 5 cm to the platform. `make_grid` says how it was made.
+"""
+
+from __future__ import annotations
+
+import io
+from importlib import resources
+
+import numpy as np
+
+from inclined_landing.envs.tasks.base import Task, hover_states
+
+START_CLEARANCE = 0.05  # m, that starts keep to the platform
+PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
+_FILE = "shipped/landing_grid.csv"
+_X = np.arange(-33, 34, 3) / 10.0  # m
+_Z = np.arange(125, 226, 10) / 100.0  # m
+_OFFSET = 0.1  # m, of the scattered starts, in x and in z
+_SCATTERED = 10  # flights from each of the paper's starts
+
+
+def grid() -> np.ndarray:
+    """Return the frozen starts (k, 2): x, z [m]."""
+    text = resources.files("inclined_landing.envs").joinpath(_FILE).read_text("utf-8")
+    return np.loadtxt(io.StringIO(text), delimiter=",", comments="#", ndmin=2)
+
+
+def make_grid(task: Task) -> np.ndarray:
+    """Return the starts (k, 2) of the grid that lie clear of the task's platform, x by x."""
+    x, z = np.meshgrid(_X, _Z, indexing="ij")
+    return clear(task, np.column_stack([x.ravel(), z.ravel()]))
+
+
+def clear(task: Task, starts: np.ndarray) -> np.ndarray:
+    """Return those of `starts` (k, 2) with at least 5 cm clearance to the platform."""
+    states = at_rest(task, starts)
+    return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
+
+
+def paper() -> np.ndarray:
+    """Return the paper's three starts (3, 2): x, z [m]."""
+    return np.array(PAPER_STARTS)
+
+
+def scattered(seed: int) -> np.ndarray:
+    """Return the paper's starts with offsets uniform within 0.1 m in x and z, ten each (30, 2)."""
+    rng = np.random.default_rng(seed)
+    starts = np.repeat(paper(), _SCATTERED, axis=0)
+    return starts + rng.uniform(-_OFFSET, _OFFSET, starts.shape)
+
+
+def at_rest(task: Task, starts: np.ndarray) -> np.ndarray:
+    """Return states (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
+    positions = np.zeros((len(starts), 3))
+    positions[:, [0, 2]] = starts
+    return hover_states(positions, task.vehicle)

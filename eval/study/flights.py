@@ -1,0 +1,185 @@
+"""Flights of policies as tables, one row per flight.
+
+Every table has `x y z` of the start and `end_x end_y end_z` [m], `success`, `touched` (did a part meet the
+platform), `strict` (the first without the second), `time` [s], `time_to_goal` [s], `reward`, and the
+`measured` columns of the task. Of landings whose motors are cut on arrival it also says how they entered the
+goal box and what followed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.shared.measures import Row, median_of, share_of
+from inclined_landing.envs.tasks import Start, Task
+from inclined_landing.eval.study.engine import fact
+from inclined_landing.eval.study.rest import cut_motors
+from inclined_landing.models import surface
+from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
+from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.plants import make_plant
+from inclined_landing.models.vehicle import Vehicle
+
+# How landings enter the goal box, of those whose motors are cut there, and what follows.
+ARRIVAL = (
+    median_of("entry_speed", "speed", "m/s", among="cut"),
+    median_of("entry_normal_speed", "towards the slope", "m/s", among="cut"),
+    median_of("entry_tangential_speed", "along the slope", "m/s", among="cut"),
+    median_of("pitch_error", "pitch error", "rad", among="cut", digits=3),
+    share_of("moving_away", "moving away", among="cut"),
+    share_of("touchdown", "after the cut: touches the slope", among="cut"),
+    median_of("normal_speed", "after the cut: normal touchdown speed", "m/s", among="cut"),
+    median_of("tangential_speed", "after the cut: tangential touchdown speed", "m/s", among="cut"),
+    share_of("at_rest_on_feet", "after the cut: at rest on feet after 2 s", among="cut"),
+)
+_NUMBERS = [m.name for m in ARRIVAL if m.unit != "1"]
+_FLAGS = [m.name for m in ARRIVAL if m.unit == "1"]
+
+
+def named_policies(texts: Sequence[str]) -> dict[str, str]:
+    """Return policies by name, from arguments of the command line: POLICY or LABEL=POLICY.
+
+    A POLICY is a file, a shipped policy or a run folder; files of the same name are distinguished by their
+    folders. Raises UserError if two have the same name.
+    """
+    labelled = ["=" in text and not os.path.exists(text) for text in texts]
+    words = [text.partition("=")[::2] if split else ("", text) for text, split in zip(texts, labelled)]
+    files = [Path(policy).name.removesuffix(".zip") for _, policy in words]
+    found: dict[str, str] = {}
+    for (label, policy), file in zip(words, files):
+        folder = Path(policy).parent.name
+        name = label or (f"{folder}/{file}" if files.count(file) > 1 and folder else file)
+        if not (policy and name.isprintable()):
+            raise UserError(
+                f"a policy must be POLICY or LABEL=POLICY, not {shown(label + '=' + policy, 60)!r}"
+            )
+        if name in found:
+            raise UserError(f"policy {shown(name, 100)} is named twice")
+        found[name] = policy
+    return found
+
+
+def policy_facts(policies: Mapping[str, Policy]) -> list[Row]:
+    """Return rows that say which policies were flown, with the options of their tasks."""
+    facts = []
+    for name, policy in policies.items():
+        about = {"file": str(policy.path), "task": policy.task.name} | policy.task.options
+        facts += [fact(name, key, value) for key, value in about.items()]
+    return facts
+
+
+def slope_words(task: Task) -> str:
+    """Return the slopes of a task: "-25.7 deg", "up to +-25.7 deg" or "up to 30 deg, any heading"."""
+    if task.steepest is None:
+        return f"{math.degrees(task.inclination):.1f} deg" if task.has_platform else ""
+    steepest = f"{math.degrees(task.steepest):.3g} deg"
+    return f"up to +-{steepest}" if task.is_planar else f"up to {steepest}, any heading"
+
+
+def fly(
+    policy: Policy,
+    starts: Start,
+    plant: str,
+    *,
+    vehicle: Vehicle | None = None,
+    thrust_scale: float = 1.0,
+    disturbance: bool = False,
+    cut_from: int | None = 0,
+) -> pd.DataFrame:
+    """Return a row for each flight of a policy from `starts`.
+
+    vehicle: the one that flies, where it is not the policy's, which knows nothing of it; it begins with the
+    same load. disturbance: fly in that of the vehicle, always the same. cut_from: of landings, the first
+    flight whose motors are cut on arrival; None: of no flight.
+    """
+    task = policy.task
+    vehicle = task.vehicle if vehicle is None else vehicle
+    starts = dataclasses.replace(starts, state=starts.state.copy())
+    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate
+    fleet = make_plant(plant, len(starts), vehicle, disturbance=0 if disturbance else None)
+    if thrust_scale != 1.0:
+        fleet.perturb(thrust_scale=thrust_scale)
+    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
+    fleet = _Tilted(fleet, tilt) if tilt else fleet
+    flights = record_flights(policy, fleet, starts, steps=task.judged_steps)
+    table = table_of(task, flights)
+    if cut_from is None or not task.cut_at_success:
+        return table
+    return table.join(_arrivals(flights, cut_from, vehicle, thrust_scale))
+
+
+class _Tilted:
+    """A plant whose platforms are inclined by `tilt` [rad] more than the task sets them."""
+
+    def __init__(self, plant: Any, tilt: float):
+        self._plant, self._tilt = plant, tilt
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._plant, name)
+
+    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
+        """Set the platforms as the plant does, inclined by more."""
+        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
+
+
+def table_of(task: Task, flights: Sequence[Flight]) -> pd.DataFrame:
+    """Return a row for each flight, with the columns that every table has and those of the task."""
+    first, last = (np.array([f.state[row] for f in flights]) for row in (0, -1))
+    table = pd.DataFrame(
+        {
+            **dict(zip("xyz", first[:, :3].T)),
+            "success": [f.success for f in flights],
+            "touched": [f.touched for f in flights],
+            "strict": [f.strict for f in flights],
+            "time": [f.duration for f in flights],
+            **dict(zip(("end_x", "end_y", "end_z"), last[:, :3].T)),
+            "reward": [f.reward.sum() for f in flights],
+        }
+    )
+    return table.assign(time_to_goal=table["time"].where(table["success"]), **task.measured(last))
+
+
+def _arrivals(
+    flights: Sequence[Flight], cut_from: int, vehicle: Vehicle, thrust_scale: float
+) -> pd.DataFrame:
+    """Return how flights entered the goal box, and what followed when their motors were `cut` there.
+
+    Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN where none arrived.
+    """
+    cut = np.array([k >= cut_from and f.success for k, f in enumerate(flights)])
+    empty = dict.fromkeys(_NUMBERS, np.nan) | dict.fromkeys(_FLAGS, False)
+    table = pd.DataFrame({"cut": cut}).assign(**empty)
+    if not cut.any():
+        return table
+    arrived = [flight for flight, of in zip(flights, cut) if of]
+    platform = np.array([flight.platform[-1] for flight in arrived])  # type: ignore[index]
+    inclination = platform[:, PITCH]
+    state = surface.turned(np.array([flight.state[-1] for flight in arrived]), -platform[:, YAW])
+    velocity = state[:, VX : VZ + 1]
+    away, along = surface.split(velocity, inclination)
+    _, standing = surface.attitude_at_rest(inclination, -state[:, YAW])
+    after = cut_motors(state, inclination, vehicle, thrust_scale)
+    found = {
+        "entry_speed": np.linalg.norm(velocity, axis=1),
+        "entry_normal_speed": -away,
+        "entry_tangential_speed": along,
+        "pitch_error": np.abs(state[:, PITCH] - standing),
+        "moving_away": away > 0,
+        "touchdown": after.touched,
+        "normal_speed": after.normal_speed,
+        "tangential_speed": after.tangential_speed,
+        "at_rest_on_feet": after.at_rest,
+    }
+    for name, values in found.items():
+        table.loc[cut, name] = values
+    return table

@@ -1,0 +1,172 @@
+"""`landing-eval robustness` over thrust and effects."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.shared.measures import STRICT
+from inclined_landing.eval import cli
+from inclined_landing.eval.study import changes, robustness
+from inclined_landing.eval.study.engine import count
+from inclined_landing.eval.study.panels import shares
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import check_vehicle, load_vehicle
+from tests.pages import EVIL_FILE, check_page
+
+CASES = changes.changes()
+VEHICLES = ("--over=vehicles",)
+
+
+def test_sizes_are_distances_from_neutral_within_what_is_possible():
+    for effect in LIBRARY.values():
+        weak, medium, strong = (changes.sized(effect, share) for share in changes.SIZES.values())
+        assert medium == pytest.approx(effect.plausible)
+        for p in effect.parameters:
+            low, high = p.possible
+            assert all(low <= values[p.name] <= high for values in (weak, medium, strong))
+            if p.is_reference:
+                assert weak[p.name] == strong[p.name] == p.plausible
+                continue
+            far = p.plausible - p.neutral
+            assert weak[p.name] - p.neutral == pytest.approx(0.5 * far)
+            assert far * (strong[p.name] - p.plausible) > 0.0  # further off, the same way
+    assert changes.sized(LIBRARY["contact_stiffness"], 2.0) == {"scale": 0.1}  # its bound; twice is -0.2
+
+
+def test_every_condition_is_a_vehicle():
+    distinct = {tuple(case.labels.items()) for case in CASES}
+    assert len(CASES) == len(changes.THRUSTS) + 3 * len(LIBRARY) == len(distinct)
+    known = load_vehicle()
+    for case in CASES:
+        check_vehicle(case.vehicle(known))
+    curve = CASES[: len(changes.THRUSTS)]
+    assert [case.values["scale"] for case in curve] == sorted(changes.THRUSTS)
+    assert changes.THRUSTS[0] == 0.7 and changes.THRUSTS[-1] == 1.15
+    assert [case.values["scale"] for case in curve if case.vehicle(known) is known] == [1.0]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The command on five starts: the shipped policy beside itself under another name."""
+    out = tmp_path_factory.mktemp("robust") / "out"
+    twin = out.with_name(f"twin{EVIL_FILE}.zip")
+    twin.write_bytes(load_policy("landing-nominal").path.read_bytes())
+    options = "--full --every 60 --thrust 0.7 --effect friction"
+    assert cli.main(["robustness", "landing-nominal", str(twin), "--out", str(out), *options.split()]) == 0
+    return out
+
+
+def test_the_folder_has_everything(folder):
+    figures = {"changes_landing.png", "changes_landing.pdf"}
+    names = {"index.html", "robustness.json", "flights.csv"}
+    assert {p.name for p in folder.iterdir()} == names | figures
+    page = (folder / "index.html").read_text("utf-8")
+    assert page.count("data:image/png;base64") == 1 and "friction" in page
+    check_page(page, f"twin{EVIL_FILE}")
+    flights = pd.read_csv(folder / "flights.csv")
+    assert len(flights) == 2 * 5 * (2 + 3)
+
+
+def test_the_counts_are_those_of_the_flights(folder):
+    """Twins land alike; enough thrust lands, too little never; friction changes the rest alone."""
+    rows = pd.DataFrame(json.loads((folder / "robustness.json").read_text("utf-8"))["rows"])
+    twin = f"twin{EVIL_FILE}"
+    of = dict(iter(rows[~rows["measure"].str.endswith("difference")].groupby("policy")))
+    assert set(of) == {"landing-nominal", twin}
+    numbers = [of[name].drop(columns="policy").reset_index(drop=True) for name in ("landing-nominal", twin)]
+    pd.testing.assert_frame_equal(*numbers)
+    one = of["landing-nominal"].set_index("measure")
+    assert set(one["flights"]) == {5}
+    strict, rest = one.loc["strict"], one.loc["at_rest_on_feet"]
+    by_thrust = strict.dropna(subset="thrust_scale").set_index("thrust_scale")["count"]
+    assert by_thrust.to_dict() == {0.7: 0, 1.0: 5}
+    assert strict[strict["effect"] == "friction"]["count"].tolist() == [5, 5, 5]
+    slippery = rest[(rest["effect"] == "friction") & (rest["size"] == "strong")]
+    assert slippery["count"].item() == 0  # friction 0.16 on a slope of tan 0.48
+    differences = rows[rows["measure"] == "strict difference"]
+    assert set(differences["size"].dropna()) == {"", *changes.SIZES} and (differences["value"] == 0.0).all()
+    flights = pd.read_csv(folder / "flights.csv")
+    counted = flights.groupby(["policy", "effect", "size"])["strict"].sum()
+    assert counted["landing-nominal", "friction", "strong"] == 5
+    assert flights[(flights["policy"] == twin) & (flights["thrust_scale"] == 0.7)]["strict"].sum() == 0
+
+
+def counted(flights, cases=CASES):
+    """Return what the study of landing policies counts of flights with the given labels and `strict`."""
+    names = flights["policy"].unique()
+    study = changes.study(dict.fromkeys(names, load_policy("landing")), cases, plant="hybrid")
+    columns = {measure.column or measure.name for view in study.views for measure in view.measures}
+    return count(study, flights.assign(**dict.fromkeys(columns - set(flights), False)))
+
+
+@pytest.mark.parametrize(
+    ("good", "ends"),
+    [((0.9, 0.95, 1.0, 1.05, 1.1), (0.9, 1.1)), ((0.7, 0.85, 1.0, 1.15), (1.0, 1.0)), ((0.9,), None)],
+)
+def test_thrusts_survived_have_no_gap(good, ends):
+    rows = [{"policy": "one", "thrust_scale": x, "strict": x in good, "flight": 0} for x in changes.THRUSTS]
+    results = counted(pd.DataFrame(rows))
+    assert changes.survived(results, STRICT, "one") == ends
+
+
+def test_the_figure_shows_effects_that_cost_landings():
+    """And of these every size at which one costs some; the flights of two policies at 100 starts."""
+    landed = {
+        ("none", ""): (100, 100),
+        ("drag", "weak"): (100, 100),
+        ("drag", "medium"): (96, 100),
+        ("mass", "weak"): (97, 100),
+        ("mass", "medium"): (94, 100),
+    }
+    tables = [
+        pd.DataFrame({"strict": np.arange(100) < n, "flight": range(100)}).assign(
+            policy=policy, effect=effect, size=size, values="", thrust_scale=np.nan if size else 1.0
+        )
+        for (effect, size), counts in landed.items()
+        for policy, n in zip("ab", counts)
+    ]
+    results = counted(pd.concat(tables, ignore_index=True))
+    panels = {panel.title: shares(panel, results) for panel in results.study.panels}
+    shown = {name: row["count"] for name, row in panels["Medium effects"]["a"].items()}
+    assert shown == {"mass": 94} and not panels["Weak effects"]
+    assert panels["Medium effects"]["b"]["mass"]["count"] == 100
+    said = results.study.remarks(results)
+    assert "Under 1 of 2 effects every policy" in said[1]
+    # mean over the effects of the paired differences: (0.04 + 0.06) / 2
+    assert results.one("strict difference", policy="b", size="medium")["value"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("touchdown",), "touchdown.zip is for touchdown"),
+        (("landing-slopes",), "observes the slope"),
+        (("landing", "landing"), "landing is named twice"),
+        (("landing", "--effect", "gremlins"), "unknown effect gremlins"),
+        (("landing", "--thrust", "0"), "--thrust must be a number above 0"),
+        (("landing", "--every", "0"), "--every must"),
+        (("landing", "--plant", "paper"), "unknown plant"),
+        (("landing", "--vehicle", "sparrow", *VEHICLES), "vehicle file sparrow does not exist"),
+        (("landing", "--ranges", "sparrow", *VEHICLES), "randomise file sparrow does not exist"),
+        (("landing", "--ranges", "sparrow", "--draws=0", *VEHICLES), "randomise file sparrow does not exist"),
+        (("setpoint", *VEHICLES), "policy setpoint is for the task setpoint, not for landing"),
+        (("setpoint", "--over=slopes"), "setpoint, not for landing"),
+        (("a=",), "a policy must be POLICY or LABEL=POLICY"),
+        ((), "name at least one policy"),
+    ],
+)
+def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp_path, capsys):
+    assert cli.main(["robustness", *arguments, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_policies_for_other_slopes_are_not_compared():
+    flat = load_policy("landing-nominal", inclination=-0.2)
+    with pytest.raises(UserError, match="another inclination than the first"):
+        robustness.check_one_slope({"landing": load_policy("landing-nominal"), "flat": flat})
