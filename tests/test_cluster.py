@@ -47,7 +47,13 @@ RECIPE = {
         f"landing-train landing --steps 32768 {SMALL_RUN} --seed {{seed}} --out {{out}} --no-report",
         "landing-eval success {out}/final.zip --plant analytic --out {out}/s",
     ],
-    "numbers": {"strict": {"title": "s", "file": "s/success.json", "path": "conditions.0.grid.strict"}},
+    "numbers": {
+        "strict": {
+            "title": "s",
+            "file": "s/success.json",
+            "row": {"measure": "strict", "starts": "frozen grid"},
+        }
+    },
 }
 
 

@@ -28,7 +28,6 @@ from recipes import recorded
 
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
-from inclined_landing.eval import cli
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.train.sweep.recipe import filled, read_recipe, shipped
 
@@ -67,23 +66,26 @@ def main() -> None:
 
 
 def fly(name: str, words: str) -> dict:
-    """What a policy reaches: the rows of one command, with the versions that flew."""
-    command, *options = shlex.split(words)
-    print(f"landing-eval {command} {name} {' '.join(options)}", flush=True)
+    """Return what a policy reaches: the rows of one command, with the versions that flew."""
+    line = _line(name, words)
+    print(line, flush=True)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        now = cli.renamed([command, name, *options, "--out", str(out)])
-        program = [sys.executable, "-m", "inclined_landing.eval", *now]
+        _, command, *options = shlex.split(line)
+        program = [sys.executable, "-m", "inclined_landing.eval", command, *options, "--out", str(out)]
         subprocess.run(program, check=True, stdout=subprocess.DEVNULL)
         report = json.loads((out / f"{command}.json").read_text("utf-8"))
     versions = {key: report["versions"][key] for key in ("mujoco", "inclined-landing")}
-    return {"command": words, "versions": versions, "rows": list(ROWS[command](report))}
+    return {"command": words, "versions": versions, "rows": list(ROWS[words.split()[0]](report["rows"]))}
+
+
+Rows = list[dict]
 
 
 def _row(what: str, found: dict, group: str = "", measure: str = "strict") -> dict:
-    """A share with its interval; of rows of one group only those below ENOUGH are shown."""
-    row = {"what": what, "measure": measure, "count": found["count"], "of": found["of"]}
-    return row | {"interval": _rounded(found["interval"])} | ({"group": group} if group else {})
+    """Return a share with its interval; of rows of one group only those below ENOUGH are shown."""
+    row = {"what": what, "measure": measure, "count": found["count"], "of": found["flights"]}
+    return row | {"interval": _rounded([found["low"], found["high"]])} | ({"group": group} if group else {})
 
 
 def _value(what: str, value: float, unit: str, interval=None) -> dict:
@@ -95,81 +97,75 @@ def _rounded(value):
     return [_rounded(each) for each in value] if isinstance(value, list) else float(f"{value:.6g}")
 
 
-def _success(report: dict) -> Iterator[dict]:
-    for condition in report["conditions"]:
-        thrust = condition["thrust_scale"]
-        at = "" if thrust == 1 else f", thrust x {thrust:g}"
-        if report["table"] == "error":
-            mean = condition["error"]
-            yield _value(
-                f"mean error after 3 s{at}", 100 * mean["mean"], "cm", [100 * x for x in mean["interval"]]
-            )
-            yield _row(f"within 5 cm after 3 s{at}", condition["within"], measure="")
-        else:
-            starts = "grid" if "grid" in condition else "slopes"
-            name = {"grid": "frozen grid", "slopes": "frozen starts over all slopes"}[starts]
-            yield _row(name + at, condition[starts]["strict"])
-            if thrust == 1:
-                cut = condition["motors_cut"]["at_rest_on_feet"]
-                yield _row("at rest 2 s after the motors are cut in the goal box", cut, measure="")
+def _with(rows: Rows, measure: str, *labels: str, **values: object) -> Iterator[dict]:
+    """Yield the rows of a measure that have all of `labels`, and the given values."""
+    for row in rows:
+        if row["measure"] == measure and all(row[label] is not None for label in labels):
+            if all(row[label] == value for label, value in values.items()):
+                yield row
 
 
-def _slopes(report: dict) -> Iterator[dict]:
-    (found,) = report["policies"]
-    steepest = np.degrees(found["task_options"]["steepest"])
-    every = f"slopes up to {steepest:.3g} deg" + (", facing any way" if "any_heading" in found else "")
-    yield _row(every, found["all"]["strict"])
-    if "any_heading" in found:
-        yield _row("the same with any heading", found["any_heading"]["strict"])
-    for single in found["single"]:
-        yield _row(f"{np.degrees(single['inclination']):.3g} deg alone, frozen grid", single["strict"])
-    for part in found["curve"]:
-        low, high = np.degrees([part["from"], part["to"]])
-        yield _row(f"from {low:.3g} to {high:.3g} deg", part["strict"], "ranges of slopes")
+def _success(rows: Rows) -> Iterator[dict]:
+    starts = {"frozen grid": "frozen grid", "frozen set": "frozen starts over all slopes"}
+    for measure in ("mean_error", "within", "strict", "at_rest_on_feet"):
+        for row in _with(rows, measure, "thrust_scale"):
+            at = "" if row["thrust_scale"] == 1 else f", thrust x {row['thrust_scale']:g}"
+            if measure == "mean_error":
+                ends = [100 * row["low"], 100 * row["high"]]
+                yield _value(f"mean error after 3 s{at}", 100 * row["value"], "cm", ends)
+            elif measure == "within":
+                yield _row(f"within 5 cm after 3 s{at}", row, measure="")
+            elif measure == "strict" and row["starts"] in starts:
+                yield _row(starts[row["starts"]] + at, row)
+            elif measure == "at_rest_on_feet" and not at:
+                yield _row("at rest 2 s after the motors are cut in the goal box", row, measure="")
 
 
-def _vehicles(report: dict) -> Iterator[dict]:
-    (label,) = report["labels"]
-    drawn = report["draws"]
-    yield _row(f"{drawn['count']} vehicles drawn from the range", drawn["outcomes"][label]["strict"])
-    for vehicle in report["vehicles"]:
-        yield _row(f"`{vehicle['vehicle']}`, frozen grid", vehicle["outcomes"][label]["strict"])
+def _slopes(rows: Rows) -> Iterator[dict]:
+    for row in _with(rows, "strict", "slopes"):
+        yield _row(f"slopes: {row['slopes']}", row)
+    for row in _with(rows, "strict", "inclination"):
+        yield _row(f"about {row['inclination']:.3g} deg", row, "ranges of slopes")
+
+
+def _vehicles(rows: Rows) -> Iterator[dict]:
+    for row in _with(rows, "strict", "vehicle"):
+        drawn = "drawn" in row["vehicle"]
+        yield _row(f"{row['vehicle']} from the range" if drawn else f"`{row['vehicle']}`, frozen grid", row)
 
 
 SIZES = {"weak": "at half a plausible size", "medium": "at a plausible size", "strong": "at twice that size"}
 
 
-def _touchdown(report: dict) -> Iterator[dict]:
-    found = report["all"]["touchdown"]
-    yield _row("at rest, all frictions and restitutions", found["at_rest"], measure="")
-    yield _value("speed into the slope at the first touch, median", found["normal_speed"]["median"], "m/s")
-    for one in report["effects"]:
-        title = f"at rest with `{one['effect']}` {SIZES['medium']}"
-        yield _row(title, one["touchdown"]["at_rest"], measure="")
-    for one in report["conditions"]:
-        title = f"friction {one['friction']:g}, restitution {one['restitution']:g}"
-        yield _row(title, one["touchdown"]["at_rest"], "frictions and restitutions", "at rest")
+def _touchdown(rows: Rows) -> Iterator[dict]:
+    rows = [row for row in rows if row["motors"] == "touchdown policy"]
+    (rest,) = _with(rows, "at_rest", contact="all")
+    (speed,) = _with(rows, "normal_speed", contact="all")
+    yield _row("at rest, all frictions and restitutions", rest, measure="")
+    yield _value("speed into the slope at the first touch, median", speed["value"], "m/s")
+    for row in _with(rows, "at_rest", "effect"):
+        yield _row(f"at rest with `{row['effect']}` {SIZES['medium']}", row, measure="")
+    for row in _with(rows, "at_rest", "friction", "restitution"):
+        title = f"friction {row['friction']:g}, restitution {row['restitution']:g}"
+        yield _row(title, row, "frictions and restitutions", "at rest")
 
 
-def _moving(report: dict) -> Iterator[dict]:
-    (everything,) = report["all"]
-    yield _row("at rest, all flights of the benchmark", everything["at_rest"], measure="")
-    for scenario in report["scenarios"]:
-        (outcome,) = scenario["outcomes"]
-        yield _row(f"`{scenario['name']}`", outcome["at_rest"], "scenarios", "at rest")
+def _moving(rows: Rows) -> Iterator[dict]:
+    (everything,) = _with(rows, "at_rest", "together")
+    yield _row("at rest, all flights of the benchmark", everything, measure="")
+    for row in _with(rows, "at_rest", "scenario"):
+        yield _row(f"`{row['scenario']}`", row, "scenarios", "at rest")
 
 
-def _robustness(report: dict) -> Iterator[dict]:
-    for condition in (*report["thrust"], *report["effects"]):
-        (outcome,) = condition["outcomes"]
-        if condition["size"]:
-            yield _row(condition["effect"], outcome["strict"], f"effects {SIZES[condition['size']]}")
-        else:
-            (scale,) = condition["parameters"].values()
-            yield _row(f"thrust x {scale['value']:g}", outcome["strict"], "thrusts")
+def _robustness(rows: Rows) -> Iterator[dict]:
+    for row in _with(rows, "strict", "thrust_scale"):
+        yield _row(f"thrust x {row['thrust_scale']:g}", row, "thrusts")
+    for row in _with(rows, "strict", "effect"):
+        if row["size"]:
+            yield _row(row["effect"], row, f"effects {SIZES[row['size']]}")
 
 
-ROWS: dict[str, Callable[[dict], Iterator[dict]]] = {
+ROWS: dict[str, Callable[[Rows], Iterator[dict]]] = {
     "success": _success,
     "slopes": _slopes,
     "vehicles": _vehicles,

@@ -65,7 +65,7 @@ commands = [
 [numbers.error]
 title = "error"
 file = "success/success.json"
-path = "conditions.0.error.mean"
+row = { measure = "mean_error" }
 unit = "cm"
 factor = 100
 """

@@ -171,14 +171,16 @@ def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
     scales = ["--thrust-scale", "1", "0.9", "--inclination", "-20"]
     assert cli.main(["success", str(landing_policy), *arguments, *scales]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert [c["thrust_scale"] for c in report["conditions"]] == [1.0, 0.9]
-    assert report["seed"] == 3 and report["plant"] == "analytic"
-    assert report["task_options"]["inclination"] == pytest.approx(np.radians(-20))
+    flights = {
+        (row["starts"], row["thrust_scale"]): row["flights"] for row in report["rows"] if row["starts"]
+    }
+    assert {scale for _, scale in flights} == {1.0, 0.9}
+    (inclination,) = [fact["value"] for fact in report["facts"] if fact["name"] == "inclination"]
+    assert inclination == pytest.approx(np.radians(-20))
     assert json.loads((out / "success.json").read_text("utf-8")) == report
-    assert sorted(p.name for p in out.iterdir()) == ["flights.csv", "success.json"]
-    flown = sum(c[g]["success"]["of"] for c in report["conditions"] for g in c if "start" in g)
-    flown += sum(c["grid"]["success"]["of"] for c in report["conditions"])
-    assert len((out / "flights.csv").read_text().splitlines()) == 1 + flown
+    figures = {"success_landing.png", "success_landing.pdf"}
+    assert {p.name for p in out.iterdir()} == {"flights.csv", "success.json", "index.html"} | figures
+    assert len((out / "flights.csv").read_text().splitlines()) == 1 + sum(flights.values())
 
 
 def test_success_prints_a_table_for_people(landing_policy, capsys):

@@ -350,7 +350,11 @@ def test_commands_end_with_the_sweep(number, begun):
 @pytest.mark.slow
 def test_a_real_sweep_interrupted_and_resumed_ends_as_one_left_alone(tmp_path):
     small = "--environments 8 --rollout 64 --batch-size 256 --checkpoint-every 2"
-    strict = {"title": "strict", "file": "s/success.json", "path": "conditions.0.grid.strict"}
+    strict = {
+        "title": "strict",
+        "file": "s/success.json",
+        "row": {"measure": "strict", "starts": "frozen grid"},
+    }
     data = {
         "title": "Tiny",
         "question": "Does it run?",

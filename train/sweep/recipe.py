@@ -23,11 +23,16 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 
 class Number(Table, frozen=True, kw_only=True):
-    """A number that every run has, in a JSON file below its folder, at a path of keys with dots between."""
+    """A number that every run has, in a JSON file below its folder.
+
+    The file gives it at a path of keys with dots between, or, if the file holds the rows of a study, as the
+    value of the first row with the given entries.
+    """
 
     title: Text
     file: Text
-    path: Text
+    path: Text = ""
+    row: dict[Text, str | float] = field(default_factory=dict)
     unit: Text = "1"
     factor: Annotated[float, Meta(gt=0, le=1e300)] = 1.0  # times what the file says
     at_least: Real | None = None  # what every seed has to reach, in the unit
@@ -63,6 +68,9 @@ def read_recipe(path: Path) -> Recipe:
         recipe = schema.parse(data, Recipe)
         if len(set(recipe.seeds)) < len(recipe.seeds):
             raise UserError("a seed is listed twice")
+        for name, number in recipe.numbers.items():
+            if bool(number.path) == bool(number.row):
+                raise UserError(f"number {name} needs either a path or a row")
         numbers = [f"{variant}.{name}".lstrip(".") for variant in recipe.variants for name in recipe.numbers]
         for texts, known in (
             (recipe.commands, ("seed", "variant", "options", "out")),

@@ -100,6 +100,8 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
     """Return kind and raw value of a number of one run; raises UserError where its file does not have it."""
     path = folder / number.file
     value = storage.read_json(path, f"number {name}: file")
+    if number.row:
+        return _value_of_row(name, number, path, value)
     for key in number.path.split("."):
         if value is None:  # what holds the number is null: it is not there either
             break
@@ -114,6 +116,16 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
     if value is None or (isinstance(value, (int, float)) and math.isfinite(value)):
         return "number", value
     raise UserError(f"number {name}: {path} has {shown(repr(value), 60)} there, which is not a number")
+
+
+def _value_of_row(name: str, number: Number, path: Path, report: Any) -> tuple[Kind, Any]:
+    """Return kind and value of the first row of a study's report with the entries of `number.row`."""
+    rows = report.get("rows", ()) if isinstance(report, dict) else ()
+    for row in rows:
+        if all(row.get(key) == value for key, value in number.row.items()):
+            is_share = row["statistic"] == "share"
+            return ("flights", (row["count"], row["flights"])) if is_share else ("number", row["value"])
+    raise UserError(f"number {name}: {path} has no row with {shown(number.row, 120)}")
 
 
 def sum_up(variant: str, name: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
