@@ -51,7 +51,7 @@ RECIPE = {
         "strict": {
             "title": "s",
             "file": "s/success.json",
-            "row": {"measure": "strict", "starts": "frozen grid"},
+            "row": {"starts": "frozen grid"},
         }
     },
 }

@@ -29,7 +29,7 @@ from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
 from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed
 from inclined_landing.eval.study import changes
-from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, run
+from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, fact, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly, named_policies, policy_facts, slope_words
 from inclined_landing.eval.study.show import hand_over
 from inclined_landing.models.errors import UserError
@@ -78,10 +78,12 @@ def command(
     scales = tuple(dict.fromkeys(itertools.chain(*thrust_scale))) or (1.0,)
     if effects and (scales != (1.0,) or disturbance):
         raise UserError("--effects cannot be combined with --thrust-scale or --disturbance")
-    loaded = {}
+    loaded, facts = {}, [fact("flights", "plant", flown.plant), fact("flights", "seed", seed)]
     for name, path in named_policies(policies).items():
         vehicle = "" if name == Path(path).stem else name.partition("@")[2]
-        loaded[name] = (dataclasses.replace(flown, vehicle=Path(vehicle)) if vehicle else flown).load(path)
+        its = dataclasses.replace(flown, vehicle=Path(vehicle)) if vehicle else flown
+        loaded[name] = its.load(path)
+        facts.append(fact(name, "vehicle", str(its.vehicle or "crazyflie.toml")))
     for policy in loaded.values():
         air = policy.task.vehicle
         if disturbance and not any((*air.disturbance_acceleration, *air.disturbance_angular)):
@@ -92,6 +94,7 @@ def command(
     else:
         options: dict[str, Any] = {"thrust_scales": scales, "disturbance": disturbance}
         found = [study(kind, plant=flown.plant, seed=seed, **options) for kind in kinds(loaded)]
+    found[0] = dataclasses.replace(found[0], facts=[*facts, *found[0].facts])
     hand_over("success", run(found), json=json, out=out)
 
 

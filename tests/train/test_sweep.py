@@ -353,7 +353,7 @@ def test_a_real_sweep_interrupted_and_resumed_ends_as_one_left_alone(tmp_path):
     strict = {
         "title": "strict",
         "file": "s/success.json",
-        "row": {"measure": "strict", "starts": "frozen grid"},
+        "row": {"starts": "frozen grid"},
     }
     data = {
         "title": "Tiny",
