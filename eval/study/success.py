@@ -143,7 +143,8 @@ def study(
         panels=[Panel("Success", task.measures[0], "starts")],
         remarks=partial(_remarks, policies),
         facts=policy_facts(policies),
-        heads={"thrust_scale": "thrust x" if len(thrust_scales) > 1 else ""},
+        heads={"thrust_scale": "thrust x"},
+        hidden=frozenset(["thrust_scale"] if len(thrust_scales) == 1 else []),
     )
 
 
