@@ -12,9 +12,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 ROWS = 16  # of a block
 _ENOUGH = 6  # rows for which a block is faster than one by one
@@ -38,16 +35,6 @@ class Network(NamedTuple):
     bound: float
 
 
-@intrinsic
-def _from_bits(typing, bits):
-    """Return the float64 that has the bits of an int64."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.DoubleType())
-
-    return types.float64(types.int64), generate
-
-
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def tanh(x):
     """Return the hyperbolic tangent to 3e-16, without a branch or a call, so that loops of it vectorise."""
@@ -60,7 +47,7 @@ def tanh(x):
     p = ((((c[12] * r + c[11]) * r + c[10]) * r + c[9]) * r + c[8]) * r + c[7]
     p = ((((p * r + c[6]) * r + c[5]) * r + c[4]) * r + c[3]) * r + c[2]
     p = (p * r + c[1]) * r + c[0]
-    return math.copysign(1.0 - 2.0 / (p * _from_bits((np.int64(n) + 1023) << 52) + 1.0), x)
+    return math.copysign(1.0 - 2.0 / (p * np.int64((np.int64(n) + 1023) << 52).view(np.float64) + 1.0), x)
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")

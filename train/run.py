@@ -85,6 +85,13 @@ class Run:
     def __init__(self, config: TrainConfig):
         resolved = config.resolved()
         self.resumed, self.folder = config.resume, resolved.folder
+        try:
+            str(self.folder).encode()
+        except UnicodeEncodeError as error:
+            raise UserError(
+                f"the run folder {self.folder} has a name that is not UTF-8, which TensorBoard needs; choose "
+                "another name"
+            ) from error
         if config.resume:
             self.config, self.record = stored(dataclasses.replace(config, out=self.folder))
         else:

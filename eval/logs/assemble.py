@@ -54,7 +54,7 @@ def assemble(
     Raises UserError when position, attitude or thrust command are missing.
     """
     notes = list(notes)
-    channels = {key: _clean(key, channel, notes) for key, channel in channels.items()}
+    channels = {key: _clean(path, key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
     if all(key in channels for key in COMMANDED_QUATERNION):
         channels |= _commanded_angles(path, channels, euler)
@@ -234,10 +234,12 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
         )
 
 
-def _clean(key: str, channel: Channel, notes: list[str]) -> Channel:
+def _clean(path: str, key: str, channel: Channel, notes: list[str]) -> Channel:
     """Return a channel without rows that are not numbers or lone outliers, and with one value per instant."""
     finite = np.abs(channel.value) < LARGEST_VALUE
     lost = int((~finite).sum())
+    if lost == len(finite):
+        raise UserError(f"{path}: column {channel.column} ({key}) contains no usable number")
     if lost:
         share = f"{lost} of {len(finite)} rows"
         notes.append(f"column {channel.column} ({key}) is empty or not a number in {share}")

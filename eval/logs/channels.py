@@ -194,9 +194,10 @@ def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, C
         # r = kp e + ki I,  dI/dt = e:  the error is e = (r - ki I)/kp, the angle set-point - e
         error, integral = np.zeros(len(time)), 0.0
         step = np.diff(time, append=time[-1])
-        for i in range(len(time)):
-            error[i] = (commanded[i] - pid.ki * integral) / pid.kp
-            integral += error[i] * step[i]
+        with np.errstate(all="ignore"):  # of gains and units that are wrong, whose angles are refused
+            for i in range(len(time)):
+                error[i] = (commanded[i] - pid.ki * integral) / pid.kp
+                integral += error[i] * step[i]
         derived = wanted - error
         notes.append(f"{angle} is derived: from set-point and output of the attitude controller")
         if pid.gyro is not None:
@@ -209,7 +210,7 @@ def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, C
             if correlation < LEAST_AGREEMENT:
                 notes[-1] += ": left out"
                 continue
-        result[angle] = Channel(time, derived, sources[0].columns[0])
+        result[angle] = Channel(time, derived, f"{sources[0].columns[0]} by [attitude_pid]")
     if not result:
         raise UserError(f"{record.path}: roll and pitch cannot be derived: {notes[-2]}, {notes[-1]}")
     return result

@@ -112,6 +112,8 @@ def study(
     for change, (motors, pilot) in itertools.product(of_effects, ((CUT, baseline), (OWN, policy))):
         labels = {"motors": motors, "effect": change.effect.name}
         cases.append(Case(labels, partial(land, pilot, states, vehicle=change.vehicle(task.vehicle))))
+    if not cases:
+        raise UserError(f"friction must exceed {slip:.2f}, the tangent of the slope, for a vehicle to rest on it")
     weight = task.vehicle.body_mass * task.vehicle.environment_gravity
     return Study(
         name="touchdown",

@@ -23,6 +23,7 @@ from stable_baselines3.common.vec_env import (
 from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, save_policy
 from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.make import make_for
+from inclined_landing.envs.network import tanh
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -94,6 +95,14 @@ def test_an_action_does_not_depend_on_its_neighbours(tmp_path):
     together = loaded.predict(rows)
     assert together.dtype == np.float32
     np.testing.assert_array_equal(together, [loaded.predict(row) for row in rows])
+
+
+def test_networks_are_the_same_where_python_runs_them():
+    """As with NUMBA_DISABLE_JIT=1, which debuggers and coverage need."""
+    values = np.r_[np.random.default_rng(0).normal(scale=5.0, size=200), 0.0, -0.0, 1e300, -1e300]
+    np.testing.assert_array_equal(
+        [tanh.py_func(value) for value in values], [tanh(value) for value in values]
+    )
 
 
 def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):

@@ -642,6 +642,12 @@ def test_what_does_not_fit_into_memory_is_refused(tmp_path):
         Run(config(tmp_path / "a", environments=16_384, rollout=65_536))
 
 
+def test_a_folder_whose_name_is_not_utf8_is_refused_before_it_is_made(tmp_path, capsys):
+    folder = tmp_path / "r\udcff"
+    assert cli.main(["landing", "--steps", "16", "--out", str(folder)]) == 2
+    assert r"r\xff has a name that is not UTF-8" in capsys.readouterr().err and not folder.exists()
+
+
 def test_an_existing_run_is_not_overwritten(landing_run, capsys):
     folder = landing_run[0]
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}

@@ -82,6 +82,7 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
         (["touchdown", "--baseline", "setpoint"], "trained for the task setpoint, not for landing"),
         (["touchdown", "--effect", "winds"], "unknown effect winds"),
         (["touchdown", "--friction", "-1"], "friction must be from 0 to 10"),
+        (["touchdown", "--friction", "0", "0.3"], "friction must exceed 0.48, the tangent of the slope"),
         (["touchdown", "--restitution", "0.9"], "restitution must be from 0 to 0.6"),
     ],
 )
