@@ -113,7 +113,7 @@ def study(
         labels = {"motors": motors, "effect": change.effect.name}
         cases.append(Case(labels, partial(land, pilot, states, vehicle=change.vehicle(task.vehicle))))
     if not cases:
-        raise UserError(f"friction must exceed {slip:.2f}, the tangent of the slope, for a vehicle to rest on it")
+        raise UserError(f"friction must exceed {slip:.2f}, the tangent of the slope, for a vehicle to rest")
     weight = task.vehicle.body_mass * task.vehicle.environment_gravity
     return Study(
         name="touchdown",
