@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 
@@ -13,6 +12,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.evaluation import Evaluation, open_loop_errors, regime_errors
 from inclined_landing.eval.gap.answer.named import (
     corrected,
+    distinct_values,
     disturbances,
     named_effects,
     refitted,
@@ -21,6 +21,7 @@ from inclined_landing.eval.gap.answer.named import (
     unidentifiable_sets,
     useful_values,
 )
+from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.infer.fit import estimate_noise
@@ -30,7 +31,7 @@ from inclined_landing.eval.gap.infer.sets import search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, Verdict, marginal
+from inclined_landing.eval.gap.result import Diagnosis, leaves_doubt
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
@@ -78,32 +79,36 @@ def diagnose(
     clock("sets")
 
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
-    found, values = refitted(found, useful_values(found, relevant_values(found)))
-    effects, correction = named_effects(found, values), corrected(found, values)
+    relevant = relevant_values(found)
+    useful = useful_values(found, relevant)
+    found, values = refitted(found, useful)
+    distinct = distinct_values(found, values)
+    found, values = refitted(found, distinct) if distinct.keys() < values.keys() else (found, values)
+    correction = corrected(found, values)
     clock("names")
 
     # How wrong are predictions before and after, and does anything else repeat?
     evaluation = Evaluation.of(found, correction, use.judged)
-    ahead = open_loop_errors(found, correction, evaluation, effects, plants, curves)
+    ahead = open_loop_errors(found, correction, evaluation, values, plants, curves)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
+    known = reference.errors if reference else None
+    doubtful = leaves_doubt(residual, ahead.gap.get("analytic"), known)
+    effects = named_effects(found, values, ahead.named, doubtful)
     clock("errors")
-    landed = reference.landings if reference else None
-    contact = contact_answer(use, vehicle, correction.vehicle, candidates, landed)
+    contact = contact_answer(
+        use, vehicle, correction.vehicle, candidates, reference.landings if reference else None
+    )
     clock("touchdown")
 
-    posterior = contact.sets(scored_sets(found))
-    named = (*ahead.effects, *contact.effects)
-    effects = tuple(dataclasses.replace(e, probability=marginal(posterior, e.members)) for e in named)
-    answer = Diagnosis(
-        verdict="nothing",
+    return Diagnosis(
         set_aside=use.set_aside,
         inconsistent_flights=inconsistent,
-        effects=effects,
+        effects=(*effects, *contact.effects),
         estimated=correction.values if correction.again else {},
         half_widths=correction.half_widths,
         corrected=contact.vehicle,
         where=(*regime_errors(evaluation), *contact.where),
-        sets=posterior,
+        sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
         disturbance=disturbances(found.problem),
@@ -115,10 +120,10 @@ def diagnose(
         heldout=tuple(f.name for f in evaluation.problem.flights),
         seconds=clock.spent,
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
-        reference=reference.errors if reference else None,
+        reference=known,
         displacements=ahead.displacements,
+        thrust_over_weight=thrust_over_weight(found, values),
     )
-    return dataclasses.replace(answer, verdict=_verdict(answer))
 
 
 # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that no
@@ -127,23 +132,6 @@ _IN_WIND = (
     "a strong steady force, such as wind, also acts on the attitude loops: these were not judged, and "
     "translation is predicted along the measured attitude"
 )
-
-
-def _verdict(d: Diagnosis) -> Verdict:
-    """Return the verdict of a diagnosis.
-
-    `unknown` where more repeats than was explained; else `effects` where some are named; else `undecided`
-    where effects of sizes that matter are probable; `nothing` where the errors are those of the reference.
-    """
-    if d.touchdowns is not None and d.touchdowns.unexplained:
-        return "unknown"
-    if d.residual.unexplained and (not d.effects or d.residual.repeats > d.explained):
-        return "unknown"
-    if d.effects:
-        return "effects"
-    if d.probability(*d.possible) >= thresholds.UNDECIDED:
-        return "undecided"
-    return "unknown" if d.exceeds_reference else "nothing"
 
 
 def steady_force(candidates: Candidates, values: Values) -> float:
@@ -171,12 +159,6 @@ def _data_notes(problem: Problem) -> list[str]:
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
         notes.append(f"only {seconds:.0f} s of usable flight, so small effects cannot be detected")
-    if problem.reference and problem.reference.errors and problem.reference.errors.worse:
-        channels = " and ".join(problem.reference.errors.worse)
-        notes.append(
-            f"no name is sure: the reference vehicle predicts {channels} of its own flights worse than the "
-            "vehicle that its identification began with"
-        )
     if not problem.logged[:, :2].any():
         notes.append("roll or pitch is not logged, so only vertical motion can be judged")
     if not problem.logged[:, 3:5].any():

@@ -51,6 +51,11 @@ class Estimate:
     per_flight_error: tuple[float, ...]  # their standard errors
     spread: float  # standard deviation between flights
 
+    @property
+    def differs(self) -> bool:
+        """Return whether the interval excludes neutral."""
+        return not self.ci95[0] <= self.neutral <= self.ci95[1]
+
 
 @dataclasses.dataclass(frozen=True)
 class NamedEffect:
@@ -62,14 +67,13 @@ class NamedEffect:
     parameters: dict[str, Estimate]
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
-    note: str = ""  # a sentence
     cost: float = math.nan  # m, position error one second ahead that it alone makes
     # m/s2, acceleration that it makes in hover, and its 95 % interval, the vehicle's other constants as they
     # are: the product with these that the flights see. None where its size does not need them.
     product: tuple[float, tuple[float, float]] | None = None
-    # A lag, from flights whose sampling rate is too low for it, or a change of a vehicle that predicts worse
-    # than before it was identified.
-    doubted: bool = False
+    doubt: str = ""  # a sentence: why it is not sure, whatever its probability
+    # Effect -> parameter -> value, of which only the sum is seen, and its parameter is a size of that sum.
+    parts: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     @property
     def sure(self) -> bool:
@@ -78,14 +82,19 @@ class NamedEffect:
         One of its sizes must differ from neutral by its interval, and not end at a bound: the flights ask
         for more of it than there can be. No doubted name is sure.
         """
-        about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
-        sizes = [p for name, p in self.parameters.items() if name not in about]
-        differs = any(not p.ci95[0] <= p.neutral <= p.ci95[1] and not p.at_bound for p in sizes)
-        return self.probability >= thresholds.SURE and differs and not self.doubted
+        firm = any(p.differs and not p.at_bound for p in self.sizes)
+        return self.probability >= thresholds.SURE and firm and not self.doubt
 
-    def values(self) -> dict[str, float]:
-        """Return the fitted parameter values."""
-        return {name: p.value for name, p in self.parameters.items()}
+    @property
+    def sizes(self) -> tuple[Estimate, ...]:
+        """Return its parameters without what they are relative to, as the length of a string."""
+        about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
+        return tuple(p for name, p in self.parameters.items() if name not in about)
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """Return the fitted values of its parameters, and of its parts: effect -> parameter -> value."""
+        own = {self.name: {name: p.value for name, p in self.parameters.items()}}
+        return {name: dict(values) for name, values in (self.parts or own).items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,7 +184,9 @@ class ReferenceErrors:
     error: float  # m, open-loop position error one second ahead
     floor: float  # m, that of the measurement noise alone
     disturbance: Mapping[str, Disturbance]  # channel -> noise and disturbance
-    worse: tuple[str, ...] = ()  # channels predicted worse than by the vehicle before
+    # Axes of the position one second ahead, or "position", that it predicts worse than the vehicle before:
+    # errors [m] of that and of this one.
+    worse: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
     def exceeded_by(self, error: float, floor: float) -> bool:
         """Return whether an error one second ahead is larger; `floor`: that of its own measurement noise."""
@@ -260,11 +271,21 @@ class PlantGap:
         return float("nan") if closable <= 0 else (self.before - self.after) / closable
 
 
+def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
+    """Return whether what the flights repeat, beside the named effects, is too large for these to be sure.
+
+    It is most of what they leave, or they leave much more than the reference's flights.
+    """
+    if not residual.unexplained or gap is None:
+        return residual.unexplained
+    much = reference is not None and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
+    return much or residual.repeats**2 > thresholds.MOSTLY * gap.after**2
+
+
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
     """The answer of `diagnose`; `apply` adds what the flights show to a vehicle."""
 
-    verdict: Verdict
     effects: tuple[NamedEffect, ...]
     # The vehicle diagnosed, with the named effects; an identified one may have all others estimated again.
     corrected: Vehicle
@@ -292,15 +313,59 @@ class Diagnosis:
     reference: ReferenceErrors | None = None  # of the identified vehicle's own flights
     # Of effects that were not named: m within a second, by their size in the most probable set with each.
     displacements: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    # Where names change it: thrust over weight at the usual command, over the modelled one, and its interval.
+    thrust_over_weight: tuple[float, tuple[float, float]] | None = None
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return the fitted parameter values: effect -> parameter -> value."""
-        return {e.name: e.values() for e in self.effects}
+        return {name: values for e in self.effects for name, values in e.values().items()}
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the verdict.
+
+        `unknown` where the flights repeat more than the named effects explain or may leave; else `effects`
+        where some are named; else `undecided` where effects of sizes that matter are probable, or could be
+        what the error exceeds that of the reference by; `nothing` where it does not.
+        """
+        landed = self.touchdowns is not None and self.touchdowns.unexplained
+        repeats = self.residual.unexplained and self.residual.repeats > self.explained
+        if landed or repeats or leaves_doubt(self.residual, self.gap.get("analytic"), self.reference):
+            return "unknown"
+        if self.effects:
+            return "effects"
+        if self.undecided:
+            return "undecided"
+        return "unknown" if self.exceeds_reference else "nothing"
+
+    @property
+    def undecided(self) -> dict[str, float]:
+        """Return the possible effects among which it is undecided, with their probabilities.
+
+        All of them, where they are probable; else those that move the vehicle by half of what the squared
+        error exceeds that of the reference by.
+        """
+        if self.probability(*self.possible) >= thresholds.UNDECIDED:
+            return self.possible
+        if not self.larger_error:
+            return {}
+        excess = self.residual.error**2 - self.reference.error**2
+        least = thresholds.MAKES_UP * excess
+        return {n: p for n, p in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}
 
     @property
     def nothing(self) -> float:
-        """Return the probability of the empty set."""
-        return sum(s.probability for s in self.sets if not s.effects)
+        """Return the probability that no effect of a size that matters is missing."""
+        return sum(s.probability for s in self.sets if self.immaterial.issuperset(s.effects))
+
+    @property
+    def immaterial(self) -> frozenset[str]:
+        """Return the effects not named whose sizes make up less than a share MATERIAL of the squared error.
+
+        They are directions in which the flights show little.
+        """
+        least = thresholds.MATERIAL * self.residual.error**2
+        return frozenset(name for name, moved in self.displacements.items() if moved**2 < least)
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
@@ -308,28 +373,19 @@ class Diagnosis:
 
     @property
     def possible(self) -> dict[str, float]:
-        """Return the effects not named that may matter, with their probabilities, most probable first.
-
-        Their sizes make a share MATERIAL of the squared error left. Smaller ones are directions in which the
-        flights show little.
-        """
+        """Return the effects not named that may matter, with their probabilities, most probable first."""
         named = {name for effect in self.effects for name in effect.members}
-        others = {name for one in self.sets for name in one.effects} - named
-        least = thresholds.MATERIAL * self.residual.error**2
+        others = {name for one in self.sets for name in one.effects} - named - self.immaterial
         found = sorted(
             ((name, self.probability(name)) for name in others), key=lambda item: (-item[1], item[0])
         )
-        return {
-            name: part
-            for name, part in found
-            if part >= thresholds.POSSIBLE and not self.displacements.get(name, math.inf) ** 2 < least
-        }
+        return {name: part for name, part in found if part >= thresholds.POSSIBLE}
 
     @property
     def explained(self) -> float:
-        """Return the decrease [m] of the error one second ahead by the named effects."""
+        """Return the error [m] one second ahead that the named effects account for."""
         g = next(iter(self.gap.values()), None)
-        return max(0.0, g.before - g.after) if g and self.effects else 0.0
+        return math.sqrt(max(0.0, g.before**2 - g.after**2)) if g and self.effects else 0.0
 
     @property
     def disturbed(self) -> dict[str, float]:
@@ -337,11 +393,15 @@ class Diagnosis:
         return self.reference.disturbed(self.disturbance) if self.reference else {}
 
     @property
+    def larger_error(self) -> bool:
+        """Return whether the error left exceeds that of the reference's flights."""
+        g = self.gap.get("analytic")
+        return self.reference is not None and g is not None and self.reference.exceeded_by(g.after, g.floor)
+
+    @property
     def exceeds_reference(self) -> bool:
         """Return whether error left or disturbances exceed those of the reference's flights."""
-        g = self.gap.get("analytic")
-        larger = self.reference is not None and g is not None and self.reference.exceeded_by(g.after, g.floor)
-        return larger or bool(self.disturbed)
+        return self.larger_error or bool(self.disturbed)
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""
@@ -357,4 +417,5 @@ class Diagnosis:
         record["disturbed"] = self.disturbed
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
             entry["material"] = self.residual.material(one)
-        return {"version": VERSION, "nothing": self.nothing, "possible": self.possible} | record
+        head = {"version": VERSION, "verdict": self.verdict, "nothing": self.nothing}
+        return head | {"possible": self.possible} | record

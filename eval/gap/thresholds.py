@@ -87,8 +87,10 @@ LARGER_ERROR = 1.4  # error one second ahead over that of the reference's flight
 # exceeded in 0 of 4; a cause outside the library: `unknown` in 4 of 6
 LARGER_DISTURBANCE = 2.0  # the same of a channel's disturbance, with separate 95 % intervals
 # larger: as LARGER_ERROR. measured: -
-WORSE = 0.05  # growth of an error on flights left out from which an identified vehicle is called worse
+WORSE = 0.05  # growth of the position error left out from which an identified vehicle is called worse
 # larger: worse vehicles offered without a word, fewer good ones doubted. measured: -
+WORSE_BY_CHANCE = 0.05  # level of the paired t test over flights that one axis of it is predicted worse
+# larger: more references doubted along an axis. measured: -
 
 # Unknown
 
@@ -100,6 +102,12 @@ MATERIAL = 0.05  # share of the squared one-second error from which such a funct
 # effect of the library, is hidden; fresh, as RESIDUAL
 LANDING_RESIDUAL = 0.05  # rate of the chi-squared test: landings have a common residual
 # larger: more found, more false ones. measured: fresh, false in 1 of 3 sets of landings
+MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name beside it is sure
+# larger: fewer names doubted, more wrong ones sure. measured: -
+MUCH_LARGER = 2.0  # error left over that of the reference's flights, where some of it repeats: the same
+# larger: fewer names doubted, more wrong ones sure. measured: -
+MAKES_UP = 0.5  # share of the squared error beyond the reference's that a possible effect makes up: undecided
+# larger: more verdicts `unknown` beside the right possible name. measured: -
 
 # Identifiability
 

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.named import Correction
+from inclined_landing.eval.gap.answer.named import Correction, Displacement, equivalence_class
+from inclined_landing.eval.gap.answer.sizes import loop_pieces
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer import residual
 from inclined_landing.eval.gap.infer.sets import SetPosterior
+from inclined_landing.eval.gap.model.columns import Values
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HorizonCurve, NamedEffect, PlantGap, RegimeError
+from inclined_landing.eval.gap.result import HorizonCurve, PlantGap, RegimeError
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
@@ -44,8 +46,8 @@ class Evaluation:
 class OpenLoopErrors:
     """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
 
-    effects: tuple[NamedEffect, ...]  # with what each costs
     error: float = math.nan  # m, of the position after the longest horizon, corrected
+    named: dict[str, Displacement] = dataclasses.field(default_factory=dict)  # what each of these does
     horizon: tuple[HorizonCurve, ...] = ()
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
     displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
@@ -56,22 +58,24 @@ def open_loop_errors(
     found: SetPosterior,
     correction: Correction,
     evaluation: Evaluation,
-    effects: tuple[NamedEffect, ...],
+    values: Values,
     plants: Sequence[str],
     curves: bool,
 ) -> OpenLoopErrors:
-    """Return the open-loop predictions of the flights evaluated, each with its vehicle."""
+    """Return the open-loop predictions of the flights evaluated, each with its vehicle; values: named."""
     problem, after = found.problem, evaluation.vehicles
     try:
         starts = rollout.RolloutWindows.of(evaluation.problem.flights)
     except UserError as why:
-        return OpenLoopErrors(effects, notes=(f"the gap after one second was not measured: {why}",))
+        unknown = dict.fromkeys(values, Displacement())
+        return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
     floor = rollout.noise_floor(starts, correction.vehicle)
     error = float(rollout.errors_by_flight(starts, after)[0][-1])
-    effects = tuple(_with_cost(problem, starts, effects, e) for e in effects)
+    pieces = loop_pieces(problem, values)
+    named = {n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values}
     horizon: tuple[HorizonCurve, ...] = ()
     if curves:
-        horizon = _horizon(problem, starts, effects, after, floor, correction.again)
+        horizon = _horizon(problem, starts, values, after, floor, correction.again)
     vehicles = after if evaluation.left_out else correction.vehicle
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
@@ -79,15 +83,14 @@ def open_loop_errors(
             gap[plant] = rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
         except UserError as why:  # as loops that are too fast for the engine's step
             notes.append(f"the gap was not measured in {plant}: {why}")
-    moved = _displacements(found, starts, effects)
-    return OpenLoopErrors(effects, error, horizon, gap, moved, tuple(notes))
+    classes = {member for name in values for member in equivalence_class(found, name)}
+    moved = _displacements(found, starts, classes)
+    return OpenLoopErrors(error, named, horizon, gap, moved, tuple(notes))
 
 
-def _displacements(
-    found: SetPosterior, starts: rollout.RolloutWindows, effects: Sequence[NamedEffect]
-) -> dict[str, float]:
+def _displacements(found: SetPosterior, starts: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:
     """Return possible effect -> displacement [m] within a second by its size in the best set with it."""
-    problem, named = found.problem, {n for e in effects for n in e.members}
+    problem = found.problem
     plain, result = rollout.simulate(starts, problem.vehicle), {}
     for name in problem.library:
         if name in named or found.probability(name) < thresholds.POSSIBLE:
@@ -117,27 +120,26 @@ def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:
     return tuple(rows)
 
 
-def _horizon(problem, starts, effects, after, floor, has_new_constants: bool) -> tuple[HorizonCurve, ...]:
+def _horizon(problem, starts, values: Values, after, floor, has_new_constants: bool):
     """Return error against horizon with the effects added one by one, then with all constants."""
-    t = np.arange(1, starts.rows + 1) * starts.dt
-    names = [e.name for e in effects]
+    t, names = np.arange(1, starts.rows + 1) * starts.dt, list(values)
     labels = ["nominal", *(f"+ {name}" for name in names), *["+ all others"][: int(has_new_constants)]]
     curves = []
     for k, label in enumerate(labels):
         if k and k == len(labels) - 1:
             error, _ = rollout.errors_by_flight(starts, after)
         else:
-            vehicle = problem.corrected({e.name: e.values() for e in effects[:k]})
+            vehicle = problem.corrected({name: values[name] for name in names[:k]})
             error = rollout.position_error(rollout.simulate(starts, vehicle), starts.measured())
         curves.append(HorizonCurve(label, tuple(names[:k]), t, error, floor))
     return tuple(curves)
 
 
-def _with_cost(problem, starts, effects: Sequence[NamedEffect], one: NamedEffect) -> NamedEffect:
-    """Return the effect with its cost: the error after one second that it accounts for."""
+def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:
+    """Return the error after one second that effects account for, and how far they move the vehicle."""
     # cost^2 = e_without^2 - e_with^2
-    measured, vehicles = starts.measured(), []
-    for kept in ([e for e in effects if e is not one], effects):
-        vehicles.append(problem.corrected({e.name: e.values() for e in kept}))
-    without, whole = (rollout.position_error(rollout.simulate(starts, v), measured)[-1] for v in vehicles)
-    return dataclasses.replace(one, cost=float(np.sqrt(max(0.0, without**2 - whole**2))))
+    measured, rest = starts.measured(), {n: v for n, v in values.items() if n not in names}
+    without, whole = (rollout.simulate(starts, problem.corrected(v)) for v in (rest, values))
+    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (without, whole))
+    moved = np.sqrt(((whole - without)[:, -1, :3] ** 2).mean(axis=0))
+    return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))

@@ -7,6 +7,7 @@ vehicle.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -98,11 +99,8 @@ class Identification:
     notes: tuple[str, ...]
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()
     set_aside: tuple[SetAside, ...] = ()
-
-    @property
-    def worse(self) -> tuple[str, ...]:
-        """Return the channels, or `position`, in which flights left out are predicted worse than before."""
-        return worse_channels(self.fit, self.ahead)
+    # What of the position one second ahead is predicted worse than before: see ReferenceErrors.
+    worse: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
@@ -151,7 +149,7 @@ def identify(
     linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
     inconsistent = inconsistent_flights(problem, linear, joint)
     fitted, kept = _Fit.of(problem, joint, use.judged), frozenset[str]()
-    while more := fitted.acting_on_worse():  # does it help to leave these as they were?
+    while more := fitted.acting_on_worse() - kept:  # does it help to leave these as they were?
         rest = {n: e for n, e in library.items() if n not in kept | more}
         fewer = _Fit.of(_with_library(problem, rest), joint, use.judged)
         if not fewer.is_better_than(fitted):
@@ -196,6 +194,7 @@ def identify(
         ahead=ahead,
         regimes=dict(zip(REGIMES, np.concatenate([f.regimes for f in use.fitted]).mean(axis=0).tolist())),
         kept=tuple(n for n in library if n in kept),
+        worse=fitted.worse,
         disturbance=disturbance,
         fields=fields,
         flights=tuple(f.name for f in use.fitted),
@@ -207,14 +206,15 @@ def identify(
 
 @dataclasses.dataclass(frozen=True)
 class _Fit:
-    """The vehicle fitted to flights, and the errors of it and of the one before on flights left out."""
+    """The vehicle fitted to flights, and the errors of it and of the one before."""
 
     problem: Problem
     values: FittedValues
     local: LinearGaussian
     vehicle: Vehicle
-    fit: dict[str, dict[str, float]]  # as of Identification
-    ahead: dict[str, float]
+    fit: dict[str, dict[str, float]]  # as of Identification, on flights left out
+    ahead: dict[str, float]  # the same
+    worse: dict[str, tuple[float, float]]  # the same
 
     @staticmethod
     def of(problem: Problem, start: Values, heldout: list[MeasuredFlight]) -> _Fit:
@@ -228,22 +228,23 @@ class _Fit:
         vehicle, before = _without_place(problem, values), problem.vehicle
         judged = heldout or list(problem.flights)
         vehicles = [vehicle] * len(judged) if heldout else [_without_place(problem, v) for v in left_out]
-        fit, ahead = _fits(judged, before, vehicles), _errors_ahead(judged, before, vehicles)
-        return _Fit(problem, values, local, vehicle, fit, ahead)
-
-    @property
-    def worse(self) -> tuple[str, ...]:
-        """Return the channels that are predicted worse than before."""
-        return worse_channels(self.fit, self.ahead)
+        fit, ahead, worse = _fits(judged, before, vehicles), {}, {}
+        with contextlib.suppress(UserError):  # no stretch of a second
+            starts = rollout.RolloutWindows.of(judged)
+            ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, vehicle)
+        if ahead and ahead["after"] > (1.0 + thresholds.WORSE) * ahead["before"]:
+            worse = {"position": (ahead["before"], ahead["after"])}
+        return _Fit(problem, values, local, vehicle, fit, ahead, worse)
 
     def is_better_than(self, other: _Fit) -> bool:
-        """Return whether fewer channels are worse, and the position one second ahead not by WORSE."""
-        further = self.ahead and self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
-        return len(self.worse) < len(other.worse) and not further
+        """Return whether the errors of `worse` grew by less, and the position error left out not by WORSE."""
+        grown = [sum(after**2 - before**2 for before, after in x.worse.values()) for x in (self, other)]
+        further = self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
+        return grown[0] < grown[1] and not further
 
     def acting_on_worse(self) -> frozenset[str]:
-        """Return the effects that change most a channel that is worse; any channel for the position."""
-        channels = [CHANNELS.index(c) for c in self.worse if c in CHANNELS]
+        """Return the effects that change most an axis that is worse; any channel for the position."""
+        channels = [CHANNELS.index(axis) for axis in self.worse if axis in CHANNELS]
         if not channels:
             channels = list(range(5)) if self.worse else []
         squares = self.problem.squares_by_channel
@@ -255,12 +256,25 @@ class _Fit:
         return frozenset(result)
 
 
-def worse_channels(fit: Mapping[str, Mapping[str, float]], ahead: dict[str, float]) -> tuple[str, ...]:
-    """Return the channels, or `position`, in which the error on flights left out grew by WORSE."""
-    errors = {channel: {n: 100.0 - x for n, x in one.items()} for channel, one in fit.items()}
-    errors |= {"position": ahead} if ahead else {}
-    limit = 1.0 + thresholds.WORSE
-    return tuple(c for c, one in errors.items() if one["after"] > limit * one["before"])
+def worse_axes(
+    starts: rollout.RolloutWindows, before: Vehicle, after: Vehicle
+) -> dict[str, tuple[float, float]]:
+    """Return the axes of the position one second ahead that `after` predicts worse: errors [m] of both.
+
+    The squared error grows by a share MATERIAL of that of the position, and by more than flights scatter.
+    """
+    # Paired by flight: mean growth over its standard error above the quantile of t, one-sided.
+    error = [(rollout.simulate(starts, v) - starts.measured())[:, -1, :3] for v in (before, after)]
+    flown = [starts.flight_of == k for k in np.unique(starts.flight_of)]
+    squares = np.array([[(e[own] ** 2).mean(axis=0) for own in flown] for e in error])  # (2, flights, 3)
+    growth, n = squares[1] - squares[0], len(flown)
+    sure = stats.t.ppf(1.0 - thresholds.WORSE_BY_CHANCE, n - 1) if n > 1 else 0.0
+    scatter = growth.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.zeros(3)
+    least = thresholds.MATERIAL * squares[1].mean(axis=0).sum()
+    grown = growth.mean(axis=0)
+    worse = (grown > least) & (grown > sure * scatter)
+    errors = np.sqrt(squares.mean(axis=1))
+    return {axis: (float(errors[0, k]), float(errors[1, k])) for k, axis in enumerate("xyz") if worse[k]}
 
 
 def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
@@ -274,14 +288,10 @@ def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
 
 
 def _errors_ahead(
-    flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
+    starts: rollout.RolloutWindows, before: Vehicle, after: Sequence[Vehicle]
 ) -> dict[str, float]:
     """Return the open-loop position errors [m] one second ahead, as `Identification.ahead`."""
-    try:
-        starts = rollout.RolloutWindows.of(flights)
-    except UserError:
-        return {}
-    each = {"before": [before] * len(flights), "after": after}
+    each = {"before": [before] * len(after), "after": after}
     errors = {n: float(rollout.errors_by_flight(starts, v)[0][-1]) for n, v in each.items()}
     return errors | {"floor": float(rollout.noise_floor(starts, after[0])[-1])}
 

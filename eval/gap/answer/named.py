@@ -8,10 +8,10 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, product, response
 from inclined_landing.eval.gap.infer.contact import ContactPosterior
 from inclined_landing.eval.gap.infer.fit import (
     field_half_widths,
@@ -22,42 +22,85 @@ from inclined_landing.eval.gap.infer.fit import (
 )
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
-from inclined_landing.eval.gap.model.columns import BASE, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import (
+    BASE,
+    FittedValues,
+    Values,
+    slab_deviations,
+)
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import Disturbance, Estimate, NamedEffect, ScoredSet
+from inclined_landing.eval.gap.result import Disturbance, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.values import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.vehicle import Vehicle
 
+LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
 
-def named_effects(found: SetPosterior, values: Values) -> tuple[NamedEffect, ...]:
-    """Return the named effects with estimates, largest gain first."""
-    problem = found.problem
-    sizes, lost = _estimates(found, values), _squared_error_increase(problem, values)
-    before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
-    members = {name: equivalence_class(found, name) for name in values}
-    slow = [f.name for f in problem.flights if not f.shows_lags]
-    which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})" if slow else ""
-    too_slow = f"{which} cannot separate lags: log at 50 Hz or more."
-    lags = {name: bool(slow) and problem.library[name].is_lag for name in values}
-    errors = problem.reference.errors if problem.reference else None
-    effects = [
-        NamedEffect(
-            name=name,
-            members=members[name],
-            probability=found.probability(*members[name]),
-            parameters=sizes[name],
-            gain=float(np.clip(lost[name].sum() / max(before - after, 1e-9), 0.0, 1.0)),
-            remedy=problem.library[name].remedy,
-            note=too_slow if lags[name] else "",
-            product=_product(found, values, name) if problem.library[name].product else None,
-            doubted=lags[name] or bool(errors and errors.worse),
+
+@dataclasses.dataclass(frozen=True)
+class Displacement:
+    """What a named effect does to the position one second ahead."""
+
+    cost: float = math.nan  # m, the error that it accounts for; NaN: not known
+    along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square
+
+
+def named_effects(
+    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], doubtful: bool
+) -> tuple[NamedEffect, ...]:
+    """Return the named effects with estimates, in the order of `values`.
+
+    ahead: of each. doubtful: the flights repeat too much that these do not explain.
+    """
+    problem, pieces = found.problem, loop_pieces(found.problem, values)
+    sizes, gains = estimates(found, values), squared_error_shares(problem, values)
+    result = []
+    for name in (n for n in values if n not in pieces[1:]):
+        names = pieces if name in pieces else (name,)
+        members = tuple(dict.fromkeys(m for n in names for m in (n, *equivalence_class(found, n))))
+        library, parts = problem.library, {}
+        if name in pieces:
+            parts = {n: dict(values[n]) for n in pieces}
+            sizes[name] = {"response": response(found, values, pieces)}
+        result.append(
+            NamedEffect(
+                name=name,
+                members=members,
+                probability=found.probability(*members),
+                parameters=sizes[name],
+                gain=max(gains[n] for n in names),
+                remedy=library[LOOP if parts else name].remedy,
+                cost=ahead[name].cost,
+                product=product(found, values, name) if library[name].product else None,
+                doubt=_doubt(problem, name, ahead[name].along, doubtful),
+                parts=parts,
+            )
         )
-        for name in values
-    ]
-    return tuple(sorted(effects, key=lambda e: -e.gain))
+    return tuple(result)
+
+
+def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool) -> str:
+    """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be."""
+    slow = [f.name for f in problem.flights if not f.shows_lags]
+    if slow and problem.library[name].is_lag:
+        which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})"
+        return f"{which} cannot separate lags: log at 50 Hz or more."
+    if doubtful:
+        return "In doubt, because the flights repeat an error that the named effects do not explain."
+    # Does it move the vehicle by less than the reference is wrong where it was right before?
+    worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
+    most = max(along, key=lambda axis: along[axis], default="")
+    for where, (before, after) in worse.items():
+        moved = math.hypot(*along.values()) if where == "position" else along.get(where, math.nan)
+        if where in ("position", most) and moved < after:
+            return (
+                f"In doubt, because the identified vehicle predicts {where} of its own flights worse than "
+                f"the vehicle before did ({100 * after:.1f} cm for {100 * before:.1f} cm one second ahead): "
+                "identify it again, from more flights that move there."
+            )
+    return ""
 
 
 def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
@@ -71,17 +114,26 @@ def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
 
 
 def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the posterior linearised again at a set's values, and the values fitted there."""
+    """Return the posterior linearised again at a set's values, and the values there, largest gain first."""
     # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
     names, problem = frozenset(values), found.problem
-    if not (names and problem.identified):
-        return found, values
-    columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
-    linear = problem.linearise(values, columns)
-    local = LinearGaussian.of(problem, found.spread, linear, values)
-    there = dataclasses.replace(found, local=local, at=values)
-    new = fitted_values(there, names)
-    return (there, new) if problem.squares(new) <= problem.squares(values) else (found, values)
+    if names and problem.identified:
+        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
+        linear = problem.linearise(values, columns)
+        local = LinearGaussian.of(problem, found.spread, linear, values)
+        there = dataclasses.replace(found, local=local, at=values)
+        new = fitted_values(there, names)
+        if problem.squares(new) <= problem.squares(values):
+            found, values = there, new
+    gains = squared_error_shares(problem, values)
+    return found, {name: values[name] for name in sorted(gains, key=lambda n: -gains[n])}
+
+
+def squared_error_shares(problem: Problem, values: Values) -> dict[str, float]:
+    """Return effect -> share of the closable squared error that is lost without it."""
+    lost = _squared_error_increase(problem, values)
+    before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
+    return {n: float(np.clip(x.sum() / max(before - after, 1e-9), 0.0, 1.0)) for n, x in lost.items()}
 
 
 def relevant_values(found: SetPosterior) -> FittedValues:
@@ -152,6 +204,21 @@ def useful_values(
             break
         _, (here, values, left_out) = min(fewer, key=lambda one: one[0])
     return values
+
+
+def distinct_values(found: SetPosterior, values: FittedValues) -> FittedValues:
+    """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
+
+    An effect whose every interval holds neutral is no name: others explain what it does.
+    """
+    pieces = loop_pieces(found.problem, values)
+    while True:
+        sizes = estimates(found, values)
+        vague = [n for n in values if n not in pieces and not any(p.differs for p in sizes[n].values())]
+        least = next((n for n in vague if not _shows_ahead(found, values, n)), "")
+        if not least:
+            return values
+        values = fitted_values(found, frozenset(values) - {least})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,59 +298,6 @@ def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.nd
     after = problem.squares_by_channel(values)
     rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
     return {name: problem.squares_by_channel(rest[name]) - after for name in values}
-
-
-def _estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
-    """Return effect -> parameter -> its estimate, the other effects marginalised."""
-    problem = found.problem
-    sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
-    result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
-    for name in values:
-        for p in problem.library[name].parameters:
-            value, (low, high) = values[name][p.name], p.bounds
-            known = sized.get((name, p.name))
-            if known is None:  # a reference: another one and another size do the same
-                nan = (math.nan,) * len(problem.flights)
-                result[name][p.name] = Estimate(
-                    value, p.unit, p.possible, p.neutral, p.bounds, False, nan, nan, 0.0
-                )
-                continue
-            half = float(quantile * known.error)
-            result[name][p.name] = Estimate(
-                value=value,
-                unit=p.unit,
-                ci95=(max(low, value - half), min(high, value + half)),
-                neutral=p.neutral,
-                bounds=p.bounds,
-                at_bound=thresholds.at_bound(value, p.bounds),
-                per_flight=tuple(map(float, value + known.deviation)),
-                per_flight_error=tuple(map(float, known.alone)),
-                spread=known.between,
-            )
-    return result
-
-
-def _product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:
-    """Return the acceleration [m/s2] that an effect makes in hover, and its 95 % interval."""
-    # By propagation of the sizes' errors, the others as they are:  C = (a + V^-1)^-1,  var = g' C g
-    problem, local = found.problem, found.local.with_wide_slabs(frozenset(values))
-    own = [k for k in local.index([name]) if not problem.parameter(local.columns[k]).is_reference]
-    columns, unit = [local.columns[k] for k in own], local.unit[own]
-    information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
-    covariance = np.linalg.inv(information) * np.outer(unit, unit)
-    at, others = problem.coordinates(values, columns), {n: v for n, v in values.items() if n != name}
-    without = problem.hover_acceleration(others)
-
-    def made(coordinates: np.ndarray) -> float:
-        sizes = {c.key[1]: problem.parameter(c).value_at(x) for c, x in zip(columns, coordinates)}
-        there = problem.hover_acceleration({**others, name: {**values[name], **sizes}})
-        return float(np.linalg.norm(there - without))
-
-    here, step = made(at), 0.1 * np.sqrt(covariance.diagonal())
-    slope = np.array([(made(at + move) - here) / x for move, x in zip(np.diag(step), step)])
-    half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
-    return here, (max(0.0, here - half), here + half)
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:

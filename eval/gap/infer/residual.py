@@ -24,7 +24,13 @@ from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.columns import Values
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.model.reference import TARGETS, TIME, Basis, ReferenceResidual
+from inclined_landing.eval.gap.model.reference import (
+    LINEAR,
+    TARGETS,
+    TIME,
+    Basis,
+    ReferenceResidual,
+)
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
 from inclined_landing.models.vehicle import Vehicle
 
@@ -100,6 +106,9 @@ def regressors(flights: Sequence[MeasuredFlight]) -> dict[str, tuple[tuple[str, 
     commands = ("thrust command", "roll command", "pitch command", "yaw rate command")
     add("commands", commands, lambda f: [f.command])
     now_and_past = ["", *(f" {t:g} s ago" for t in COMMAND_LAGS)]
+    for k, name in enumerate(commands):
+        if name in LINEAR:
+            result[name] = (name,), [f.command[:, k, None] for f in flights]
     names = [f"thrust command{when}" for when in now_and_past]
     add("thrust command and its past", names, lambda f: lagged(f, f.command[:, :1], COMMAND_LAGS))
     names = [f"{axis} command{when}" for when in now_and_past for axis in ("roll", "pitch")]
@@ -200,7 +209,7 @@ def _functions(
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
-        for target in TARGETS:
+        for target in (LINEAR[name],) if name in LINEAR else TARGETS:
             if problem.logged[:, _channels(target)].any():
                 known = repeating.weights.get((target, name)) if repeating else None
                 result.append(_fit(problem, residual, target, name, features, block_of, known))

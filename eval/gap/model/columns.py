@@ -10,6 +10,7 @@ of its own (`Effect.forms`), free while it is in the set.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
@@ -137,10 +138,14 @@ class Candidates:
                 vehicle = effect.apply(vehicle, values[name])
         return vehicle
 
-    def hover_acceleration(self, values: Values) -> np.ndarray:
-        """Return the acceleration (3,) [m/s2] of the level vehicle at its hover command, with effects."""
-        state, command = np.zeros(STATE_SIZE), np.array([self.vehicle.hover_pwm, 0.0, 0.0, 0.0])
-        state[LAG] = self.vehicle.hover_lag
+    def hover_acceleration(self, values: Values, pwm: float = math.nan) -> np.ndarray:
+        """Return the acceleration (3,) [m/s2] of the level vehicle with effects, after a steady command.
+
+        pwm: that command; NaN: the vehicle's hover command without effects.
+        """
+        pwm = self.vehicle.hover_pwm if math.isnan(pwm) else pwm
+        state, command = np.zeros(STATE_SIZE), np.array([pwm, 0.0, 0.0, 0.0])
+        state[LAG] = pwm / self.vehicle.thrust_lag_rate
         return derivative(state, command, self.corrected(values))["acceleration"]
 
     def parameter(self, column: Column) -> Parameter:

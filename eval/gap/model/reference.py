@@ -34,18 +34,23 @@ from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
-VERSION = 3  # 2 had no errors of the reference's flights
+VERSION = 4  # 2 had no errors of the reference's flights
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 TARGETS = (*CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
 KNOTS = 7  # radial basis functions along every input
 TIME_SPACING = 0.5  # s between those along the flight time
 TIME = "flight time"
+# One-parameter functions of single inputs, each along the target that it should not act on.
+LINEAR = {"roll command": "pitch", "pitch command": "roll"}
 
 
 @dataclasses.dataclass(frozen=True)
 class Basis:
-    """Features of some inputs: radial basis functions of each, random Fourier features of all."""
+    """Features of some inputs: radial basis functions of each, random Fourier features of all.
+
+    Without knots the inputs themselves.
+    """
 
     centre: np.ndarray  # (k,)
     scale: np.ndarray  # (k,)
@@ -55,6 +60,8 @@ class Basis:
     def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
         """Return a basis scaled to inputs `seen` (m, k)."""
         centre, scale = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
+        if len(inputs) == 1 and inputs[0] in LINEAR:
+            return Basis(centre, scale, ())
         z, count = (seen - centre) / scale, KNOTS
         if tuple(inputs) == (TIME,):  # oscillations in time need a finer basis
             count = max(KNOTS, round(float(np.ptp(seen)) / TIME_SPACING))
@@ -64,7 +71,7 @@ class Basis:
         """Return the features (m, D) of inputs (m, k)."""
         # Radial: exp(-(z - knot)^2 / (2 width^2));  Fourier: sqrt(2 / D) cos(w'z + phase), w ~ N(0, 1 / k)
         z = np.clip((x - self.centre) / self.scale, -4.0, 4.0)
-        parts = []
+        parts = [] if self.knots else [z]
         for column, knots in zip(z.T, self.knots):
             width = max(float(np.ptp(knots)) / (len(knots) - 1), 1e-6)
             parts.append(np.exp(-0.5 * ((column[:, None] - knots) / width) ** 2))
@@ -182,7 +189,8 @@ class VehiclePosterior:
         }
         weights = {(str(target), str(on)): _numbers(w, 1) for target, on, w in table["functions"]}
         for b in bases.values():
-            if not len(b.centre) == len(b.scale) == len(b.knots) or min(b.scale) <= 0.0:
+            knots = len(b.knots) or len(b.centre)
+            if not len(b.centre) == len(b.scale) == knots or min(b.scale) <= 0.0:
                 raise ValueError("as many scales above zero as inputs")
         for (target, on), w in weights.items():
             if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
@@ -286,7 +294,7 @@ def _errors(table: dict) -> ReferenceErrors | None:
         for channel, row in table["errors"]["disturbance"].items()
     }
     own = table["errors"]
-    worse = tuple(map(str, own.get("worse", ())))
+    worse = {str(axis): interval(errors) for axis, errors in own["worse"].items()}
     return ReferenceErrors(number(own["error"]), number(own["floor"]), disturbance, worse)
 
 

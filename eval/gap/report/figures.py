@@ -28,7 +28,7 @@ from inclined_landing.eval.base.style import (
 )
 from inclined_landing.eval.gap.report.numbers import shown
 from inclined_landing.eval.gap.report.tracks import Track
-from inclined_landing.eval.gap.report.words import REGIMES, centimetres, is_identifiable, label
+from inclined_landing.eval.gap.report.words import REGIMES, centimetres, label
 from inclined_landing.eval.gap.report.words import axis as axis_of
 from inclined_landing.eval.gap.result import (
     Diagnosis,
@@ -210,8 +210,10 @@ def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Fi
     """Return each parameter's estimates in single flights with 95 % intervals, over that of all flights."""
     line = max(1.1, 0.17 * len(flights))
     figures = []
-    parts = [(e, name, p) for e in effects for name, p in e.parameters.items() if is_identifiable(p)]
+    parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
     for effect, name, p in parts if flights else []:
+        if not any(map(math.isfinite, p.per_flight)):
+            continue
         figure = Figure(figsize=(PANEL, line + 1.05))
         axis = panel(figure, 1.05, 0.55, PANEL - 1.2, line)
         factor, unit = shown(p.unit)

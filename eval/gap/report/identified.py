@@ -33,9 +33,13 @@ _HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights
 def headline(found: Identification) -> str:
     """Return how many constants differ from the nominal model, or in what the nominal one is better."""
     if found.worse:
+        grown = [
+            f"{axis} ({words.centimetres(after)}, before {words.centimetres(before)})"
+            for axis, (before, after) in found.worse.items()
+        ]
         return (
-            f"On held-out flights, the identified vehicle predicts {words.listed(found.worse)} worse "
-            "than the nominal one; use the nominal one there."
+            f"One second ahead, the identified vehicle predicts {words.listed(grown)} worse than the nominal "
+            "one; gap doubts effects that act there and move the vehicle by less."
         )
     n, changed = len(found.parameters), len(changed_parameters(found))
     return f"{changed or 'None'} of {n} constants differ{'s' * (changed == 1)} from the nominal model."

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
-from inclined_landing.models import storage
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models import effects, storage
 from inclined_landing.models.parameters import write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -103,17 +102,18 @@ def _source(effect: NamedEffect) -> str:
 def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.ndarray]:
     """Return the squared half-width of every field that the effect changes, from its intervals."""
 
-    def fields(values) -> dict[str, np.ndarray]:
-        changed = LIBRARY[effect.name].apply(vehicle, values)
+    def fields(values: Mapping[str, Mapping[str, float]]) -> dict[str, np.ndarray]:
+        changed = effects.apply(vehicle, values)
         return {f.name: np.asarray(getattr(changed, f.name)) for f in dataclasses.fields(Vehicle)}
 
     middle = effect.values()
     before, at = fields({}), fields(middle)
     result = {name: np.zeros(at[name].shape) for name in at if np.any(at[name] != before[name])}
     for name, p in effect.parameters.items():
-        if not np.all(np.isfinite(p.ci95)):
+        if effect.parts or not np.all(np.isfinite(p.ci95)):
             return {field: np.full(squared.shape, np.nan) for field, squared in result.items()}
-        low, high = (fields(middle | {name: end}) for end in p.ci95)
+        moved = ({effect.name: middle[effect.name] | {name: end}} for end in p.ci95)
+        low, high = map(fields, moved)
         for field in result:
             result[field] = result[field] + (0.5 * (high[field] - low[field])) ** 2
     return result

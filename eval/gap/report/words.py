@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
+from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.report.numbers import interval, quantity, rounded
 from inclined_landing.eval.gap.result import (
     Dependence,
@@ -55,6 +56,8 @@ def title(effect: NamedEffect) -> str:
     names = [label(name) for name in effect.members]
     if is_ratio(effect):
         return "thrust over mass"
+    if effect.parts:
+        return "attitude loops"
     more = len(names) - NAMES
     return listed(names if more < 2 else [*names[:NAMES], f"{more} others"], "or")
 
@@ -88,20 +91,58 @@ def size_rows(effect: NamedEffect) -> tuple[tuple[str, str, str], ...]:
 
 def is_identifiable(p: Estimate) -> bool:
     """Return whether the flights show a parameter: not what an effect is relative to."""
-    return any(map(math.isfinite, p.per_flight))
+    return any(map(math.isfinite, p.per_flight)) or not p.per_flight
 
 
 def sentence(effect: NamedEffect) -> str:
     """Return the physical meaning of a named effect with its size, as a sentence."""
     parts = sizes(effect)
+    if effect.parts:
+        (p,) = parts.values()
+        change = "slower" if p.value > p.neutral else "quicker"
+        times = f"{value(p)} after a step of the command, before at {quantity(p.neutral, p.unit)}"
+        return f"The attitude loops are {change} than modelled: roll is at 63 % of its steady angle {times}."
     if len(parts) == 1 and (p := next(iter(parts.values()))).neutral == 1.0:
         factor = float(value(p))
         change = f"{abs(round(100 * (factor - 1)))} % {'higher' if factor > 1 else 'lower'} than modelled"
         name = title(effect) if is_ratio(effect) else label(effect.name)
         text = f"{name} is {change if 0.5 < factor < 2 else f'{value(p)} times the modelled value'}"
     else:
-        text = LIBRARY[effect.name].says.format(**{name: value(p) for name, p in parts.items()})
+        firm = any(p.differs for p in parts.values())
+        text = said(effect.name, {name: (p.value, _shown(p, firm)) for name, p in parts.items()})
     return text[0].upper() + text[1:] + "."
+
+
+def _shown(p: Estimate, firm: bool) -> str:
+    """Return a size in a sentence; firm: another of the effect differs from neutral, and this may not."""
+    return f"about {quantity(0.0, p.unit)}" if firm and p.neutral == 0.0 and not p.differs else value(p)
+
+
+# How a sentence goes on for a negative number: {delay} older, -14 ms older is 14 ms younger.
+_NEGATIVE = {
+    " older than": " younger than",
+    " more than": " less than",
+    " higher than": " lower than",
+    "act {delay} after they were sent": "act {delay} earlier than modelled",
+}
+
+
+def said(name: str, numbers: Mapping[str, tuple[float, str]]) -> str:
+    """Return what an effect says with its numbers, each with its text; one below zero in the other sense."""
+    text, texts = LIBRARY[name].says, {key: text for key, (_, text) in numbers.items()}
+    (key, (number, own)), *others = numbers.items()
+    known = [(usual, other) for usual, other in _NEGATIVE.items() if usual in text]
+    if number < 0.0 and not others and known:
+        texts[key], text = own.lstrip("-"), text.replace(*known[0])
+    return text.format(**texts)
+
+
+def remedy(effect: NamedEffect) -> str:
+    """Return what a person can do about a named effect; of a cause that cannot be negative, look again."""
+    less = [p for p in LIBRARY[effect.name].parameters if p.one_signed and p.name in effect.parameters]
+    if any(effect.parameters[p.name].value < p.neutral for p in less):
+        return "The vehicle had more of it when it was identified: look for what else has changed since then."
+    return effect.remedy
 
 
 def probability(part: float) -> str:
@@ -114,7 +155,9 @@ def probability(part: float) -> str:
 def how_sure(effect: NamedEffect) -> str:
     """Return the verdict on a named effect with the probability of its equivalence class."""
     at_bound = "; at the bound of its range" * any(p.at_bound for p in effect.parameters.values())
-    return f"{'sure' if effect.sure else 'possible'}, {probability(effect.probability)}{at_bound}"
+    likely = effect.probability >= thresholds.SURE
+    word = "sure" if effect.sure else "in doubt" if likely else "possible"
+    return f"{word}, {probability(effect.probability)}{at_bound}"
 
 
 def confounding_sentence(d: Diagnosis, effect: NamedEffect) -> str:
@@ -128,25 +171,8 @@ def confounding_sentence(d: Diagnosis, effect: NamedEffect) -> str:
 
 def headline(d: Diagnosis) -> str:
     """Return what is wrong with the model in a sentence or two."""
-    unknown = "the flights show an error that no effect of the library explains"
     if not d.effects:
-        if d.verdict == "unknown":
-            return unknown[0].upper() + unknown[1:] + "."
-        if d.verdict == "undecided":
-            names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
-            return f"Undecided: the model may lack {listed(names, 'or')}."
-        how = f" ({probability(d.nothing)})" if d.sets else ""
-        if d.inconsistent_flights:
-            return f"No missing effect is common to all flights{how}."
-        if d.possible and d.nothing < 0.5:
-            name, part = next(iter(d.possible.items()))
-            moved = centimetres(d.displacements.get(name, 0.0))
-            return (
-                f"Nothing to correct: {label(name)} ({probability(part)}) fits these flights, but it "
-                f"displaces the vehicle by only {moved} within a second."
-            )
-        well = "the model explains these flights as well as noise and disturbances allow"
-        return f"Nothing is missing{how}: {well}."
+        return _nameless(d)
     first, *others = sorted(d.effects, key=lambda e: not e.sure)  # by gain already
     text = sentence(first) if first.sure else f"Possibly, {sentence(first)[0].lower()}{sentence(first)[1:]}"
     sure = [title(e) for e in others if e.sure]
@@ -155,7 +181,37 @@ def headline(d: Diagnosis) -> str:
         text += f" Also wrong or missing: {listed(sure)}."
     if rest:
         text += f" Possibly also: {listed(rest, 'or')}."
-    return f"{text} In addition, {unknown}." if d.verdict == "unknown" else text
+    return f"{text} In addition, {_UNEXPLAINED}." if d.verdict == "unknown" else text
+
+
+_UNEXPLAINED = "the flights show an error that no effect of the library explains"
+
+
+def _nameless(d: Diagnosis) -> str:
+    """Return the headline of a diagnosis without a named effect."""
+    names = listed([f"{label(name)} ({probability(part)})" for name, part in d.undecided.items()], "or")
+    larger = f"the error is larger than in the reference flights, {_against_reference(d)}"
+    if d.verdict == "undecided":
+        if d.probability(*d.undecided) >= thresholds.UNDECIDED:
+            return f"Undecided: the model may lack {names}."
+        return f"Undecided: {larger}, as {names} would make it."
+    if d.verdict == "unknown":
+        if d.residual.unexplained or not d.exceeds_reference:
+            return f"{_UNEXPLAINED[0].upper()}{_UNEXPLAINED[1:]}."
+        what = larger if d.larger_error else "disturbances are larger than in the reference flights"
+        return f"No effect is named: {what}, as in air that is not still."
+    how = f" ({probability(d.nothing)})" if d.nothing >= 0.5 else ""
+    if d.inconsistent_flights:
+        return f"No missing effect is common to all flights{how}."
+    well = "the model explains these flights as well as noise and disturbances allow"
+    return f"Nothing of a size that matters is missing{how}: {well}."
+
+
+def _against_reference(d: Diagnosis) -> str:
+    """Return the error one second ahead beside that of the reference's flights; empty without one."""
+    if d.reference is None:
+        return ""
+    return f"{centimetres(d.residual.error)} for {centimetres(d.reference.error)} one second ahead"
 
 
 def how_much(d: Diagnosis) -> str:
@@ -164,7 +220,7 @@ def how_much(d: Diagnosis) -> str:
     if d.gap:
         g = next(iter(d.gap.values()))
         before, after = centimetres(g.before), centimetres(g.after)
-        error = f"position error {'one second' if f'{g.horizon:g}' == '1' else f'{g.horizon:g} s'} ahead"
+        error = f"position error {'one second' if f'{g.horizon:.2g}' == '1' else f'{g.horizon:.2g} s'} ahead"
         beside = f"noise alone: {centimetres(g.floor)}"
         if d.reference and "analytic" in d.gap:
             beside = f"reference flights: {centimetres(d.reference.error)}, {beside}"
@@ -177,6 +233,11 @@ def how_much(d: Diagnosis) -> str:
             )
         else:
             lines.append(f"With the correction, the {error} grows from {before} to {after} ({beside}).")
+    if d.thrust_over_weight:
+        ratio, ends = d.thrust_over_weight
+        times = f"{rounded(ratio, ends, '1')} times the modelled one ({interval(ends, '1')})"
+        lines.append(f"With the named effects, thrust over weight is {times} at the flights' usual command.")
+    lines += _grown_angles(d)
     material = [one for one in d.residual.depends_on if d.residual.material(one)]
     if material:
         most = max(material, key=lambda one: one.displacement)
@@ -188,6 +249,16 @@ def how_much(d: Diagnosis) -> str:
     if d.verdict == "undecided":
         lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")
     return " ".join(lines)
+
+
+def _grown_angles(d: Diagnosis) -> list[str]:
+    """Return a sentence on the angles that the corrected vehicle predicts worse within a window."""
+    grown = [
+        f"{row.channel} from {quantity(row.before, row.unit)} to {quantity(row.after, row.unit)}"
+        for row in d.where
+        if row.regime == "all" and row.unit == "rad" and row.after > (1.0 + thresholds.WORSE) * row.before
+    ]
+    return [f"With the correction, errors of angles within a window grow: {listed(grown)}."] if grown else []
 
 
 def _dependence(d: Dependence) -> str:
@@ -216,11 +287,11 @@ class Answer:
 
 def answers(d: Diagnosis) -> list[Answer]:
     """Return named effects, or those among which it is undecided, then what material depends on."""
-    found = [_undecided(d, name) for name in d.possible] if d.verdict == "undecided" else []
+    found = [_undecided(d, name) for name in d.undecided] if d.verdict == "undecided" else []
     for e in d.effects:
         cost = centimetres(e.cost) if math.isfinite(e.cost) else ""
-        notes = tuple(t for t in (product_sentence(e), confounding_sentence(d, e), plain(e.note)) if t)
-        found.append(Answer(title(e), how_sure(e), size_rows(e), cost, e.remedy, sentence(e), notes))
+        notes = tuple(t for t in (product_sentence(e), confounding_sentence(d, e), e.doubt) if t)
+        found.append(Answer(title(e), how_sure(e), size_rows(e), cost, remedy(e), sentence(e), notes))
     for one in d.residual.depends_on:
         if d.residual.material(one):
             size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
@@ -254,18 +325,19 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
     for p in (p for p in effect.parameters if p.name in best.values[name]):
         error = best.standard_errors.get(name, {}).get(p.name, math.nan)
         value, half = best.values[name][p.name], 1.96 * error
-        sizes[p.name] = rounded(value, (value - half, value + half), p.unit)
+        sizes[p.name] = value, rounded(value, (value - half, value + half), p.unit)
         if not p.is_reference:
             ends = interval((value - half, value + half), p.unit) if math.isfinite(half) else ""
-            rows.append((label(p.name), sizes[p.name], ends))
-    how, says = f"undecided, {probability(d.probability(name))}", effect.says.format(**sizes)
+            rows.append((label(p.name), sizes[p.name][1], ends))
+    how, says = f"undecided, {probability(d.probability(name))}", said(name, sizes)
     rows = rows if len(rows) > 1 else [("", *rows[0][1:])]
     return Answer(label(name), how, tuple(rows), "", effect.remedy, f"Possibly, {says}.")
 
 
 def possible_sentence(d: Diagnosis) -> str:
-    """Return a sentence on the effects that are possible though not named; empty for none."""
-    names = [f"{label(name)} ({probability(part)})" for name, part in d.possible.items()]
+    """Return a sentence on the effects that are possible, and not said elsewhere; empty for none."""
+    said = d.undecided if d.verdict == "undecided" else {}
+    names = [f"{label(name)} ({probability(p)})" for name, p in d.possible.items() if name not in said]
     return f"Not named, but possible: {listed(names, 'or')}." if names else ""
 
 
@@ -306,7 +378,8 @@ def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
         f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{interval(x, effect.parameter(name).unit)}"
         for name, x in one.ci95.items()
     ]
-    lines = f"Compared with {model}, in {there} {effect.says.format(**values)}"
+    texts = {name: (x, values[name]) for name, x in one.values.items()}
+    lines = f"Compared with {model}, in {there} {said(one.effect, texts)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
     others = [label(name) for name in one.confounded_with]
     return f"{lines} The difference could equally be {listed(others, 'or')}." if others else lines
@@ -384,9 +457,8 @@ def residual_sentences(d: Diagnosis) -> list[str]:
         moved = f", {centimetres(most.displacement)} within a second" if most.displacement > 0.0 else ""
         lines.append(f"{more}{moved}).")
     if not (residual.depends_on or d.inconsistent_flights):
-        lines.append(
-            "The remaining error does not depend on any logged signal, just like noise and air disturbances."
-        )
+        like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
+        lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
     return lines
 
 

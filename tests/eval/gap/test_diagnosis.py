@@ -407,11 +407,11 @@ def test_a_controller_that_answers_its_battery_is_no_weak_actuator(seed):
     alike, heavy = (diagnose(logs, known.vehicle, **kept) for logs in (same, loaded))
     assert (alike.verdict, alike.effects) == ("nothing", ())
     (name,) = heavy.effects
-    errors = dataclasses.replace(known.reference.errors, worse=("z",))
+    errors = dataclasses.replace(known.reference.errors, worse={"z": (0.1, 5.0)})
     worse = kept | {"reference": dataclasses.replace(known.reference, errors=errors)}
     doubted = diagnose(loaded, known.vehicle, **worse)
     assert [e.name for e in doubted.effects] == [name.name] and not doubted.effects[0].sure
-    assert any("no name is sure" in note for note in doubted.notes)
+    assert "predicts z of its own flights worse" in doubted.effects[0].doubt
     assert name.sure and "mass" in name.members and all(LIBRARY[n].scales_thrust for n in name.members)
 
 
@@ -454,9 +454,9 @@ def test_no_wind_is_named_for_a_vehicle_without_drag():
 def test_no_lag_is_sure_in_logs_of_few_rows_a_second():
     """Held commands are dated up to 100 ms wrong, which looks like other lags too."""
     logs = flights({"attitude_time_constant": {"scale": 0.6}}, seed=2, count=3, seconds=6.0)
-    lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.doubted]
+    lags = [e for e in quick([log.rows(slice(None, None, 10)) for log in logs]).effects if e.doubt]
     assert lags and all(LIBRARY[e.name].is_lag and not e.sure for e in lags)
-    assert all("Flights logged below 30 Hz" in e.note for e in lags)
+    assert all("Flights logged below 30 Hz" in e.doubt for e in lags)
 
 
 def test_what_would_leave_its_bounds_is_held_and_the_others_solved():

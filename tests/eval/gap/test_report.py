@@ -5,13 +5,17 @@ import json
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.answer.identify import worse_channels
+from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.identify import worse_axes
+from inclined_landing.eval.gap.answer.named import _doubt
+from inclined_landing.eval.gap.answer.sizes import step_response_time
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.pipeline import _verdict
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
 from inclined_landing.eval.gap.report import figures, model, terminal, words
@@ -39,7 +43,8 @@ from inclined_landing.models.parameters import constants, load_vehicle
 from tests.pages import EVIL, check_page
 
 FLIGHTS = ("a", "b", "c")
-SCALE, TRIM = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}
+SCALE, TRIM, WIND = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}, {"x": 0.1, "y": 0.0}
+NBSP = "\u00a0"
 
 
 def estimate(effect, name, value):
@@ -57,17 +62,18 @@ def named(name, values, gain=0.5, *alike):
 
 
 def example(verdict="effects"):
+    """A diagnosis of this verdict; of `unknown`, 40 of the 49 cm are explained, and 20 of 28 repeat."""
     said = ()
     if verdict != "nothing":
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
     t = np.linspace(0.01, 1.0, 20)
     bins = np.arange(3.0)
-    moved = (0.05, (0.03, 0.08))
+    moved = (0.21, (0.1, 0.3))
     left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, {"hover": 0.4}, "position z", bins, bins)
     scored = {
         "nothing": (
             ScoredSet((), 0.9, {}, {}),
-            ScoredSet(("wind",), 0.1, {"wind": {"x": 0.1, "y": 0.0}}, {}),
+            ScoredSet(("wind",), 0.1, {"wind": WIND}, {}),
         ),
         "effects": (
             ScoredSet(
@@ -77,10 +83,10 @@ def example(verdict="effects"):
             ScoredSet(("thrust_scale",), 0.02, {"thrust_scale": SCALE}, {}),
         ),
     }
-    return Diagnosis(
-        verdict=verdict,
+    after = {"effects": 0.04, "nothing": 0.487, "unknown": 0.28}[verdict]
+    d = Diagnosis(
         effects=said,
-        corrected=effects.apply(load_vehicle(), {e.name: e.values() for e in said}),
+        corrected=effects.apply(load_vehicle(), {n: v for e in said for n, v in e.values().items()}),
         where=tuple(
             RegimeError(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
             for r in ("hover", "all")
@@ -95,10 +101,10 @@ def example(verdict="effects"):
             HorizonCurve("nominal", (), t, 0.5 * t**2, 0.01 * t),
             HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
         ),
-        residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), 0.1),
+        residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), after),
         gap={
-            "analytic": PlantGap(0.487, 0.04, 0.01, 0.5, 0.05, 30, 1.0),
-            "mujoco": PlantGap(0.486, 0.041, 0.01, 0.5, 0.05, 30, 1.0),
+            "analytic": PlantGap(0.487, after, 0.01, 0.5, 0.05, 30, 1.0),
+            "mujoco": PlantGap(0.486, after + 0.001, 0.01, 0.5, 0.05, 30, 1.0),
         },
         platform=True,
         flights=FLIGHTS,
@@ -106,6 +112,8 @@ def example(verdict="effects"):
         seconds={"name": 1.5},
         notes=("a: yaw_drift cannot be told",),
     )
+    assert d.verdict == verdict
+    return d
 
 
 @pytest.fixture
@@ -131,42 +139,74 @@ def test_what_repeats_matters_by_the_second_that_it_moves():
 ALIKE = ReferenceErrors(0.35, 0.01, example().disturbance)  # 1.4 times as large: the error before
 
 
+def left(d, after, **changes):
+    """The diagnosis with this error one second ahead left, in the equations."""
+    gap = {"analytic": dataclasses.replace(d.gap["analytic"], after=after)}
+    residual = dataclasses.replace(changes.pop("residual", d.residual), error=after)
+    return dataclasses.replace(d, gap=gap, residual=residual, **changes)
+
+
 def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
     """Not with a larger error or disturbance, or where an effect that moves the vehicle is probable."""
-    d = dataclasses.replace(example("nothing"), reference=ALIKE)
-    g = d.gap["analytic"]
-    left = dataclasses.replace(d, gap={"analytic": dataclasses.replace(g, before=0.48, after=0.48)})
+    d = left(dataclasses.replace(example("nothing"), reference=ALIKE), 0.487)
     rough = {"z": dataclasses.replace(ALIKE.disturbance["z"], size=0.61, size_ci95=(0.5, 0.7))}  # 0.3 before
     sets = (ScoredSet(("wind",), 0.6, {"wind": {"x": 0.1, "y": 0.0}}), ScoredSet((), 0.4, {}))
-    likely = dataclasses.replace(d, sets=sets, displacements={"wind": 0.03})  # of 10 cm: 9 % of the square
+    likely = dataclasses.replace(d, sets=sets, displacements={"wind": 0.12})  # of 49 cm: 6 % of the square
+    repeats = example("unknown").residual
+    # Of 60 cm beyond the 35 of the reference, 49 are more than noise: half of their square is 34 cm.
+    possible = dataclasses.replace(left(d, 0.6), displacements={"wind": 0.35})
     for case, verdict in (
         (d, "nothing"),
-        (left, "nothing"),
-        (dataclasses.replace(left, gap={"analytic": dataclasses.replace(g, after=0.5)}), "unknown"),
+        (left(d, 0.48), "nothing"),
+        (left(d, 0.5), "unknown"),
         (dataclasses.replace(d, disturbance=rough), "unknown"),
         (dataclasses.replace(d, disturbance=rough, reference=None), "nothing"),
         (likely, "undecided"),
-        (dataclasses.replace(likely, displacements={"wind": 0.02}), "nothing"),  # 4 %
-        (dataclasses.replace(d, residual=example("unknown").residual), "unknown"),
-        (dataclasses.replace(likely, residual=example("unknown").residual), "unknown"),
+        (dataclasses.replace(likely, displacements={"wind": 0.1}), "nothing"),  # 4 %
+        (left(d, 0.487, residual=repeats), "unknown"),
+        (left(likely, 0.487, residual=repeats), "unknown"),
+        (possible, "undecided"),
+        (dataclasses.replace(possible, displacements={"wind": 0.34}), "unknown"),
     ):
-        assert _verdict(case) == verdict
+        assert case.verdict == verdict
+    assert likely.nothing == pytest.approx(0.4)
+    assert dataclasses.replace(likely, displacements={"wind": 0.1}).nothing == pytest.approx(1.0)
+    assert words.headline(possible) == (
+        "Undecided: the error is larger than in the reference flights, 60 cm for 35 cm one second ahead, as "
+        "wind (10 %) would make it."
+    )
+    rougher = words.headline(left(d, 0.5))
+    assert rougher.startswith("No effect is named: the error is larger than in the reference flights, 50 cm")
     said = words.how_much(dataclasses.replace(d, disturbance=rough))
     assert "(reference flights: 35 cm, noise alone: 1.0 cm). Disturbances are larger" in said
     assert said.endswith("than in the reference flights, by a factor of 2.0 in z.")
 
 
-def test_unknown_stands_beside_names_only_where_more_repeats_than_they_explain():
-    d = example("unknown")  # 5 cm repeat, of 49 cm 45 are explained
-    assert _verdict(d) == "effects"
-    little = {"analytic": dataclasses.replace(d.gap["analytic"], before=0.08)}
-    assert _verdict(dataclasses.replace(d, gap=little)) == "unknown"
-    (one,) = d.residual.depends_on
-    past = dataclasses.replace(one, channel="roll", against="roll command 0.25 s ago")
-    said = words.how_much(
-        dataclasses.replace(d, residual=dataclasses.replace(d.residual, depends_on=(past,)))
+def test_unknown_stands_beside_names_where_much_repeats():
+    """More than they explain, most of what they leave, or some of much more than the reference left."""
+    d = example("effects")
+    (one,) = example("unknown").residual.depends_on
+
+    def repeating(moved, after, reference=None):
+        ends = (moved - 0.01, moved + 0.01)
+        some = dataclasses.replace(one, displacement=moved, displacement_ci95=ends)
+        residual = dataclasses.replace(d.residual, depends_on=(some,))
+        errors = dataclasses.replace(ALIKE, error=reference) if reference else None
+        return left(d, after, residual=residual, reference=errors)
+
+    for case, verdict in (
+        (repeating(0.2, 0.3), "effects"),  # of 49 cm 38 explained; 44 % of the square of 30 cm
+        (repeating(0.22, 0.3), "unknown"),  # 54 %
+        (repeating(0.15, 0.47), "unknown"),  # 13 cm explained
+        (repeating(0.1, 0.3, reference=0.16), "effects"),
+        (repeating(0.1, 0.3, reference=0.14), "unknown"),  # more than twice as large
+    ):
+        assert case.verdict == verdict
+    past = dataclasses.replace(one, channel="roll", against="roll command 0.25 s ago", displacement=0.05)
+    residual = dataclasses.replace(d.residual, depends_on=(past,), error=0.1)
+    assert "5.0 cm repeats from flight to flight: in roll, 0.25 s after a roll command." in words.how_much(
+        dataclasses.replace(d, residual=dataclasses.replace(residual, depends_on=(past,)))
     )
-    assert "5.0 cm repeats from flight to flight: in roll, 0.25 s after a roll command." in said
 
 
 def test_the_posterior_keeps_the_errors_of_its_flights():
@@ -180,12 +220,61 @@ def test_the_posterior_keeps_the_errors_of_its_flights():
         VehiclePosterior.from_json(table | {"version": 1})
 
 
-def test_a_vehicle_that_predicts_worse_is_said_to():
-    fit = {"x": {"before": 80.0, "after": 90.0}, "z": {"before": 80.0, "after": 78.0}}  # error 20 to 22 %
-    ahead = {"before": 0.2, "after": 0.209, "floor": 0.01}  # under 5 %
-    assert worse_channels(fit, ahead) == ("z",)
-    assert worse_channels({}, ahead | {"after": 0.211}) == ("position",)
-    assert worse_channels({}, {}) == ()
+def test_an_axis_is_worse_where_every_flight_says_so():
+    """By a share of the position error, and by more than flights scatter."""
+    measured = np.zeros((8, 2, 6))
+    starts = SimpleNamespace(flight_of=np.repeat(range(4), 2), measured=lambda: measured)
+
+    def errors(*along_y):  # of the flights [cm]; 10 along z
+        pose = np.zeros((8, 2, 6))
+        pose[:, -1, 1], pose[:, -1, 2] = 0.01 * np.repeat(along_y, 2), 0.1
+        return pose
+
+    before = errors(1, 1, 1, 1)
+    for after, worse in (
+        (errors(4, 3, 4, 4), {"y": (0.01, pytest.approx(0.01 * np.sqrt(57 / 4)))}),
+        (errors(2, 2, 2, 2), {}),  # 3 of 104 cm2: less than 5 %
+        (errors(1, 1, 1, 8), {}),  # one flight of four: 16 cm2 with a standard error of 16
+    ):
+        with mock.patch.object(rollout, "simulate", mock.Mock(side_effect=(before, after))):
+            assert worse_axes(starts, None, None) == worse
+
+
+def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
+    def doubt(along, doubtful=False, **worse):
+        flights = [SimpleNamespace(shows_lags=True)]
+        errors = dataclasses.replace(ALIKE, worse=worse)
+        reference = SimpleNamespace(errors=errors)
+        return _doubt(SimpleNamespace(flights=flights, reference=reference), "wind", along, doubtful)
+
+    along = {"x": 0.05, "y": 0.01, "z": 0.0}
+    assert not doubt(along) and not doubt(along, y=(0.01, 0.03)) and not doubt(along, x=(0.01, 0.03))
+    assert "predicts x of its own flights worse" in doubt(along, x=(0.02, 0.06))
+    assert "(6.0 cm for 2.0 cm one second ahead)" in doubt(along, x=(0.02, 0.06))
+    assert "predicts position of its own" in doubt(along, position=(0.02, 0.06))
+    assert "repeat an error" in doubt(along, doubtful=True)
+
+
+def test_the_response_of_the_loops_is_63_percent_after_its_time_constant():
+    """Of a first-order loop (a rate loop of 0.1 ms), and a delay later."""
+    quick = load_vehicle().changed(attitude_bandwidth=1e4, attitude_damping=1.0)
+    late = quick.changed(effects_attitude_delay=0.03)
+    assert step_response_time(quick) == pytest.approx(quick.attitude_time_constant, abs=5e-4)
+    assert step_response_time(late) - step_response_time(quick) == pytest.approx(0.03)
+
+
+def test_pieces_of_the_attitude_loops_are_one_name():
+    parts = {"attitude_time_constant": {"scale": 0.3}, "second_order_attitude": {"rate_lag": 0.15}}
+    response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False, (), (), 0.0)
+    one = NamedEffect(*parts, 0.97, {"response": response}, 0.5, "Retune it.", parts=parts)
+    one = dataclasses.replace(one, members=tuple(parts))
+    assert one.sure and one.values() == parts and words.title(one) == "attitude loops"
+    assert words.sentence(one) == (
+        "The attitude loops are slower than modelled: roll is at 63 % of its steady angle 240 ms after a "
+        "step of the command, before at 200 ms."
+    )
+    d = dataclasses.replace(example(), effects=(one,))
+    assert d.values() == parts and "240 ms (220 to 260 ms)" in page(d, None, versions={}).replace(NBSP, " ")
 
 
 def test_what_was_not_named_is_possible_from_some_probability_on():
@@ -216,6 +305,11 @@ def test_every_effect_is_said_in_words_with_its_numbers():
     assert words.sentence(named("thrust_delay", {"delay": 0.012})) == (
         "Thrust commands act 12.0 ms after they were sent."
     )
+    younger = named("estimator_delay", {"delay": -0.0141})
+    assert words.sentence(younger) == "The logged attitude is 14.1 ms younger than the logged position."
+    sooner = named("attitude_delay", {"delay": -0.02})
+    assert words.sentence(sooner) == "Attitude commands act 20.0 ms earlier than modelled."
+    assert "when it was identified" in words.remedy(sooner)
     assert words.sentence(named("attitude_gain", {"scale": 0.87})) == (
         "Attitude gain is 13 % lower than modelled."
     )
@@ -230,24 +324,24 @@ def test_headlines_say_what_is_known_and_what_is_not():
     assert words.headline(example("unknown")).endswith(
         "the flights show an error that no effect of the library explains."
     )
-    assert words.headline(example("nothing")).startswith("Nothing is missing (90 %)")
-    certain = (ScoredSet(("wind",), 0.98, {}, {}), ScoredSet((), 0.02, {}, {}))
-    useless = words.headline(dataclasses.replace(example("nothing"), sets=certain))
-    assert useless.startswith(
-        "Nothing to correct: wind (98 %) fits these flights, but it displaces the vehicle by only 0.0"
-    )
-    likely = dataclasses.replace(example("nothing"), verdict="undecided", displacements={"wind": 0.1})
-    assert words.headline(likely) == "Undecided: the model may lack wind (10 %)."
+    assert words.headline(example("nothing")).startswith("Nothing of a size that matters is missing (90 %)")
+    certain = (ScoredSet(("wind",), 0.98, {"wind": WIND}, {}), ScoredSet((), 0.02, {}, {}))
+    useless = dataclasses.replace(example("nothing"), sets=certain, displacements={"wind": 0.01})
+    assert words.headline(useless).startswith("Nothing of a size that matters is missing (over 99 %)")
+    likely = dataclasses.replace(useless, displacements={"wind": 0.4})
+    assert words.headline(likely) == "Undecided: the model may lack wind (98 %)."
     (said,) = words.answers(likely)
     assert said.says == "Possibly, the air moves with 0.100 m/s along x and 0.00 m/s along y."
-    assert said.how == "undecided, 10 %"
+    assert said.how == "undecided, 98 %" and words.possible_sentence(likely) == ""
     wind = dataclasses.replace(named("wind", {"x": 0.3, "y": 0.0}), probability=0.6)
     unsure = dataclasses.replace(example(), effects=(wind, example().effects[1]))
     assert words.headline(unsure).endswith("Possibly also: wind.")
     alone = dataclasses.replace(example(), effects=(wind,))
     assert words.headline(alone).startswith("Possibly, the air moves with 0.300 m/s")
     assert words.answers(alone)[0].how == "possible, 60 %"
-    nameless = dataclasses.replace(example("nothing"), verdict="unknown")
+    doubted = dataclasses.replace(example().effects[0], doubt="In doubt, because.")
+    assert words.how_sure(doubted) == "in doubt, 99 %"
+    nameless = dataclasses.replace(example("nothing"), residual=example("unknown").residual)
     assert words.headline(nameless) == "The flights show an error that no effect of the library explains."
 
 

@@ -1,0 +1,185 @@
+"""Sizes of named effects with their intervals, and of what several of them do together."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy import stats
+
+from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
+from inclined_landing.eval.gap.infer.sets import SetPosterior
+from inclined_landing.eval.gap.model.columns import Column, ParameterColumn, Values, at_an_end
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.result import Estimate
+from inclined_landing.models import forces
+from inclined_landing.models.attitude_loops import angle_steps
+from inclined_landing.models.vehicle import Vehicle
+
+STEP_RESPONSE, STEP = 2.0, 0.001  # s, length and step of the simulated answer of an attitude loop
+# Effects of the thrust in hover, or of the weight.
+_WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
+
+
+def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
+    """Return effect -> parameter -> its estimate, the other effects marginalised."""
+    problem = found.problem
+    sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
+    for name in values:
+        for p in problem.library[name].parameters:
+            value, (low, high) = values[name][p.name], p.bounds
+            known = sized.get((name, p.name))
+            if known is None:  # a reference: another one and another size do the same
+                nan = (math.nan,) * len(problem.flights)
+                result[name][p.name] = Estimate(
+                    value, p.unit, p.possible, p.neutral, p.bounds, False, nan, nan, 0.0
+                )
+                continue
+            half = float(quantile * known.error)
+            result[name][p.name] = Estimate(
+                value=value,
+                unit=p.unit,
+                ci95=(max(low, value - half), min(high, value + half)),
+                neutral=p.neutral,
+                bounds=p.bounds,
+                at_bound=thresholds.at_bound(value, p.bounds),
+                per_flight=tuple(map(float, value + known.deviation)),
+                per_flight_error=tuple(map(float, known.alone)),
+                spread=known.between,
+            )
+    return result
+
+
+def product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:
+    """Return the acceleration [m/s2] that an effect makes in hover, and its 95 % interval."""
+    # The others as they are:  C = (a + V^-1)^-1
+    local = found.local.with_wide_slabs(frozenset(values))
+    own = _sized(found.problem, local, [name])
+    information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
+    covariance = np.linalg.inv(information) * np.outer(local.unit[own], local.unit[own])
+    without = found.problem.hover_acceleration({n: v for n, v in values.items() if n != name})
+
+    def made(at: Values) -> float:
+        return float(np.linalg.norm(found.problem.hover_acceleration(at) - without))
+
+    value, (low, high) = _propagated(found.problem, values, [local.columns[k] for k in own], covariance, made)
+    return value, (max(0.0, low), high)
+
+
+def _jointly(
+    found: SetPosterior, values: Values, names: Sequence[str], of: Callable[[Values], float]
+) -> tuple[float, tuple[float, float]]:
+    """Return a quantity of some of the effects in `values`, the others marginalised, and its interval."""
+    local = found.local.with_wide_slabs(frozenset(values))
+    own = _sized(found.problem, local, names)
+    covariance = local.change(frozenset(values))[1] * np.outer(local.unit, local.unit)
+    columns = [local.columns[k] for k in own]
+    return _propagated(found.problem, values, columns, covariance[np.ix_(own, own)], of)
+
+
+def _sized(problem: Problem, local: LinearGaussian, names: Sequence[str]) -> list[int]:
+    """Return the indices of the columns of effects' parameters, without those that these are relative to."""
+    own = ((k, local.columns[k]) for k in local.index(names))
+    return [k for k, c in own if isinstance(c, ParameterColumn) and not problem.parameter(c).is_reference]
+
+
+def _propagated(
+    problem: Problem,
+    values: Values,
+    columns: Sequence[Column],
+    covariance: np.ndarray,
+    of: Callable[[Values], float],
+) -> tuple[float, tuple[float, float]]:
+    """Return a quantity of `values` and its 95 % interval, from the covariance along some columns."""
+    # Propagation of errors: var = g' C g, slopes g over a tenth of a standard error
+    at, step = problem.coordinates(values, columns), 0.1 * np.sqrt(covariance.diagonal())
+
+    def moved(coordinates: np.ndarray) -> float:
+        there, ends = {n: dict(v) for n, v in values.items()}, defaultdict(list)
+        for c, x in zip(columns, coordinates):
+            if at_an_end(c):
+                ends[c.effect].append(x)
+            else:
+                there[c.effect][c.key[1]] = problem.parameter(c).value_at(x)
+        for name, sizes in ends.items():
+            effect = problem.library[name]
+            size, about = effect.from_ends(*sizes)
+            first = effect.parameters[0]
+            there[name] = {first.name: first.neutral + size, effect.reference.name: about}
+        return of(there)
+
+    here = of(values)
+    slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
+    half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
+    return here, (here - half, here + half)
+
+
+def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
+    """Return thrust over weight, over the modelled one, at the flights' usual command, and its interval.
+
+    The interval covers the other probable sets too. None where no named effect changes it, or one alone that
+    is this ratio.
+    """
+    problem, names = found.problem, [name for name in _WEIGHT if name in values]
+    ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
+    if not names or names == ratios[:1]:
+        return None
+    usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
+
+    def thrust(at: Values) -> float:  # over the mass
+        changed = {n: at[n] for n in _WEIGHT if n in at}
+        return float(problem.hover_acceleration(changed, usual)[2]) + gravity
+
+    gravity = problem.vehicle.environment_gravity
+    before = thrust({})
+    value, (low, high) = _jointly(found, values, names, lambda at: thrust(at) / before)
+    # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
+    apart = sum(one.probability * (thrust(one.values) / before - value) ** 2 for one in found.sets)
+    half = math.hypot(0.5 * (high - low), stats.norm.ppf(0.975) * math.sqrt(apart))
+    return value, (value - half, value + half)
+
+
+def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
+    """Return the named lags of the attitude loops that compensate one another, or one of which is at a bound.
+
+    These are pieces of one change: the flights show how quickly the loops answer, and no piece by itself.
+    """
+    lags = [
+        n for n in values if problem.library[n].is_lag and "translation" not in problem.library[n].channels
+    ]
+    lags = [n for n in lags if "attitude" in problem.library[n].channels]
+    sizes = {n: [p.coordinate(values[n][p.name]) for p in problem.library[n].parameters] for n in lags}
+    signs = {np.sign(x) for n in lags for x in sizes[n]}
+    bound = any(
+        thresholds.at_bound(values[n][p.name], p.bounds) for n in lags for p in problem.library[n].parameters
+    )
+    return tuple(lags) if len(lags) > 1 and (len(signs) > 1 or bound) else ()
+
+
+def step_response_time(vehicle: Vehicle) -> float:
+    """Return when [s] roll is at 63 % of its steady angle after a step of its command, delay included."""
+    packed, command = forces.pack(vehicle), np.full(round(STEP_RESPONSE / STEP), 0.1)
+    angle = angle_steps(0, command, np.zeros(len(command)), 0.0, STEP, packed)
+    steady = vehicle.attitude_gain * (command[0] + vehicle.effects_attitude_trim[0])
+    reached = np.maximum.accumulate(angle / steady) >= 1.0 - math.exp(-1.0)
+    k = int(np.argmax(reached)) if reached.any() else len(command)
+    before = max(k - 1, 0)
+    share = ((1.0 - math.exp(-1.0)) * steady - angle[before]) / max(angle[k] - angle[before], 1e-12)
+    return vehicle.effects_attitude_delay + STEP * (before + float(share))
+
+
+def response(found: SetPosterior, values: Values, pieces: Sequence[str]) -> Estimate:
+    """Return when the attitude loops with these pieces answer to a step of their command."""
+    vehicle = found.problem.vehicle
+
+    def response(at: Values) -> float:
+        return step_response_time(found.problem.corrected({n: at[n] for n in pieces}))
+
+    value, (low, high) = _jointly(found, values, pieces, response)
+    ends, bounds = (max(0.0, low), high), (0.0, STEP_RESPONSE)
+    return Estimate(value, "s", ends, step_response_time(vehicle), bounds, False, (), (), 0.0)
