@@ -116,13 +116,16 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
     #   v = s v_0 + (1 - s) mean_g (m_g^2 + diag C_g),   s = n_0 / (n_0 + n),  n_0 = PRIOR_FLIGHTS
     a, b = linear.a * np.outer(unit, unit), linear.b * unit
     prior = (unit / slab_deviations(problem, linear.columns)) ** 2
-    known = np.array([problem.parameter(c).between for c in linear.columns]) / unit
+    # Prior: a unit, which confounded columns share as they share a negligible size; what varies with the
+    # manoeuvre in each of them, since no loop is quite of its form.
+    parameters = [problem.parameter(c) for c in linear.columns]
+    loop = np.array([p.manoeuvre > 0.0 for p in parameters])
+    known = np.where(loop, np.array([p.between for p in parameters]) / unit, 1.0)
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
     # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do).
-    loop = np.array([problem.parameter(c).manoeuvre > 0.0 for c in linear.columns])
     most = np.maximum(known, np.where(loop, MOST_SPIKE**2, 1.0) / prior)
-    sized = np.array([not problem.parameter(c).is_reference for c in linear.columns])
+    sized = np.array([not p.is_reference for p in parameters])
     share = PRIOR_FLIGHTS / (PRIOR_FLIGHTS + problem.groups)
     for _ in range(EM_ROUNDS):
         inner = np.linalg.inv(eye + a * variance)
