@@ -91,8 +91,9 @@ class NamedEffect:
         about = {p.name for p in effects.LIBRARY[self.name].parameters if p.is_reference}
         return tuple(p for name, p in self.parameters.items() if name not in about)
 
-    def values(self) -> dict[str, dict[str, float]]:
-        """Return the fitted values of its parameters, and of its parts: effect -> parameter -> value."""
+    @property
+    def fitted(self) -> dict[str, dict[str, float]]:
+        """Return the fitted values of its parameters, or of its parts: effect -> parameter -> value."""
         own = {self.name: {name: p.value for name, p in self.parameters.items()}}
         return {name: dict(values) for name, values in (self.parts or own).items()}
 
@@ -318,7 +319,7 @@ class Diagnosis:
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return the fitted parameter values: effect -> parameter -> value."""
-        return {name: values for e in self.effects for name, values in e.values().items()}
+        return {name: values for e in self.effects for name, values in e.fitted.items()}
 
     @property
     def verdict(self) -> Verdict:

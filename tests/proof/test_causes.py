@@ -75,9 +75,7 @@ def test_halves_are_kept_apart():
 def effect(name, members, sure=True, **parameters):
     estimates = {k: SimpleNamespace(value=v, ci95=(low, high)) for k, (v, low, high) in parameters.items()}
     values = {k: p.value for k, p in estimates.items()}
-    return SimpleNamespace(
-        name=name, members=members, sure=sure, parameters=estimates, values=lambda: dict(values)
-    )
+    return SimpleNamespace(name=name, members=members, sure=sure, parameters=estimates, fitted={name: values})
 
 
 def diagnosis(*effects, possible=(), verdict="effects", inconsistent=()):

@@ -76,7 +76,7 @@ def contact_answer(
         return ContactAnswer(corrected, notes=(note,) if landings else ())
     problem, found = contact_posterior(landings, corrected, library, reference)
     effects = contact_effects(problem, found)
-    after = problem.corrected({n: v for e in effects for n, v in e.values().items()})
+    after = problem.corrected({n: v for e in effects for n, v in e.fitted.items()})
     repeats = "the motion after touchdown has a systematic error that no effect explains"
     notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
     test = tuple(landings_of(use.heldout, corrected, reference) or landings)

@@ -106,7 +106,7 @@ def _squared_half_widths(effect: NamedEffect, vehicle: Vehicle) -> dict[str, np.
         changed = effects.apply(vehicle, values)
         return {f.name: np.asarray(getattr(changed, f.name)) for f in dataclasses.fields(Vehicle)}
 
-    middle = effect.values()
+    middle = effect.fitted
     before, at = fields({}), fields(middle)
     result = {name: np.zeros(at[name].shape) for name in at if np.any(at[name] != before[name])}
     for name, p in effect.parameters.items():

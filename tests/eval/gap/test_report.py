@@ -86,7 +86,7 @@ def example(verdict="effects"):
     after = {"effects": 0.04, "nothing": 0.487, "unknown": 0.28}[verdict]
     d = Diagnosis(
         effects=said,
-        corrected=effects.apply(load_vehicle(), {n: v for e in said for n, v in e.values().items()}),
+        corrected=effects.apply(load_vehicle(), {n: v for e in said for n, v in e.fitted.items()}),
         where=tuple(
             RegimeError(r, c, 1.0, 0.1, 0.05, "m/s2" if c == "z" else "rad", 12)
             for r in ("hover", "all")
@@ -268,7 +268,7 @@ def test_pieces_of_the_attitude_loops_are_one_name():
     response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False, (), (), 0.0)
     one = NamedEffect(*parts, 0.97, {"response": response}, 0.5, "Retune it.", parts=parts)
     one = dataclasses.replace(one, members=tuple(parts))
-    assert one.sure and one.values() == parts and words.title(one) == "attitude loops"
+    assert one.sure and one.fitted == parts and words.title(one) == "attitude loops"
     assert words.sentence(one) == (
         "The attitude loops are slower than modelled: roll is at 63 % of its steady angle 240 ms after a "
         "step of the command, before at 200 ms."

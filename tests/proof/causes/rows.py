@@ -262,7 +262,7 @@ def _found(row: Row, d: Diagnosis, vehicle: Vehicle, pwm: float) -> dict | None:
         p, sign = hits[0].parameters[parameter], -1.0 if row.size else 1.0
         low, high = sorted(sign * x for x in p.ci95)
         return {"value": sign * p.value, "ci95": [low, high]}
-    values = {name: values for e in hits for name, values in e.values().items()}
+    values = {name: values for e in hits for name, values in e.fitted.items()}
     before = specific_thrust(vehicle, pwm)
 
     def ratio(changed: Mapping[str, Mapping[str, float]]) -> float:
