@@ -273,7 +273,7 @@ class PlantGap:
 
 
 def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
-    """Return whether what the flights repeat, beside the named effects, is too large for these to be sure.
+    """Return whether the flights repeat too much that named effects leave for these to be sure.
 
     It is most of what they leave, or they leave much more than the reference's flights.
     """

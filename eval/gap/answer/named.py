@@ -52,7 +52,7 @@ def named_effects(
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: of each. doubtful: the flights repeat too much that these do not explain.
+    ahead: what each does. doubtful: the flights repeat too much that these do not explain.
     """
     problem, pieces = found.problem, loop_pieces(found.problem, values)
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
@@ -209,7 +209,7 @@ def useful_values(
 def distinct_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
 
-    An effect whose every interval holds neutral is no name: others explain what it does.
+    An effect whose every interval holds neutral is not named: others explain what it does.
     """
     pieces = loop_pieces(found.problem, values)
     while True:

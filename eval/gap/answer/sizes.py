@@ -147,7 +147,7 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tupl
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
     """Return the named lags of the attitude loops that compensate one another, or one of which is at a bound.
 
-    These are pieces of one change: the flights show how quickly the loops answer, and no piece by itself.
+    These are pieces of one change: the flights show how quickly the loops answer, and no single piece.
     """
     lags = [
         n for n in values if problem.library[n].is_lag and "translation" not in problem.library[n].channels

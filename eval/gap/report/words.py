@@ -208,7 +208,7 @@ def _nameless(d: Diagnosis) -> str:
 
 
 def _against_reference(d: Diagnosis) -> str:
-    """Return the error one second ahead beside that of the reference's flights; empty without one."""
+    """Return the error one second ahead and that of the reference's flights; empty without one."""
     if d.reference is None:
         return ""
     return f"{centimetres(d.residual.error)} for {centimetres(d.reference.error)} one second ahead"
