@@ -348,7 +348,7 @@ class Diagnosis:
         """
         if self.probability(*self.possible) >= thresholds.UNDECIDED:
             return self.possible
-        if not self.larger_error:
+        if self.reference is None or not self.larger_error:
             return {}
         excess = self.residual.error**2 - self.reference.error**2
         least = thresholds.MAKES_UP * excess

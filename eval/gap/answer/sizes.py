@@ -108,9 +108,9 @@ def _propagated(
                 there[c.effect][c.key[1]] = problem.parameter(c).value_at(x)
         for name, sizes in ends.items():
             effect = problem.library[name]
-            size, about = effect.from_ends(*sizes)
-            first = effect.parameters[0]
-            there[name] = {first.name: first.neutral + size, effect.reference.name: about}
+            first, (size, about) = effect.parameters[0], effect.from_ends(*sizes)
+            there[name] |= {first.name: first.neutral + size}
+            there[name] |= {p.name: about for p in effect.parameters if p is effect.reference}
         return of(there)
 
     here = of(values)
