@@ -419,4 +419,4 @@ class Diagnosis:
         for entry, one in zip(record["residual"]["depends_on"], self.residual.depends_on):
             entry["material"] = self.residual.material(one)
         head = {"version": VERSION, "verdict": self.verdict, "nothing": self.nothing}
-        return head | {"possible": self.possible} | record
+        return head | {"possible": self.possible, "immaterial": sorted(self.immaterial)} | record

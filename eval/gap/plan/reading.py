@@ -57,6 +57,7 @@ class _Report(Struct, frozen=True):
 
     sets: Annotated[list[_Set], Meta(min_length=1)]
     unidentifiable_sets: list[_Set] = []
+    immaterial: list[str] = []
     platform: bool = False
     verdict: str = ""
     residual: _Residual = _Residual()
@@ -67,7 +68,7 @@ class _Report(Struct, frozen=True):
 class PlanInput:
     """The sets of a report, its vehicle, and noise and disturbance of its flights."""
 
-    hypotheses: list[ScoredSet]  # without effects of contact, most probable first
+    hypotheses: list[ScoredSet]  # without effects of contact or too small to matter, most probable first
     probabilities: dict[str, float]  # of every effect, marginal over the sets of the report
     vehicle: Vehicle  # the one diagnosed
     noise_levels: NoiseLevels
@@ -80,7 +81,7 @@ class PlanInput:
         """Return the input from a diagnosis; vehicle: the one diagnosed, reference: its posterior."""
         hypotheses: dict[tuple[str, ...], ScoredSet] = {}
         for one in (*report.sets, *report.unidentifiable_sets):
-            names = tuple(n for n in one.effects if not LIBRARY[n].contact)
+            names = tuple(n for n in one.effects if not (LIBRARY[n].contact or n in report.immaterial))
             values = {n: one.values[n] for n in names}
             same = hypotheses.get(names, ScoredSet(names, 0.0, values, one.standard_errors))
             hypotheses[names] = dataclasses.replace(same, probability=same.probability + one.probability)

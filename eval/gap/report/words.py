@@ -392,9 +392,13 @@ def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
 
 
 def set_rows(d: Diagnosis) -> list[tuple[str, float]]:
-    """Return the most probable sets of effects with their probabilities."""
-    rows = [(" + ".join(map(label, one.effects)) or "nothing", one.probability) for one in d.sets[:SETS]]
-    rest = 1.0 - sum(one.probability for one in d.sets[:SETS])
+    """Return the most probable sets of effects that matter with their probabilities."""
+    together: dict[str, float] = {}
+    for one in d.sets:
+        what = " + ".join(label(name) for name in one.effects if name not in d.immaterial) or "nothing"
+        together[what] = together.get(what, 0.0) + one.probability
+    rows = sorted(together.items(), key=lambda row: -row[1])[:SETS]
+    rest = 1.0 - sum(part for _, part in rows)
     return [*rows, ("all other sets", rest)] if rows and rest > 0.005 else rows
 
 

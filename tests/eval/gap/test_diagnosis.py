@@ -200,6 +200,28 @@ def test_what_no_effect_explains_is_said():
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
 
 
+@pytest.mark.slow
+def test_a_command_that_acts_across_its_axis_is_said():
+    """A tenth of each tilt command also tilts about the other axis: in no library, and linear."""
+
+    def across(u):
+        return np.array([u[0], u[1] + 0.1 * u[2], u[2] - 0.1 * u[1], u[3]])
+
+    d = quick(flights(distort=across, seed=6, count=4, seconds=8.0))
+    assert {("roll", "pitch command"), ("pitch", "roll command")} & {
+        (x.channel, x.on) for x in d.residual.depends_on
+    }
+
+
+@pytest.mark.slow
+def test_thrust_over_weight_is_that_of_all_names_together():
+    """A bias is a ratio at one command only: that of hover, at which the flights spend their time."""
+    hidden = {"thrust_bias": {"force": -0.04}}
+    value, (low, high) = quick(flights(hidden, seed=9)).thrust_over_weight
+    pwm = VEHICLE.hover_pwm / (1.0 - 0.04 / (VEHICLE.body_mass * VEHICLE.environment_gravity))
+    assert low < value < high and low < 1.0 - 0.04 / (VEHICLE.thrust_per_pwm * pwm) < high
+
+
 def test_what_the_reference_left_uncertain_is_estimated_again():
     """Drag that calm flights hardly show: named is the wind alone, and the corrected vehicle has both."""
     logs = flights({"body_drag": {"coefficient": 0.03}, "wind": {"x": -3.0}}, seed=12, count=3, seconds=6.0)

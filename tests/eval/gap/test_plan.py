@@ -34,7 +34,7 @@ THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 
 def plan_input(*hypotheses):
     """The input of a plan for a report with these sets."""
-    report = SimpleNamespace(sets=hypotheses, unidentifiable_sets=(), disturbance={})
+    report = SimpleNamespace(sets=hypotheses, unidentifiable_sets=(), disturbance={}, immaterial=())
     report.platform, report.verdict = False, "effects"
     return PlanInput.of(report, VEHICLE, VehiclePosterior.of_file(None, VEHICLE))
 
@@ -260,6 +260,12 @@ def test_what_flights_could_not_show_is_sought_too(tmp_path):
     discrimination = ModelDiscrimination(doubt.hypotheses, VEHICLE, doubt.noise_levels)
     gains = {k: discrimination.gain(gram(discrimination, points(k))) for k in ("low_hover", "run")}
     assert gains["low_hover"] > 3 * abs(gains["run"])
+
+
+def test_no_flight_is_for_what_does_not_matter(tmp_path):
+    sets = (ScoredSet(("wind",), 0.6, WIND.values), ScoredSet((), 0.4, {}))
+    (alone,) = read_report(report(tmp_path, *sets, immaterial=["wind"]))[0].hypotheses
+    assert alone.effects == () and alone.probability == pytest.approx(1.0)
 
 
 def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):

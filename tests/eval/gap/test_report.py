@@ -14,7 +14,7 @@ import pytest
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identify import worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
-from inclined_landing.eval.gap.answer.sizes import step_response_time
+from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
@@ -261,6 +261,20 @@ def test_the_response_of_the_loops_is_63_percent_after_its_time_constant():
     late = quick.changed(effects_attitude_delay=0.03)
     assert step_response_time(quick) == pytest.approx(quick.attitude_time_constant, abs=5e-4)
     assert step_response_time(late) - step_response_time(quick) == pytest.approx(0.03)
+
+
+def test_lags_of_the_loops_are_pieces_where_they_compensate_or_end_at_a_bound():
+    problem, slower = SimpleNamespace(library=LIBRARY), {"attitude_time_constant": {"scale": 1.5}}
+    quicker, most = ({"second_order_attitude": {"rate_lag": lag}} for lag in (-0.01, 0.15))
+    drag = {"rotor_drag": {"lateral": 1.5, "axial": 1.0}}
+    for values, pieces in (
+        (slower | drag, ()),
+        (slower | {"second_order_attitude": {"rate_lag": 0.02}}, ()),
+        (most | drag, ()),
+        (slower | quicker | drag, ("attitude_time_constant", "second_order_attitude")),
+        (slower | most, ("attitude_time_constant", "second_order_attitude")),
+    ):
+        assert loop_pieces(problem, values) == pieces
 
 
 def test_pieces_of_the_attitude_loops_are_one_name():
