@@ -47,7 +47,7 @@ class TrainingState(Struct, forbid_unknown_fields=True):
     config: dict[str, Any]
     vehicle: dict[str, Any]
     ranges: dict[str, Any]
-    curriculum: dict[str, int | float | list[bool] | None]
+    curriculum: dict[str, int | float | str | list[bool | str] | None]
     history: list[Row]
     evaluations: list[Row]
     spent: dict[str, float]

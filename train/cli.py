@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
 from typing import TYPE_CHECKING
@@ -38,7 +39,7 @@ def _train(arguments: list[str]) -> int:
         from inclined_landing.train.sweep.command import command
 
         return command_line.parse(command_line.bound(command), "landing-train sweep", arguments[1:])()
-    from inclined_landing.train.config import TrainConfig
+    from inclined_landing.train.config import TrainConfig, flag_of
 
     if arguments and arguments[0].partition("=")[0] == "--print-completion":
         print(
@@ -52,7 +53,8 @@ def _train(arguments: list[str]) -> int:
     config = command_line.parse(TrainConfig, "landing-train", arguments)
     from inclined_landing.train.run import NOT_REACHED, Run
 
-    run = Run(config)
+    flags = command_line.given(arguments)
+    run = Run(config, {field.name for field in dataclasses.fields(config) if flag_of(field.name) in flags})
     due = config.report and run.config.report and not (run.metrics and "success" in run.metrics)
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")

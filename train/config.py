@@ -18,6 +18,7 @@ from inclined_landing.envs.policy import (
     tensors,
     trained_task,
 )
+from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.shared.options import Seed, flag_of
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
@@ -29,7 +30,7 @@ from inclined_landing.models.schema import Real
 from inclined_landing.train import descent
 
 # Files of which a run keeps a copy, and its name there.
-COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml"}
+COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml", "start_from": "from.zip"}
 # Options that say when a run ends: the first alone, or the others.
 ENDING = ("steps", "success", "min_steps", "max_steps")
 # Options of the task, and those of them that the command line has in degrees.
@@ -103,8 +104,8 @@ class TrainConfig:
     `landing-train sweep RECIPE` runs the command lines of a recipe for every seed.
     """
 
-    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[TASK]")] = "landing"
-    """landing, setpoint, touchdown, or a custom task as module:Class or file.py:Class."""
+    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[TASK]")] = ""
+    """landing (default), setpoint, touchdown, or a custom task as module:Class or file.py:Class."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Run folder (default: runs/TASK-seed)."""
     seed: Seed = 0
@@ -247,6 +248,8 @@ class TrainConfig:
             files[COPIED["vehicle"]] = locate_vehicle(self.vehicle)
         if self.randomise is not None:
             files[COPIED["randomise"]] = locate(self.randomise)
+        if self.start_from not in (None, descent.NAME):
+            files[COPIED["start_from"]] = locate_policy(self.start_from)
         return files
 
     @property
@@ -273,6 +276,7 @@ class TrainConfig:
 def resolve(config: TrainConfig) -> TrainConfig:
     """Return a copy with every default filled in, whose values are checked; raises UserError."""
     schema.check(config, None, flag_of)
+    config = dataclasses.replace(config, task=config.task or "landing")
     kind = import_task(config.task) if is_path(config.task) else task_class(config.task)
     training = kind.training
     try:

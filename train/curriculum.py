@@ -63,15 +63,13 @@ class Curriculum:
 
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
-    settling = SETTLING[0]
-    restarts = 0  # how often the learning rate has gone back to its initial value
-    most_restarts = RESTARTS[0]
-    kept: tuple[str, ...] = ()  # attributes that `state` has
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
     def __init__(self, gamma: float | str, the_task: Any = None):
         """gamma: a number, or RISING; the_task: conditions of training without a curriculum."""
         self._gamma, self._the_task = gamma, the_task
+        self.settling = SETTLING[0]
+        self.restarts, self.most_restarts = 0, RESTARTS[0]  # of the learning rate, to its initial value
         self._without: list[str] = []  # fields of the conditions that are the task's from the first step on
 
     def stage(self) -> Any:
@@ -143,13 +141,17 @@ class Curriculum:
         return {"level": self.level}
 
     def state(self) -> dict:
-        """Return everything that `restore` needs, in JSON types."""
-        return {name: getattr(self, name) for name in ("restarts", *self.kept)}
+        """Return all attributes in JSON types, but for the conditions of the task, for `restore`."""
+        found = {name: value for name, value in vars(self).items() if name != "_the_task"}
+        return {name: list(value) if isinstance(value, deque) else value for name, value in found.items()}
 
     def restore(self, state: dict) -> None:
         """Continue from a `state`."""
-        for name in ("restarts", *self.kept):
-            setattr(self, name, state[name])
+        for name in self.state():
+            before = getattr(self, name)
+            setattr(
+                self, name, deque(state[name], before.maxlen) if isinstance(before, deque) else state[name]
+            )
 
 
 def _shown(c: LandingConditions) -> dict[str, float]:
@@ -173,7 +175,6 @@ class AdaptiveCurriculum(Curriculum):
     """
 
     name = "adaptive"
-    kept = ("level", "full_at")
     moments = tuple((f"level {level:g}", {"level": level}) for level in (0.0, 0.25, 0.6, 1.0))
 
     def __init__(
@@ -249,13 +250,6 @@ class AdaptiveCurriculum(Curriculum):
     def log(self) -> dict[str, float]:
         return super().log() | {"success": self.success} | _shown(self.conditions())
 
-    def state(self) -> dict:
-        return super().state() | {"recent": list(self.recent)}
-
-    def restore(self, state: dict) -> None:
-        super().restore(state)
-        self.recent = deque(state["recent"], self.recent.maxlen)
-
 
 class FixedCurriculum(AdaptiveCurriculum):
     """The same levels as a function of steps: level 1 at RAMP, where the adaptive one usually is."""
@@ -281,7 +275,6 @@ class PaperCurriculum(Curriculum):
     """
 
     name = "paper"
-    kept = ("episodes", "tilting_episodes", "steps")
     moments = (  # of its schedule, at the usual length of episodes
         ("0 k steps", {"episodes": 0, "tilting_episodes": 0, "steps": 0}),
         ("390 k steps", {"episodes": 5000, "tilting_episodes": 0, "steps": 390_000}),
@@ -361,7 +354,6 @@ class TouchdownCurriculum(Curriculum):
     """
 
     name = "touchdown"
-    kept = ("level",)
     RAMP = 400_000  # environment steps
 
     def __init__(self, gamma: float | str):

@@ -10,7 +10,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +56,12 @@ def new_record(config: TrainConfig) -> dict:
     }
 
 
-def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
+def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig, dict]:
     """Return configuration and run.json of the run to resume.
 
     The limits of time are those of `config`, and its steps where it has any: the run then has that length.
+    The files that the run has copied are read there. given: options that were given at their defaults, as on
+    the command line.
     """
     folder = config.folder
     path = folder / RECORD
@@ -81,28 +83,26 @@ def stored(config: TrainConfig) -> tuple[TrainConfig, dict]:
         written = {name: value for name, value in found.config.items() if name in names}
         begun = TrainConfig(**written)
         _check_named(config, begun)
-        resolved = begun.resolved().as_json()
-        if any(resolved[name] != value for name, value in written.items()):
+        copies = {
+            name: folder / file if name != "start_from" else str(folder / file)
+            for name, file in COPIED.items()
+            if getattr(begun, name) is not None and (folder / file).is_file()
+        }
+        resolved = dataclasses.replace(begun, **copies).resolved()
+        recorded = resolved.as_json() | {name: written[name] for name in copies}
+        if any(recorded[name] != value for name, value in written.items()):
             raise UserError("its configuration has been changed")
     except NotNamed:
         raise
     except UserError as error:
         raise cannot_continue(path, error) from error
-    _check_same(config, begun)
+    _check_same(config, begun, given)
     if config.steps not in (None, begun.steps):
         length: dict[str, Any] = dict.fromkeys(ENDING) | {"steps": config.steps}
-        begun = dataclasses.replace(begun, **length)
-    begun = dataclasses.replace(
-        begun.resolved(),
-        out=folder,
-        max_seconds=config.max_seconds,
-        max_cpu_seconds=config.max_cpu_seconds,
-        resume=False,
-    )
-    for name, file in COPIED.items():
-        if getattr(begun, name) is not None and (folder / file).is_file():
-            setattr(begun, name, folder / file)  # unless the run was stopped before it was made
-    return begun, record | {"config": resolved | {name: getattr(begun, name) for name in ENDING}}
+        resolved = dataclasses.replace(resolved, **length).resolved()
+    limits = {name: getattr(config, name) for name in ("max_seconds", "max_cpu_seconds")}
+    resumed = dataclasses.replace(resolved, out=folder, resume=False, **limits)
+    return resumed, record | {"config": recorded | {name: getattr(resumed, name) for name in ENDING}}
 
 
 def _check_named(config: TrainConfig, begun: TrainConfig) -> None:
@@ -114,13 +114,15 @@ def _check_named(config: TrainConfig, begun: TrainConfig) -> None:
         )
 
 
-def _check_same(config: TrainConfig, begun: TrainConfig) -> None:
+def _check_same(config: TrainConfig, begun: TrainConfig, given: Container[str]) -> None:
     """Raise UserError where options were given with --resume that are not those of the run."""
     for field in dataclasses.fields(TrainConfig):
         asked, recorded = getattr(config, field.name), getattr(begun, field.name)
-        if field.name in (*FREE, "steps", "resume") or asked in (field.default, recorded):
+        if field.name in (*FREE, "steps", "resume") or asked == recorded or str(asked) == str(recorded):
             continue
-        if str(asked) == str(recorded) or (field.name == "net_arch" and list(asked) == list(recorded)):
+        if asked == field.default and field.name not in given:
+            continue
+        if field.name == "net_arch" and list(asked) == list(recorded):
             continue
         was = f"has {shown(recorded, 40)}" if recorded is not None else "has none"
         final = shlex.quote(str(config.folder / "final.zip"))

@@ -3,6 +3,7 @@
 run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
 randomise.toml   the file of ranges, if one was given
+from.zip         the policy that it goes on from, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
 evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids, own starts
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
@@ -17,11 +18,10 @@ import dataclasses
 import math
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from pathlib import Path
 
-from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
-from torch.utils.tensorboard import SummaryWriter
+from stable_baselines3.common.logger import Logger
 
 from inclined_landing.envs.policy import Policy, load_policy, write_metadata
 from inclined_landing.envs.shared import runs
@@ -43,6 +43,7 @@ from inclined_landing.train.callbacks import (
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig
 from inclined_landing.train.evaluation import PeriodicEvaluation
+from inclined_landing.train.events import EventFile
 from inclined_landing.train.record import (
     FREE,
     RECORD,
@@ -79,10 +80,10 @@ class Run:
     """The state of one training run; `execute` carries it to its end.
 
     Making one reads and checks everything, and changes nothing on disk. `metrics` is what a run that is
-    finished reached, otherwise None.
+    finished reached, otherwise None. given: as of `record.stored`.
     """
 
-    def __init__(self, config: TrainConfig):
+    def __init__(self, config: TrainConfig, given: Container[str] = ()):
         resolved = config.resolved()
         self.resumed, self.folder = config.resume, resolved.folder
         try:
@@ -93,7 +94,7 @@ class Run:
                 "another name"
             ) from error
         if config.resume:
-            self.config, self.record = stored(dataclasses.replace(config, out=self.folder))
+            self.config, self.record = stored(dataclasses.replace(config, out=self.folder), given)
         else:
             self.config, self.record = resolved, new_record(resolved)
         ppo.check_memory(self.config)
@@ -185,7 +186,7 @@ class Run:
         if self.begun_at is None:  # new, or stopped before the first checkpoint
             for file, source in self.config.copied().items():
                 if source != self.folder / file:
-                    storage.write_text(self.folder / file, source.read_text("utf-8"))
+                    storage.write_bytes(self.folder / file, source.read_bytes())
             shutil.rmtree(self.folder / "tensorboard", ignore_errors=True)
             return
         (self.folder / "metrics.json").unlink(missing_ok=True)
@@ -214,10 +215,8 @@ class Run:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
         if config.max_seconds is not None or config.max_cpu_seconds is not None:
             callbacks.append(every(1, self._in_time))
-        curves = TensorBoardOutputFormat(str(self.folder / "tensorboard"))
-        if self.begun_at is not None:  # hides what the curves show after the checkpoint
-            curves.writer = SummaryWriter(curves.writer.log_dir, purge_step=model.num_timesteps + 1)
-        model.set_logger(Logger(str(self.folder), [curves]))
+        resumed_at = None if self.begun_at is None else model.num_timesteps
+        model.set_logger(Logger(str(self.folder), [EventFile(self.folder / "tensorboard", resumed_at)]))
         remaining = 0 if self.reached() else config.most_steps() - model.num_timesteps
         whole = math.ceil(remaining / self.config.per_iteration) * self.config.per_iteration
         reached = False

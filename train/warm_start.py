@@ -106,6 +106,12 @@ def take_over(model: PPO, policy: Policy) -> None:
 def _check_task(policy: Policy, task: Task) -> None:
     """Raise UserError where `task` gives its policies less than `policy` was trained with, or another PWM."""
     before = policy.task
+    if before.observation_names != task.observation_names:
+        others = sorted(set(before.observation_names) ^ set(task.observation_names))
+        raise UserError(
+            f"policy {policy.path} has other observations than this run ({', '.join(others)}); "
+            "give the --dimensions, --steepest and --fastest that it was trained with"
+        )
     how = "with" if before.observe_vehicle else "without"
     for fits, remedy in (
         (before.history <= task.history, f"needs --history {before.history} or more"),

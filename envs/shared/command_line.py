@@ -71,6 +71,13 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
         raise
 
 
+def given(arguments: Sequence[str]) -> set[str]:
+    """Return the options that a command line names, as "--out"; for --no-film also --film."""
+    words = itertools.takewhile(lambda word: word != "--", arguments)
+    names = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")}
+    return names | {name.replace("--no-", "--", 1) for name in names}
+
+
 def _config() -> tuple:
     """Return the look of options: no prefix for groups, no literal None for omitted values."""
     import tyro

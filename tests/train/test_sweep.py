@@ -31,7 +31,7 @@ PRETENDED = """
 import json, os, sys
 from pathlib import Path
 words = sys.argv[1:]
-given = dict(zip(words, words[1:]))
+given = dict(zip(words, words[1:])) | dict(word.split("=", 1) for word in words if "=" in word)
 with open("calls.txt", "a") as calls:
     print(*words, os.environ["OMP_NUM_THREADS"], file=calls)
 print("said", *words)
@@ -165,15 +165,32 @@ def test_a_failed_run_leaves_the_others_and_no_result(place, capsys):
 def test_what_is_added_or_changed_is_done_and_what_follows_it(place):
     assert sweep() == 0 and calls()
     write(RECIPE | {"seeds": [5, 6, 7]})
-    assert sweep() == 0 and len(calls()) == 2 * 2  # what is done together names no other run
+    assert sweep() == 0 and len(calls()) == 2 * 2 + 1  # and what is done of all runs together
     training, judged = RECIPE["commands"]
     write(RECIPE | {"commands": [training, judged, "landing-eval success landing --out {out}/t"]})
-    assert sweep() == 0 and len(calls()) == 4
+    assert sweep() == 0 and len(calls()) == 4 + 1
     write(RECIPE | {"commands": [training, "landing-eval success landing --out {out}/s"]})
-    assert sweep() == 0 and len(calls()) == 4  # in the place of the old one
+    assert sweep() == 0 and len(calls()) == 4 + 1  # in the place of the old one
+    assert not Path("runs/pretended/a-5/t").exists()
     write(RECIPE | {"commands": [training.replace("100", "200"), judged]})
     assert sweep() == 0
-    assert [("--resume" in line) for line in calls() if line.startswith("landing")] == [True] * 4
+    # Options that are no longer there play no part: nothing is resumed that was begun with another line.
+    assert [("--resume" in line) for line in calls() if line.startswith("landing")] == [False] * 4
+    write(RECIPE | {"variants": {"a": "", "b": ""}, "commands": [training.replace("100", "200"), judged]})
+    assert sweep() == 0 and len(calls()) == 2 * 2 + 1
+    write(RECIPE | {"together": []})
+    assert sweep() == 0
+
+
+@pytest.mark.parametrize("out", ["--out={out}", "--out {out}"])
+def test_either_way_of_writing_an_option_is_understood(out, place):
+    recipe = RECIPE | {"commands": [RECIPE["commands"][0].replace("--out {out}", out)], "together": []}
+    write(recipe | {"numbers": {"steps": RECIPE["numbers"]["steps"]}, "answer": "After {a.steps}."})
+    Path("interrupted").touch()
+    assert sweep("--jobs", "1") == 1 and len(calls()) == 4
+    assert sweep("--jobs", "1") == 0
+    (resumed,) = calls()
+    assert "--resume" in resumed
 
 
 def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
@@ -294,7 +311,7 @@ def test_only_what_the_sweep_wrote_makes_room(tmp_path):
     for place, gone in (("a-5/s", True), ("a-5", False), ("", False), ("steps", False), ("../x", False)):
         out = Path(job.sweep, place)
         out.mkdir(parents=True, exist_ok=True)
-        jobs._prepared(job, ["landing-eval", "success", "--out", str(out)], 1)
+        jobs._prepared(job, jobs.Step(f"landing-eval success --out {out}"), 1)
         assert out.exists() is not gone, place
 
 

@@ -12,8 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from inclined_landing.envs.policy import load_policy, tensors
+from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import Ranges, locate, read_ranges
 from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
@@ -22,8 +24,9 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, evaluation, ppo, warm_start
 from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig
 from inclined_landing.train.curriculum import Curriculum
+from inclined_landing.train.events import EventFile
 from inclined_landing.train.run import CHECKPOINT, Run, train
-from tests.training import assert_same_policy, weights
+from tests.training import assert_same_policy, differences, weights
 
 TINY = {"environments": 8, "rollout": 16, "batch_size": 64, "epochs": 2, "steps": 512, "threads": 1,
         "evaluate_every": 0, "checkpoint_every": 2}  # fmt: skip
@@ -89,8 +92,9 @@ class Killed(BaseException):
     """Stands for a kill right after a checkpoint."""
 
 
-def train_until(iteration: int, options: TrainConfig, monkeypatch) -> None:
+def train_until(iteration: int, options: TrainConfig, monkeypatch) -> Run:
     """Train until the checkpoint of an iteration is written, and no further."""
+    run = Run(options)
     checkpoint = Run.checkpoint
 
     def checkpoint_and_die(self, now):
@@ -101,8 +105,9 @@ def train_until(iteration: int, options: TrainConfig, monkeypatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(Run, "checkpoint", checkpoint_and_die)
         with pytest.raises(Killed):
-            train(options)
+            run.execute()
     assert not (options.out / "final.zip").exists()
+    return run
 
 
 KINDS = {  # the plain landing: test_stopped_by_the_clock_and_resumed_equals_uninterrupted
@@ -127,6 +132,24 @@ def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
     assert_same_policy(whole / "final.zip", resumed / "final.zip")
     steps = [pd.read_csv(folder / "learning.csv")["steps"].tolist() for folder in (whole, resumed)]
     assert steps[0] == steps[1] == [128 * k for k in range(1, 25)]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "landing goes on"])
+def test_everything_that_a_run_has_is_restored(kind, tmp_path, monkeypatch):
+    """A resumed run differs in nothing, of whatever class, from one that was never interrupted."""
+    monkeypatch.setattr(warm_start, "CRITIC_FIRST", 256)
+    monkeypatch.setattr(warm_start, "_STEPS", 20)
+    monkeypatch.setattr(evaluation, "EVALUATION_STARTS", 2)
+    monkeypatch.setattr(evaluation, "ENDING_STARTS", 2)
+    options = KINDS.get(kind, {"start_from": "landing"}) | {"steps": 128 * 24, "evaluate_every": 2}
+    if kind == "landing goes on":  # until success
+        options |= {"steps": None, "max_steps": 128 * 24}
+    whole = train_until(10, config(tmp_path / "whole", **options), monkeypatch)
+    train_until(6, config(tmp_path / "cut", **options), monkeypatch)
+    resumed = train_until(10, TrainConfig(out=tmp_path / "cut", resume=True), monkeypatch)
+    assert not differences(whole, resumed)
+    resumed.curriculum.most_restarts += 1
+    assert len(differences(whole, resumed)) == 1
 
 
 def test_stopped_by_the_clock_and_resumed_equals_uninterrupted(landing_run, tmp_path):
@@ -230,6 +253,24 @@ def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     assert not np.array_equal(after["value_net.weight"], np.float32(shipped["value_net.weight"]))
     again, _ = train(config(tmp_path / "b", task=task, start_from=str(folder / "final.zip"), steps=256))
     assert load_policy(again / "final.zip").task.name == task
+
+
+def test_a_run_goes_on_without_the_policy_that_it_started_from(tmp_path, landing_run):
+    """The file may be gone or be another one by then: the run has a copy."""
+    given = tmp_path / "given.zip"
+    given.write_bytes((landing_run[0] / "final.zip").read_bytes())
+    options = {"start_from": str(given), "nominal": True, "steps": 256}
+    whole, _ = train(config(tmp_path / "whole", **options))
+    out, _ = train(config(tmp_path / "cut", max_cpu_seconds=1e-6, **options))
+    (out / "final.zip").unlink()
+    given.unlink()
+    for content in (None, (locate_policy("setpoint")).read_bytes()):
+        if content is not None:
+            given.write_bytes(content)
+        assert Run(TrainConfig(out=out, resume=True)).config.start_from == str(out / "from.zip")
+    resumed, _ = train(TrainConfig(out=out, resume=True))
+    assert_same_policy(whole / "final.zip", resumed / "final.zip")
+    assert json.loads((resumed / "run.json").read_text("utf-8"))["config"]["start_from"] == str(given)
 
 
 def test_a_landing_run_that_goes_on_begins_at_the_end_of_its_curriculum(tmp_path):
@@ -382,6 +423,10 @@ def test_resume_with_other_options_is_refused_by_name(options, landing_run):
     ):
         Run(TrainConfig(out=folder, resume=True, **options))
     assert Run(TrainConfig(out=folder, resume=True, steps=512, seed=3)).metrics["steps"] == 512
+    defaults = TrainConfig(out=folder, resume=True, task="landing")  # as of the run, but for the seed
+    assert Run(defaults, {"task", "entropy", "plant"}).metrics["steps"] == 512
+    with pytest.raises(UserError, match="which has 3 for --seed, not 0"):
+        Run(defaults, {"seed"})
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
@@ -447,7 +492,8 @@ def test_on_varied_vehicles_a_run_learns_again_until_it_lands_them_too(tmp_path,
     options = OPEN | {"evaluate_every": 1, "min_steps": 0, "randomise": Path("robust")}
     run = Run(config(tmp_path / "a", **options))
     monkeypatch.setattr(run.curriculum, "most_restarts", 1)
-    monkeypatch.setattr(run.curriculum, "learn_again", lambda: again.append(run.model.num_timesteps))
+    monkeypatch.setattr(Curriculum, "learn_again", lambda _: again.append(run.model.num_timesteps))
+    monkeypatch.setattr(type(run.curriculum), "learn_again", Curriculum.learn_again)
     metrics = run.execute()
     assert again == [8 * 64]
     assert metrics["reached"] is True and metrics["steps"] == 11 * 64
@@ -608,6 +654,7 @@ WRONG = {
     "--steepest 60": "steepest must be an angle above 0 and up to 0.873 rad",
     "--randomise none.toml": "randomise file none.toml does not exist",
     "--from none.zip": "policy none.zip does not exist",
+    "--from landing-3d": "landing-3d.zip has other observations than this run (",
     "--success 0.9": "--steps fixes the length of the run and cannot be combined with --success",
 }
 
@@ -635,6 +682,42 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, mon
 def test_values_beyond_the_limits_of_their_option_are_refused_by_name(name, value, tmp_path):
     with pytest.raises(UserError, match=f"--{name} must be a"):
         TrainConfig(out=tmp_path / "a", **{name: value}).resolved()
+
+
+def test_curves_that_cannot_be_written_are_one_sentence(tmp_path, monkeypatch):
+    """On a full disk: from the first byte on, or later."""
+    folder, name = tmp_path / "tensorboard", r"cannot write \S+tensorboard/events\.out\.tfevents\.\S+: "
+    file = EventFile(folder)
+    file._file.close()
+    file._file = file._records._writer = open("/dev/full", "wb")
+    with pytest.raises(UserError, match=name + "no space left on device"):
+        file.write({"a": 1.0}, {"a": None}, 3)
+    file.close()
+    with pytest.raises(UserError, match=name + "not a directory"):
+        EventFile(next(folder.iterdir()) / "tensorboard")
+
+
+def test_curves_after_the_checkpoint_are_hidden(tmp_path):
+    """As TensorBoard reads them: two runs of three iterations, the second resumed after two."""
+    for resumed_at, first in ((None, 1), (2, 3)):
+        file = EventFile(tmp_path, resumed_at)
+        for step in range(first, first + 3):
+            file.write(
+                {"a": 10.0 * first + step, "b": 1.0, "text": "x"},
+                {"a": None, "b": "tensorboard", "text": None},
+                step,
+            )
+        file.close()
+    read = EventAccumulator(str(tmp_path))
+    read.Reload()
+    assert read.Tags()["scalars"] == ["a"]
+    assert [(event.step, event.value) for event in read.Scalars("a")] == [
+        (1, 11),
+        (2, 12),
+        (3, 33),
+        (4, 34),
+        (5, 35),
+    ]
 
 
 def test_what_does_not_fit_into_memory_is_refused(tmp_path):

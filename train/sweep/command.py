@@ -26,6 +26,7 @@ from inclined_landing.train.lookup import look_up
 from inclined_landing.train.sweep.jobs import (
     STEPS,
     failure,
+    forget,
     job_of_all,
     jobs_of,
     leashed,
@@ -110,6 +111,8 @@ class Sweep:
         todo = [job for job in self.jobs.values() if not all(step.done for step in steps[job.name])]
         cores = len(os.sched_getaffinity(0))
         at_once = min(at_once or cores, max(1, len(todo)))
+        if todo:
+            forget(self.together)
         with leashed() as leash:
             shared = (max(1, cores // at_once), 0.0, leash) if on == "local" else (1, _PATIENCE, None)
             done = pool.completed(work, shared, todo, on, address, at_once) if todo else ()

@@ -41,6 +41,7 @@ class Step(msgspec.Struct):
 
     line: str
     code: int | None = None  # None: it has not ended
+    begun: bool = False  # with this line
     cpu_seconds: Annotated[float, Meta(ge=0)] = 0.0  # of all attempts that ended
 
     @property
@@ -109,12 +110,28 @@ def read(job: Job) -> list[Step]:
     What was done with another command line, and what came after it, is not done. Raises UserError for a
     damaged record.
     """
-    found = []
-    if job.record.exists():
-        found = schema.parse(storage.read_json(job.record, "record"), list[Step], f"record {job.record}: ")
-    same = itertools.takewhile(lambda pair: pair[0].line == pair[1], zip(found, job.lines))
-    steps = [step for step, _ in same]
-    return steps + [Step(line) for line in job.lines[len(steps) :]]
+    recorded = _recorded(job)
+    same = _in_common(recorded, job)
+    return recorded[:same] + [Step(line) for line in job.lines[same:]]
+
+
+def forget(job: Job) -> None:
+    """Let nothing of a job be done, because what its commands read is made anew."""
+    for step in _recorded(job):
+        _remove_output(job, step)
+    job.record.unlink(missing_ok=True)
+
+
+def _recorded(job: Job) -> list[Step]:
+    if not job.record.exists():
+        return []
+    return schema.parse(storage.read_json(job.record, "record"), list[Step], f"record {job.record}: ")
+
+
+def _in_common(recorded: list[Step], job: Job) -> int:
+    """Return how many of the recorded steps, from the first on, have the lines of the job."""
+    pairs = zip(recorded, job.lines)
+    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0].line == pair[1], pairs))
 
 
 def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Step]:
@@ -131,11 +148,16 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
     if not job.record.parent.is_dir():
         raise UserError(f"{os.uname().nodename} cannot access {job.sweep}; all machines must share it")
     with runs.locked(job.folder, job.log, patience) as log:
+        recorded = _recorded(job)
+        for step in recorded[_in_common(recorded, job) :]:  # of a recipe that was another one
+            _remove_output(job, step)
         steps = read(job)
         for step in steps:
             if step.done:
                 continue
-            words = _prepared(job, job.words(step.line), threads)
+            words = _prepared(job, step, threads)
+            step.begun = True
+            storage.write_json(job.record, msgspec.to_builtins(steps))
             step.code, seconds = _run(words, job.directory, log, threads, leash)
             step.cpu_seconds += seconds
             storage.write_json(job.record, msgspec.to_builtins(steps))
@@ -165,16 +187,31 @@ def leashed() -> Iterator[int]:
         os.close(end)
 
 
-def _prepared(job: Job, words: list[str], threads: int) -> list[str]:
-    """Return a command as it is run now: resumed, or with room made for what it writes below the folder."""
-    job.folder.mkdir(parents=True, exist_ok=True)
+def _prepared(job: Job, step: Step, threads: int) -> list[str]:
+    """Return a command as it is run now: resumed, or with room made for its output."""
+    words = job.words(step.line)
     training = words[0] == "landing-train"
-    out = Path(next((value for word, value in itertools.pairwise(words) if word == "--out"), os.devnull))
-    if training and (out / "run.json").is_file():
+    if training and step.begun and (_output(job, words) / "run.json").is_file():
         words = [*words, "--resume"]
-    elif out.resolve().is_relative_to(job.folder.resolve()) and (training or out != job.folder):
-        shutil.rmtree(out, ignore_errors=True)
+    else:
+        _remove_output(job, step)
+    job.folder.mkdir(parents=True, exist_ok=True)
     return [*words, "--threads", str(threads)] if training else words
+
+
+def _remove_output(job: Job, step: Step) -> None:
+    """Remove what a command has written below the folder of its job, or as a training into that one."""
+    words = job.words(step.line)
+    out, folder = storage.real(_output(job, words)), storage.real(job.folder)
+    if out.is_relative_to(folder) and (words[0] == "landing-train" or out != folder):
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def _output(job: Job, words: Sequence[str]) -> Path:
+    """Return the folder in --out of a command."""
+    given = [word.partition("=")[2] for word in words if word.startswith("--out=")]
+    given += [value for word, value in itertools.pairwise(words) if word == "--out"]
+    return Path(job.directory, given[-1] if given else os.devnull)
 
 
 def _run(words: list[str], directory: str, log: int, threads: int, leash: int) -> tuple[int, float]:
