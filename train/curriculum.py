@@ -141,7 +141,7 @@ class Curriculum:
         return {"level": self.level}
 
     def state(self) -> dict:
-        """Return all attributes in JSON types, but for the conditions of the task, for `restore`."""
+        """Return all attributes except the conditions of the task, in JSON types, for `restore`."""
         found = {name: value for name, value in vars(self).items() if name != "_the_task"}
         return {name: list(value) if isinstance(value, deque) else value for name, value in found.items()}
 

@@ -22,7 +22,7 @@ from inclined_landing.models.errors import UserError
 class EventFile(KVWriter):
     """A new event file of numbers, written in the calling thread.
 
-    TensorBoard's own writer has a thread, whose error on a full disk reaches nobody. Raises UserError, with
+    TensorBoard's own writer has a thread, whose error on a full disk does not reach the caller. Raises UserError, with
     the file's name, where the file cannot be written.
     """
 

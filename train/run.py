@@ -3,7 +3,7 @@
 run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
 randomise.toml   the file of ranges, if one was given
-from.zip         the policy that it goes on from, if one was given
+from.zip         the policy that it starts from, if one was given
 learning.csv     one row per iteration; the same curves stand in tensorboard/
 evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids, own starts
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories

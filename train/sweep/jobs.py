@@ -116,7 +116,7 @@ def read(job: Job) -> list[Step]:
 
 
 def forget(job: Job) -> None:
-    """Let nothing of a job be done, because what its commands read is made anew."""
+    """Let nothing of a job be done, because what its commands read is made again."""
     for step in _recorded(job):
         _remove_output(job, step)
     job.record.unlink(missing_ok=True)
