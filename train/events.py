@@ -22,8 +22,8 @@ from inclined_landing.models.errors import UserError
 class EventFile(KVWriter):
     """A new event file of numbers, written in the calling thread.
 
-    TensorBoard's own writer has a thread, whose error on a full disk does not reach the caller. Raises UserError, with
-    the file's name, where the file cannot be written.
+    TensorBoard's own writer has a thread, whose error on a full disk does not reach the caller. Raises
+    UserError, with the file's name, where the file cannot be written.
     """
 
     def __init__(self, folder: Path, resumed_at: int | None = None):
