@@ -83,7 +83,7 @@ def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig
         written = {name: value for name, value in found.config.items() if name in names}
         begun = TrainConfig(**written)
         _check_named(config, begun)
-        copies = {
+        copies: dict[str, Any] = {
             name: folder / file if name != "start_from" else str(folder / file)
             for name, file in COPIED.items()
             if getattr(begun, name) is not None and (folder / file).is_file()
@@ -100,7 +100,7 @@ def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig
     if config.steps not in (None, begun.steps):
         length: dict[str, Any] = dict.fromkeys(ENDING) | {"steps": config.steps}
         resolved = dataclasses.replace(resolved, **length).resolved()
-    limits = {name: getattr(config, name) for name in ("max_seconds", "max_cpu_seconds")}
+    limits: dict[str, Any] = {name: getattr(config, name) for name in ("max_seconds", "max_cpu_seconds")}
     resumed = dataclasses.replace(resolved, out=folder, resume=False, **limits)
     return resumed, record | {"config": recorded | {name: getattr(resumed, name) for name in ENDING}}
 
