@@ -134,3 +134,8 @@ class FlightSource(LogSource):
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     vehicle: VehicleFile = None
     platform: Flag = False
+
+    @property
+    def count(self) -> int:
+        """Return the number of logs."""
+        return len(self.files) + len(self.heldout)

@@ -10,9 +10,11 @@ import tyro
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import save_figure, styled
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.words import most_informative_flight
@@ -42,11 +44,15 @@ def command(
     """
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.read_run(source, parts=5, reference_files=reference) as (logs, kept, notes, tick, plain):
+    with stages(source.count + len(reference) + 5) as tick:
+        flights = read_flights(
+            source.files, source.heldout, reference, mapping=source.mapping, units=source.unit, tick=tick
+        )
+        notes = flights.notes
         tick("reference")
         found = None
-        if plain:
-            found = identify(plain, nominal, platform=source.platform)
+        if flights.reference:
+            found = identify(flights.reference, nominal, platform=source.platform)
             (nominal, *_), known, notes = identified.described(found), found.reference, (*notes, *found.notes)
             notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
@@ -54,19 +60,19 @@ def command(
             notes = (*notes, aside) if aside else notes
         tick("diagnosis")
         d = diagnose(
-            logs,
+            flights.logs,
             nominal,
             reference=known,
-            heldout=kept,
+            heldout=flights.heldout,
             platform=source.platform or None,
             plants=tuple(words.PLANTS),
         )
         tick("most informative flight")
         flight, following = _flight(d, nominal, known, out)
         tick("figures")
-        flown = tracks.most_varied_flight([log for log in kept or logs if log.name in d.heldout])
-        with_slab = source.platform or any(log.contact is not None and log.contact.any() for log in logs)
-        track = tracks.of(flown, nominal, d.corrected, held_out=bool(kept), platform=with_slab)
+        judged = [log for log in flights.heldout or flights.logs if log.name in d.heldout]
+        flown, held_out = tracks.most_varied_flight(judged), bool(flights.heldout)
+        track = tracks.of(flown, nominal, d.corrected, held_out=held_out, platform=d.platform)
         versions = runs.versions()
         html = page(d, track, versions=versions, notes=notes, flight=flight)
         with styled():

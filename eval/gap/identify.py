@@ -7,7 +7,9 @@ from pathlib import Path
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.report import identified, model, run
 from inclined_landing.models.parameters import load_vehicle
 
@@ -23,17 +25,20 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     """
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with run.read_run(source, parts=2) as (logs, kept, notes, tick, _):
+    with stages(source.count + 2) as tick:
+        flights = read_flights(
+            source.files, source.heldout, mapping=source.mapping, units=source.unit, tick=tick
+        )
         tick("fit")
-        found = identify(logs, nominal, heldout=kept, platform=source.platform)
+        found = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
         tick("page")
         versions = runs.versions()
         html = identified.page(
             found,
-            heldout=[log.name for log in kept],
+            heldout=[log.name for log in flights.heldout],
             seconds=time.monotonic() - began,
             versions=versions,
-            notes=notes,
+            notes=flights.notes,
         )
     written: Path | None = None
     try:
@@ -42,4 +47,4 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
             run.write(folder, "identify", html, found.to_json(), source, began, versions)
         written = out / model.VEHICLE
     finally:
-        identified.show(found, notes, written)
+        identified.show(found, flights.notes, written)

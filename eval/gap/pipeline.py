@@ -71,11 +71,13 @@ def diagnose(
     clock("prepare")
 
     # How probable is every set of effects? In a strong wind the attitude loops are not judged.
-    found = search(*estimate_noise(problem))
+    problem, joint = estimate_noise(problem)
+    found = search(problem, joint)
     if problem.logged[:, 3:5].any() and steady_force(problem, found.values) > thresholds.STRONG_WIND:
         use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
-        found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
-    inconsistent = inconsistent_flights(found.problem, found.linear, found.joint)
+        problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference))
+        found = search(problem, joint)
+    inconsistent = inconsistent_flights(problem, found.linear, joint)
     clock("sets")
 
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
@@ -111,7 +113,7 @@ def diagnose(
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
-        disturbance=disturbances(found.problem),
+        disturbance=disturbances(problem),
         horizon=ahead.horizon,
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),

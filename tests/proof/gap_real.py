@@ -90,7 +90,7 @@ def flights(folder: Path, pattern: str) -> list[FlightLog]:
     files = [str(path) for path in sorted(folder.glob(pattern))]
     if not files:
         raise UserError(f"{folder} holds no {pattern}")
-    return read_flights(files)[0]
+    return read_flights(files).logs
 
 
 # --- attitude ----------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ name.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,35 +29,53 @@ MOMENT = 0.1  # s: a vehicle that hits something stops within
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
 
 
+@dataclasses.dataclass(frozen=True)
+class ReadFlights:
+    """The flights of a command."""
+
+    logs: list[FlightLog]  # to fit
+    heldout: list[FlightLog]
+    reference: list[FlightLog]  # of the vehicle before, to identify it
+    notes: tuple[str, ...]  # on limits that the flights of a group have in common
+
+
 def read_flights(
     files: Sequence[str],
     heldout: Sequence[str] = (),
+    reference: Sequence[str] = (),
     *,
     mapping: str | None = None,
     units: Sequence[str] = (),
     tick: Callable[[str], None] = lambda name: None,
-) -> tuple[list[FlightLog], list[FlightLog], tuple[str, ...]]:
-    """Return the flights to fit, the held-out flights, and notes on their common limits.
+) -> ReadFlights:
+    """Return the flights of some files.
 
     units: as `roll=deg`. tick: called with the name of each file before it is read.
     Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
     different vehicles.
     """
-    given = parse_units(units)
-    every = [*files, *heldout]
-    check_apart(every)
+    check_apart(files, heldout, reference)
+    read = functools.partial(_read, mapping=mapping, units=parse_units(units), tick=tick)
+    before, before_notes = read(reference)
+    logs, notes = read([*files, *heldout])
+    return ReadFlights(logs[: len(files)], logs[len(files) :], before, (*before_notes, *notes))
+
+
+def _read(
+    files: Sequence[str], *, mapping: str | None, units: Mapping[str, str], tick: Callable[[str], None]
+) -> tuple[list[FlightLog], tuple[str, ...]]:
+    """Return flights of one vehicle, and notes on their common limits; arguments as of `read_flights`."""
     logs = []
-    stems = [shown(Path(file).name).removesuffix(".gz").removesuffix(".csv") for file in every]
-    for file, stem in zip(every, stems):
+    stems = [shown(Path(file).name).removesuffix(".gz").removesuffix(".csv") for file in files]
+    for file, stem in zip(files, stems):
         name = stem if stems.count(stem) == 1 else f"{shown(Path(file).parent.name)}/{stem}"
         tick(name)
-        logs.append(read_log(file, mapping=mapping, units=given, name=name))
-    together = check_fleet(logs)
+        logs.append(read_log(file, mapping=mapping, units=units, name=name))
+    together = check_fleet(logs) if logs else []
     for finding in together:
         if finding.decision == "refuse":
             raise UserError(finding.text)
-    notes = tuple(finding.text for finding in together if finding.decision == "limit")
-    return logs[: len(files)], logs[len(files) :], notes
+    return logs, tuple(finding.text for finding in together if finding.decision == "limit")
 
 
 def check_apart(*groups: Sequence[str]) -> None:

@@ -182,8 +182,9 @@ def with_a_flat_battery(table):
 
 def notes_on(files):
     """What the command would say beside the answer, without the page."""
-    flights, _, together = read_flights(files)
-    return "\n".join((*diagnose(flights, load_vehicle(), plants=(), curves=False).notes, *together))
+    flights = read_flights(files)
+    d = diagnose(flights.logs, load_vehicle(), plants=(), curves=False)
+    return "\n".join((*d.notes, *flights.notes))
 
 
 @pytest.mark.slow
