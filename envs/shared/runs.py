@@ -21,17 +21,9 @@ _PACKAGES = (
 _owned: dict[Path, bool] = {}  # run folders that this process has locked, and whether it made them
 
 
-def new_run(path: str | Path | None, name: str = "run") -> Path:
-    """Create the run folder `path` (default: `runs/<name>-<date>-<time>`) and return it.
-
-    Raises UserError when the folder exists and is not empty, or cannot be created.
-    """
-    if path is None:
-        path = Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    check_new_run(path)
-    path = Path(path)
-    with storage.made(path):
-        return path
+def dated(name: str) -> Path:
+    """Return the run folder `runs/<name>-<date>-<time>`."""
+    return Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def check_new_run(path: str | Path) -> None:

@@ -70,9 +70,12 @@ def read_trajectory(path: Path) -> Trajectory:
 
     Raises UserError for a file of another kind, and for numbers that cannot be flown.
     """
-    rows = list(csv.reader(io.StringIO(storage.read_text(path, "planned flight"))))
-    header = [name.strip() for name in rows[0]] if rows else []
     where = f"planned flight {path}"
+    try:
+        rows = list(csv.reader(io.StringIO(storage.read_text(path, "planned flight"))))
+    except csv.Error as error:
+        raise UserError(f"{where} is not CSV: {error}") from None
+    header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise UserError(f"{where} has no column {missing[0]}; name the flight.csv of landing-eval plan")

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import sys
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -46,9 +45,8 @@ class SimulatedConnection:
         capture = None if self.setting.lighthouse else flight.motion_capture
         return radio, flight.clock, _positions(radio, capture)
 
-    def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
-        """Return a context that does nothing."""
-        return contextlib.nullcontext()
+    def dead_man_switch(self) -> None:
+        """Return None: the vehicle ends with this process."""
 
 
 class RealConnection:
@@ -78,7 +76,7 @@ class RealConnection:
         radio.connect(self.uri)
         return radio, self._clock, _positions(radio, self._capture)
 
-    def dead_man_switch(self) -> contextlib.AbstractContextManager[Any]:
+    def dead_man_switch(self) -> DeadManSwitch:
         """Return the context in which another process stops the motors should this one die."""
         return DeadManSwitch(self.uri)
 
@@ -105,7 +103,9 @@ def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -
     """
     radio, clock, mocap = connection.connect(k, plan, dry)
     try:
-        pilot = Pilot(radio, clock, mocap, plan, hang_limit=connection.hang_limit)
+        switch = None if dry else connection.dead_man_switch()
+        guarded = (lambda: True) if switch is None else switch.watches
+        pilot = Pilot(radio, clock, mocap, plan, hang_limit=connection.hang_limit, guarded=guarded)
         for _ in range(CHECK_ATTEMPTS):
             checks = pilot.check()
             failed = [check for check in checks if not check.passed]
@@ -116,12 +116,14 @@ def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -
         if failed:
             reasons = "; ".join(f"{check.name}: {check.found}" for check in failed)
             raise UserError(f"not ready to fly: {reasons}")
-        with contextlib.nullcontext() if dry else connection.dead_man_switch():
+        with switch or contextlib.nullcontext():
             if connection.confirms and not dry:
                 question = "The motors will start. Goggles on, nets clear? Type {} to fly: "
                 print(question.format(ARM_WORD), end="", flush=True)
                 if sys.stdin.readline().strip() != ARM_WORD:
                     raise UserError(f"not armed: {ARM_WORD} was not typed")
+            if not guarded():
+                raise UserError("not ready to fly: the watchdog process that would stop the motors is gone")
             yield pilot
     finally:
         radio.close()

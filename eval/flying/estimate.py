@@ -30,6 +30,7 @@ IMPACT, IMPACT_TIME = 4.0, 0.03
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 RESTART = 5.0  # s: clocks this far apart mean that the vehicle's began anew, as its 24 bits do after 4.7 h
 HEADING_TIME = 0.5  # s in which the heading follows motion capture: gyroscopes drift over minutes
+LONGEST_STEP = 0.06  # s, three control periods: what acted in a longer one, nobody measured
 TIME_CONSTANT = 2.5  # s: an acceleration of 0.8 m/s2 that leads nowhere, a lean of 5 deg, is then 2 m/s
 
 
@@ -309,14 +310,14 @@ class ConsistencyMonitor:
         return float(np.linalg.norm(self._parted))
 
     def update(self, time: float, velocity: np.ndarray, up: np.ndarray, lift: float) -> None:
-        """Add the estimate at `time` [s] to the comparison; NaN is skipped.
+        """Add the estimate at `time` [s] to the comparison; NaN is skipped, as is an unseen LONGEST_STEP.
 
         velocity (3,) [m/s]; up (3,): the body's z axis in the arena; lift: acceleration along it as an
         accelerometer shows it [g].
         """
         if not (np.isfinite(velocity).all() and np.isfinite(up).all() and math.isfinite(lift)):
             return
-        if self._before is not None and time > self._before[0]:
+        if self._before is not None and 0.0 < time - self._before[0] <= LONGEST_STEP:
             # d <- d exp(-dt / T) + g (f b_z - e_z) dt - (v - v_before), f [g] the specific force along b_z
             dt = time - self._before[0]
             gained = self._gravity * (lift * up - np.array([0.0, 0.0, 1.0])) * dt

@@ -14,6 +14,7 @@ import csv
 import itertools
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,15 +33,17 @@ LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are no
 
 
 class FlightLogWriter:
-    """Writer of the log at `path` that begins at `start` [s of the pilot's clock]; a context.
+    """Writer of the log at `path`; a context, in which `begin` starts it. A log that never begins is removed.
 
-    Raises UserError where the file is there already or cannot be written.
+    Raises UserError where the file is there already, and where it cannot be written: once, and from `finish`.
+    What is added in between is ignored.
     """
 
-    def __init__(self, path: Path, start: float):
+    def __init__(self, path: Path):
         self.path = Path(path)
         self.unfinished = self.path.with_suffix(".unfinished.csv")
-        self._start = start
+        self._start, self.begun = math.nan, False
+        self._error: UserError | None = None
         kinds = ("pose", "attitude", "voltage", "command")
         self._tracks: dict[str, collections.deque] = {kind: collections.deque() for kind in kinds}
         self._newest = self._written = self._posed = -math.inf
@@ -48,18 +51,20 @@ class FlightLogWriter:
             if os.path.lexists(file):
                 raise UserError(f"the log {file} already exists; choose another folder")
         storage.check_file(self.path)
-        try:
+        with self._told():
             self._file = self.unfinished.open("x", newline="", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise UserError(f"cannot write {self.unfinished}: {storage.reason(error)}") from error
-        self._rows = csv.DictWriter(self._file, COLUMNS)
-        self._rows.writeheader()
+            self._rows = csv.DictWriter(self._file, COLUMNS)
+            self._rows.writeheader()
 
     def __enter__(self) -> FlightLogWriter:
         return self
 
     def __exit__(self, *_) -> None:
         self.finish()
+
+    def begin(self, start: float) -> None:
+        """Begin the log at `start` [s of the pilot's clock]."""
+        self._start, self.begun = start, True
 
     def pose(self, time: float, position: np.ndarray, contact: bool) -> None:
         """Add a position (3,) [m] of motion capture, and whether the vehicle is in contact."""
@@ -82,20 +87,39 @@ class FlightLogWriter:
         """Write the remaining rows and give the file its final name; does nothing the second time."""
         if self._file.closed:
             return
-        with contextlib.closing(self._file):
+        if not self.begun:
+            self._file.close()
+            self.unfinished.unlink(missing_ok=True)
+            return
+        if self._error is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            raise self._error
+        with self._told(), contextlib.closing(self._file):
             self._write(math.inf)
             self._file.flush()
             os.fsync(self._file.fileno())
-        os.replace(self.unfinished, self.path)
+            os.replace(self.unfinished, self.path)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """Raise UserError, which names the file, where it cannot be written."""
+        try:
+            yield
+        except OSError as error:
+            self._error = UserError(f"cannot write {self.unfinished}: {storage.reason(error)}")
+            raise self._error from error
 
     def _note(self, kind: str, time: float, values: tuple[float, ...]) -> None:
         t = round(time - self._start, 6)
         track = self._tracks[kind]
-        if not all(map(math.isfinite, (t, *values))) or (track and t <= track[-1][0]):
+        finite = all(map(math.isfinite, (t, *values)))
+        if self._error is not None or not finite or (track and t <= track[-1][0]):
             return
         track.append((t, values))
         self._newest = max(self._newest, t)
-        self._write(self._newest - REORDER_WINDOW)
+        with self._told():
+            self._write(self._newest - REORDER_WINDOW)
 
     def _write(self, until: float) -> None:
         """Write the rows up to `until`, and discard what no later row needs."""

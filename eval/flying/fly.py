@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import math
@@ -13,7 +14,7 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.policy import Policy, load_policy, trained_task
-from inclined_landing.envs.shared.runs import new_run
+from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import PAPER_STARTS
@@ -33,6 +34,7 @@ from inclined_landing.eval.flying.connection import (
     SimulatedConnection,
     checked_pilot,
 )
+from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
 from inclined_landing.eval.flying.report import FlightReport, describe, describe_all, summary
 from inclined_landing.eval.flying.simulated.body import named_vehicle
@@ -236,29 +238,41 @@ def command(
         "position": real.position,
         "seed": simulation.seed,
     }
-    folder: Path | None = None  # not before a vehicle is there, and ready
+    folder = out or runs.dated("fly")
     results: list[dict[str, Any]] = []
     reports: list[FlightReport] = []
-    for k in range(flights):
-        heading = math.radians(real.heading or 0.0)
-        plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand or 0.0, heading)
-        what = "landing" if flight.plan is None else "plan"
-        print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:g}, z {plan.start[1]:g} m")
-        with checked_pilot(connection, k, plan, dry_run) as pilot:
-            folder = folder or new_run(out, "fly")
-            log = None if dry_run else folder / f"flight_{k + 1:02d}.csv"
-            report = pilot.fly(log)
-        reports.append(report)
-        results.append(summary(report, plan, log))
-        storage.write_json(folder / "fly.json", {**description, "flights": results})
-        print(describe(report))
-        if report.cause is not None and report.cause.name == "interrupted":
-            return 130
-        if report.error:
-            print(report.error, file=sys.stderr)
-            return 1
+    with runs.owned(folder):
+        for k in range(flights):
+            heading = math.radians(real.heading or 0.0)
+            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand or 0.0, heading)
+            what = "landing" if flight.plan is None else "plan"
+            print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:g}, z {plan.start[1]:g} m")
+            log = None if dry_run else FlightLogWriter(folder / f"flight_{k + 1:02d}.csv")
+            with log or contextlib.nullcontext(), checked_pilot(connection, k, plan, dry_run) as pilot:
+                report = pilot.fly(log)
+                print(describe(report))
+                reports.append(report)
+                results.append(summary(report, plan, log.path if log and log.begun else None))
+                _write(log, folder / "fly.json", {**description, "flights": results})
+            if report.cause is not None and report.cause.name == "interrupted":
+                return 130
+            if report.error:
+                print(report.error, file=sys.stderr)
+                return 1
     if dry_run:
         return 0
     said = describe_all(reports, "plan" if isinstance(landing, PlannedFlight) else landing.task.name)
     say(f"{said[0].upper()}{said[1:]}; the logs are in {folder}.")
     return 0 if all(report.succeeded for report in reports) else 3
+
+
+def _write(log: FlightLogWriter | None, path: Path, description: dict[str, Any]) -> None:
+    """Finish the log and write the description. Raises UserError, with the names of the files that fail."""
+    failed: list[str] = []
+    for write in (lambda: log and log.finish(), lambda: storage.write_json(path, description)):
+        try:
+            write()
+        except UserError as error:
+            failed.append(str(error))
+    if failed:
+        raise UserError("; ".join(failed))

@@ -16,7 +16,6 @@ import contextlib
 import math
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -44,6 +43,7 @@ from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog, interruptible, uninterruptible
 from inclined_landing.models.attitude import PITCH_COMMAND, PWM, ROLL_COMMAND, VX, VZ, YAW, X, Z
 from inclined_landing.models.attitude import YAW_RATE_COMMAND as YAW_RATE
+from inclined_landing.models.errors import UserError
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows
@@ -57,7 +57,8 @@ DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it print
 class Pilot:
     """The pilot of one connected vehicle; a new one for every flight.
 
-    say: called with every line of what happens. hang_limit [s]: see `Watchdog`.
+    say: called with every line of what happens. hang_limit [s]: see `Watchdog`. guarded: whether the process
+    is there that stops the motors should this one die.
     """
 
     def __init__(
@@ -69,13 +70,14 @@ class Pilot:
         *,
         say: Callable[[str], None] = print,
         hang_limit: float = safety.HANG_LIMIT,
+        guarded: Callable[[], bool] = lambda: True,
     ):
         self.radio, self.clock, self.mocap, self.plan = radio, clock, mocap, plan
         self.vehicle, self.surroundings = plan.vehicle, plan.surroundings
         self.phase = Phase.APPROACH
         self.report = FlightReport("")
         self.home: np.ndarray | None = None
-        self._print, self._hang_limit = say, hang_limit
+        self._print, self._hang_limit, self._guarded = say, hang_limit, guarded
         self._log: FlightLogWriter | None = None
         onboard = isinstance(mocap, OnboardPosition)
         self._source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
@@ -125,11 +127,11 @@ class Pilot:
 
     # --- the flight ------------------------------------------------------------------------------
 
-    def fly(self, log: Path | None = None) -> FlightReport:
+    def fly(self, log: FlightLogWriter | None = None) -> FlightReport:
         """Fly, and return the report; whatever happens, the motors are off afterwards.
 
-        log: the CSV that is written, None for none. `check` must have passed. Errors and interruptions end up
-        in the report, not in the caller.
+        log: begins with the flight, and is the caller's to finish. `check` must have passed. Errors and
+        interruptions end up in the report, not in the caller.
         """
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
@@ -142,29 +144,32 @@ class Pilot:
             return self.report
         self._final.reset()
         self._follower.actor.reset()
-        with contextlib.ExitStack() as stack:
-            try:
-                if log is not None:
-                    now = self.clock.now()
-                    self._log = stack.enter_context(FlightLogWriter(log, now))
-                    self._log.voltage(now, self._voltage)  # the last ones before the log begins
-                    if self._estimator.attitude is not None:
-                        self._log_attitude(self._estimator.attitude)
-                with interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
-                    self._began = self._phase_began = self.clock.now()
-                    self.radio.arm()
-                    self._log_motors_off()
-                    self._loop(watchdog)
-            except KeyboardInterrupt:
-                self._end(safety.INTERRUPTED)
-            except Exception as error:
-                self._end(safety.ERROR)
-                self.report.error = "".join(traceback.format_exception(error)).strip()
-            finally:
-                with uninterruptible():
-                    self._motors_off()
-            with contextlib.suppress(Exception):
-                self._track_after_flight()
+        try:
+            if log is not None:
+                now = self.clock.now()
+                log.begin(now)
+                self._log = log
+                self._log.voltage(now, self._voltage)  # the last ones before the log begins
+                if self._estimator.attitude is not None:
+                    self._log_attitude(self._estimator.attitude)
+            with interruptible(), Watchdog(self._hang_limit, self.radio.emergency_stop) as watchdog:
+                self._began = self._phase_began = self.clock.now()
+                self.radio.arm()
+                self._log_motors_off()
+                self._loop(watchdog)
+        except KeyboardInterrupt:
+            self._end(safety.INTERRUPTED)
+        except UserError as error:
+            self._end(safety.ERROR)
+            self.report.error = str(error)
+        except Exception as error:
+            self._end(safety.ERROR)
+            self.report.error = "".join(traceback.format_exception(error)).strip()
+        finally:
+            with uninterruptible():
+                self._motors_off()
+        with contextlib.suppress(Exception):
+            self._track_after_flight()
         return self.report
 
     def _loop(self, watchdog) -> None:
@@ -180,16 +185,20 @@ class Pilot:
                 return
             k += 1
             now = self.clock.now()
-            if now > begin + (k + 1) * self._period:  # late: go on from here, send nothing twice
+            late = max(0.0, now - (begin + k * self._period))
+            if late > self._period:  # go on from here, send nothing twice
                 begin = now - k * self._period
-            self._step(now)
+            self._step(now, late)
             if self.radio.dry and self.phase is not Phase.OVER and now - self._began > DRY_RUN:
                 self._end(None, "dry run")
 
-    def _step(self, time: float) -> None:
-        """Run one control step: safety checks, then a command."""
+    def _step(self, time: float, late: float) -> None:
+        """Run one control step, which comes so late [s]: safety checks, then a command."""
+        if not (self.report.unguarded or self._guarded()):
+            self.report.unguarded = True
+            self._print("the watchdog process, which would stop the motors should this one die, is gone")
         estimate = self._estimator.predict(time)
-        cause = self._monitor.cause(self._flight_status(estimate))
+        cause = self._monitor.cause(self._flight_status(estimate, late))
         if cause is not None:
             self._react(cause, estimate)
         if self.phase is Phase.OVER:
@@ -219,7 +228,7 @@ class Pilot:
         """Whether the commands of this phase are in the vehicle's heading, with a yaw rate of their own."""
         return self._final.turns and self.phase is self._final.phase
 
-    def _flight_status(self, estimate: StateEstimate) -> FlightStatus:
+    def _flight_status(self, estimate: StateEstimate, late: float = 0.0) -> FlightStatus:
         """Return what the safety monitor checks in this control step."""
         time, state = estimate.time, estimate.state
         if self.home is not None and state[2] > self.home[2] + LIFT_OFF:
@@ -246,6 +255,8 @@ class Pilot:
             resting_time=self._resting_time,
             landing_limit=self._final.limit,
             astray=self._final.astray,
+            near=self.surroundings.is_near(state, IMPACT_DISTANCE),
+            late=late,
         )
 
     def _check_consistency(self, time: float, state: np.ndarray) -> None:
@@ -390,6 +401,7 @@ class Pilot:
             platform = self.surroundings.distances(estimate.state[None])[0, 0]
             leaning = abs(estimate.tilt - abs(self.surroundings.inclination))
             upright = not leaning > UPRIGHT  # NaN: no attitude
+            self.report.overturned = estimate.tilt > math.pi / 2
             self.report.rests = bool(self._resting_time > 0.0 and platform < 2 * LIFT_OFF and upright)
 
     # --- what is heard -----------------------------------------------------------------------------

@@ -27,8 +27,10 @@ class FlightReport:
     touched: bool = False  # before that in the landing, hard enough to be seen in the positions
     final: np.ndarray | None = None  # (3,) last position, m
     rests: bool | None = None  # does it lie still and upright on the platform, by its last pose
+    overturned: bool | None = None  # does it lie on its back, by its last attitude
     seconds: float = 0.0  # from the first command to motors off
     astray: float | None = None  # m, the farthest that it was off its plan
+    unguarded: bool = False  # was the watchdog process gone
 
     @property
     def landed(self) -> bool:
@@ -69,7 +71,8 @@ def describe(report: FlightReport) -> str:
         )
     if report.cause is None:
         return report.outcome
-    return f"ended early: {report.cause.name} ({report.cause.when})"
+    lies = "; it lies on its back" if report.overturned else ""
+    return f"ended early: {report.cause.name} ({report.cause.when}){lies}"
 
 
 def describe_all(reports: Sequence[FlightReport], purpose: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from inclined_landing.envs.tasks.landing import BOUND_MARGIN
 from inclined_landing.eval.base.fence import FLOOR, beyond_fence
 from inclined_landing.eval.flying.estimate import StateEstimate
+from inclined_landing.eval.flying.surroundings import IMPACT_DISTANCE
 from inclined_landing.models.attitude import VX, VZ, X, Z
 from inclined_landing.models.vehicle import Vehicle
 
@@ -71,6 +72,8 @@ class FlightStatus:
     resting_time: float  # s that it has touched something without moving
     landing_limit: float  # s that the landing may take
     astray: float = 0.0  # m off a planned flight
+    near: bool = False  # to platform or floor, so that it may have touched them
+    late: float = 0.0  # s by which this computer is late with the control step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +106,11 @@ CAUSES = (  # in the order in which they are asked
         f"{DISAGREEMENT_TIME:g} s",
         _OFF,
         DISAGREEMENT_TIME,
+    ),
+    Cause(
+        "collision or wrong position",
+        f"as the next one, within {100 * IMPACT_DISTANCE:g} cm of platform or floor: it may have hit them",
+        _OFF,
     ),
     Cause(
         "wrong position",
@@ -144,6 +152,15 @@ CAUSES = (  # in the order in which they are asked
     Cause("approach takes too long", f"the start is not reached after {APPROACH_LIMIT:g} s", _LAND),
     Cause("landing takes too long", "longer than an episode of the task (6 s)", _LAND),
 )
+# What a limit is called that only these make seem passed, by its reaction.
+LATE = {
+    reaction: Cause("late", "this computer was late with a control step; else no limit was passed", reaction)
+    for reaction in Reaction
+}
+SILENT = {
+    reaction: Cause("poor link", "after another silence as long as the last one it had no room", reaction)
+    for reaction in Reaction
+}
 
 
 class SafetyMonitor:
@@ -152,7 +169,7 @@ class SafetyMonitor:
     def __init__(self, vehicle: Vehicle):
         self.vehicle = vehicle
         self._began: dict[str, float] = {}
-        self._silence = 0.0  # s
+        self._silence = self._late = 0.0  # s
         self._time = -math.inf  # of the last check, s
         v = vehicle
         self._low = np.array([v.arena_x[0], v.arena_y[0], -np.inf])  # markers may be below the floor
@@ -160,19 +177,32 @@ class SafetyMonitor:
 
     def cause(self, now: FlightStatus) -> Cause | None:
         """Return the first cause that holds; in a retreat only those that switch the motors off."""
-        self._listen(now.estimate)
+        self._listen(now)
         named = {cause.name: cause for cause in CAUSES}
-        for name, holds in self.conditions(now):
+        for name, holds in self.conditions(now, self._silence):
             cause = named[name]
             if not self._lasts(cause, holds, now.estimate.time):
                 continue
             if cause.reaction is Reaction.LAND and now.phase is Phase.RETREAT:
                 continue
-            return cause
+            return self._told(cause, now)
         return None
 
-    def conditions(self, now: FlightStatus) -> Iterator[tuple[str, bool]]:
-        """Yield the causes that are checked, in the order of CAUSES, and whether they are met now."""
+    def _told(self, cause: Cause, now: FlightStatus) -> Cause:
+        """Return what makes a cause hold: itself, a late control step or a silent link."""
+        e = now.estimate
+        ages = {"pose_age": e.pose_age - now.late, "attitude_age": e.attitude_age - now.late}
+        punctual = dataclasses.replace(now, estimate=dataclasses.replace(e, **ages))
+        silence = max(0.0, self._silence - self._late)
+        if not dict(self.conditions(punctual, silence))[cause.name]:
+            return LATE[cause.reaction]
+        return cause if dict(self.conditions(now, 0.0))[cause.name] else SILENT[cause.reaction]
+
+    def conditions(self, now: FlightStatus, silence: float) -> Iterator[tuple[str, bool]]:
+        """Yield the causes that are checked, in the order of CAUSES, and whether they are met now.
+
+        silence [s]: for so long the next command may not arrive.
+        """
         e, strict = now.estimate, now.phase in (Phase.LANDING, Phase.PLAN)
         yield "link lost", not now.linked
         yield "no attitude", e.attitude_age > ATTITUDE_LIMIT
@@ -181,13 +211,14 @@ class SafetyMonitor:
         yield "supervisor", now.locked
         yield "tilt", e.tilt > TILT_LIMIT
         yield "disagreement", e.attitude_mismatch > DISAGREEMENT_LIMIT
-        yield "wrong position", now.velocity_mismatch > MISMATCH_LIMIT
+        yield "collision or wrong position", now.near and now.velocity_mismatch > MISMATCH_LIMIT
+        yield "wrong position", not now.near and now.velocity_mismatch > MISMATCH_LIMIT
         position = e.state[X : Z + 1]
         yield "outside", bool((position < self._low).any() or (position > self._high).any())
-        yield "no room", self._cannot_stop(now)
+        yield "no room", self._cannot_stop(now, silence)
         yield "touched", strict and now.resting_time >= RESTING_LIMIT
         yield "retreat takes too long", now.phase is Phase.RETREAT and now.since > RETREAT_LIMIT
-        yield "fence", self._is_beyond_fence(now)
+        yield "fence", self._is_beyond_fence(now, silence)
         yield "poor link", strict and e.attitude_age > SILENCE_LIMIT
         yield "speed", e.speed > SPEED_LIMIT
         yield "heading", strict and abs(now.heading_error) > HEADING_LIMIT
@@ -202,30 +233,33 @@ class SafetyMonitor:
             return False
         return time - self._began.setdefault(cause.name, time) >= cause.lasting
 
-    def _listen(self, estimate: StateEstimate) -> None:
-        """Track for how long the link is silent: the longest silence, forgotten in SILENCE_MEMORY."""
-        kept = self._silence * math.exp((self._time - estimate.time) / SILENCE_MEMORY)
-        self._silence, self._time = max(kept, estimate.attitude_age - LOG_PERIOD, 0.0), estimate.time
+    def _listen(self, now: FlightStatus) -> None:
+        """Track the longest silence of the link, and the longest delay, forgotten in SILENCE_MEMORY."""
+        e = now.estimate
+        keep = math.exp((self._time - e.time) / SILENCE_MEMORY)
+        self._silence = max(keep * self._silence, e.attitude_age - LOG_PERIOD, 0.0)
+        self._late, self._time = max(keep * self._late, now.late), e.time
 
-    def _next_command(self, now: FlightStatus) -> tuple[np.ndarray, np.ndarray]:
+    @staticmethod
+    def _next_command(now: FlightStatus, silence: float) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity (3,) at which the next command may arrive.
 
         A link that is silent for some time may be so again, and meanwhile the vehicle continues under its
         last command, with the present acceleration.
         """
-        e, t = now.estimate, self._silence
+        e, t = now.estimate, silence
         position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]
         return position + velocity * t + 0.5 * e.acceleration * t**2, velocity + e.acceleration * t
 
-    def _is_beyond_fence(self, now: FlightStatus) -> bool:
+    def _is_beyond_fence(self, now: FlightStatus, silence: float) -> bool:
         """Return whether the vehicle has less room than it needs to brake, and the margin."""
-        position, velocity = self._next_command(now)
+        position, velocity = self._next_command(now, silence)
         if not now.airborne:
             velocity[2] = max(0.0, velocity[2])  # on what it stands
         return bool(beyond_fence(position, velocity, self.vehicle))
 
-    def _cannot_stop(self, now: FlightStatus) -> bool:
+    def _cannot_stop(self, now: FlightStatus, silence: float) -> bool:
         """Return whether a wall or the ceiling is nearer than the shortest way to stop."""
-        position, velocity = self._next_command(now)
+        position, velocity = self._next_command(now, silence)
         velocity[2] = max(0.0, velocity[2])  # the floor is inside
         return now.airborne and bool(beyond_fence(position, velocity, self.vehicle, 0.0, 1.0))

@@ -9,6 +9,7 @@ until its own watchdog ends it 1 s later. But the kernel closes the pipe to the 
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from collections.abc import Callable, Iterator
 
 from inclined_landing.models.errors import UserError
 
-STARTING = 20.0  # s that the other process may take until it listens
+STARTING, ENDING = 20.0, 2.0  # s that the other process may take until it listens, and to end
 OPENING = 5.0  # s for which it tries the link: the Crazyradio may not yet be free of the dead process
 SENDING, PERIOD = 1.0, 0.01  # s for which the stop is sent, and how often: any packet may get lost
 # Port, channel, data: stop (`crtp_commander_generic.c`) and emergency stop (`crtp_supervisor.c`, and before
@@ -84,8 +85,7 @@ class DeadManSwitch:
         assert output is not None
         data = select.select([output], [], [], STARTING)[0]
         if not data or output.readline() != _READY:
-            self._process.kill()
-            self._process.communicate()
+            self._kill()
             raise UserError(
                 "not ready to fly: the watchdog process that would stop the motors has not started"
             )
@@ -93,7 +93,19 @@ class DeadManSwitch:
 
     def __exit__(self, *_) -> None:
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-            self._process.communicate(_OVER, timeout=STARTING)
+            self._process.communicate(_OVER, timeout=ENDING)
+        self._kill()
+
+    def watches(self) -> bool:
+        """Return whether the other process runs: it was neither killed nor stopped."""
+        # WNOWAIT leaves the child's state for Popen to collect.
+        ended = os.WEXITED | os.WSTOPPED | os.WNOHANG | os.WNOWAIT
+        return self._process.returncode is None and os.waitid(os.P_PID, self._process.pid, ended) is None
+
+    def _kill(self) -> None:
+        self._process.kill()  # which does nothing to one that has ended
+        with contextlib.suppress(OSError):
+            self._process.communicate()
 
 
 @contextlib.contextmanager

@@ -45,16 +45,16 @@ def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_new_run_refuses_what_is_there(tmp_path):
-    assert runs.new_run(tmp_path / "a" / "b") == tmp_path / "a" / "b"
-    assert runs.new_run(tmp_path / "a" / "b").is_dir()  # empty: still new
+def test_a_new_run_refuses_what_is_there(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    runs.check_new_run(tmp_path / "a" / "b")  # empty: still new
     (tmp_path / "a" / "file").touch()
     with pytest.raises(UserError, match="exists and is not empty"):
-        runs.new_run(tmp_path / "a")
+        runs.check_new_run(tmp_path / "a")
     with pytest.raises(UserError, match="not a folder"):
-        runs.new_run(tmp_path / "a" / "file")
+        runs.check_new_run(tmp_path / "a" / "file")
     with pytest.raises(UserError, match="cannot write"):
-        runs.new_run(tmp_path / "a" / "file" / "c")
+        runs.check_new_run(tmp_path / "a" / "file" / "c")
 
 
 def test_a_run_folder_is_owned_by_one_process(tmp_path):

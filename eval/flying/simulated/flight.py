@@ -55,8 +55,8 @@ class SimulatedLink:
     def setpoint(self, roll: float, pitch: float, yaw_rate: float, thrust: int) -> None:
         """Send a set-point [deg, deg, deg/s, 0 to 65535]."""
         # Packed as the floats roll, -pitch, yaw rate (`Commander.send_setpoint`).
-        packed = np.array([roll, -pitch, yaw_rate], np.float32).tolist()
-        self._world.send(lambda time: self._world.firmware.receive_rpyt(time, *packed, thrust))
+        r, p, y = np.array([roll, -pitch, yaw_rate], np.float32).tolist()
+        self._world.send(lambda time: self._world.firmware.receive_rpyt(time, r, p, y, thrust))
 
     def notice(self) -> None:
         """Feed the firmware's emergency watchdog."""

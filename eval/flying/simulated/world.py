@@ -129,7 +129,7 @@ class World:
         self.time = 0.0
         self.on_link_lost: Callable[[str], None] = lambda reason: None
         self.thrust = 0.0  # that the motors are given
-        self._queue: list[tuple[float, int, Callable[[], None]]] = []
+        self._queue: list[tuple[float, int, Callable[[], object]]] = []
         self._count = itertools.count()
         self._frame = float(start.random()) / setting.cameras.rate
         self._last_battery_reading, self._voltage = -math.inf, self.body.voltage
@@ -187,7 +187,7 @@ class World:
 
     # --- what happens ----------------------------------------------------------------------------
 
-    def schedule(self, time: float, action: Callable[[], None]) -> None:
+    def schedule(self, time: float, action: Callable[[], object]) -> None:
         """Schedule an action at a time [s]."""
         heapq.heappush(self._queue, (time, next(self._count), action))
 

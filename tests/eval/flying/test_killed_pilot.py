@@ -1,15 +1,19 @@
 """A pilot's process is killed in flight: another process stops the motors. By cflib over UDP."""
 
 import contextlib
+import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import time
 
 import pytest
 
 pytest.importorskip("cflib", reason="the extra fly is not installed")
 
+from inclined_landing.eval.flying import watchdog
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
 from inclined_landing.models.errors import UserError
 
@@ -44,6 +48,14 @@ with DeadManSwitch(sys.argv[1]):
 """
 
 
+def test_the_other_process_imports_nothing_from_the_current_folder(tmp_path, monkeypatch):
+    for name in ("usb", "struct", "cflib"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('imported from the current folder')\n")
+    monkeypatch.chdir(tmp_path)
+    with DeadManSwitch("udp://127.0.0.1:1") as switch:
+        assert switch.watches()
+
+
 @pytest.mark.parametrize("end", ["dies", "returns"])
 def test_the_switch_sends_the_stop_when_its_process_dies_and_only_then(end):
     listener = Listener()
@@ -51,6 +63,19 @@ def test_the_switch_sends_the_stop_when_its_process_dies_and_only_then(end):
     assert done.returncode == (-9 if end == "dies" else 0), done.stderr
     assert listener.heard(0.1) == (STOP if end == "dies" else set())
     listener.socket.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_switch_that_is_killed_or_stopped_watches_no_more_and_is_left_soon(number, monkeypatch):
+    monkeypatch.setattr(watchdog, "ENDING", 0.2)
+    with DeadManSwitch("udp://127.0.0.1:1") as switch:
+        assert switch.watches()
+        os.kill(switch._process.pid, number)
+        end = time.monotonic() + 20.0
+        while switch.watches():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    assert switch._process.returncode == -signal.SIGKILL and not switch.watches()
 
 
 def test_no_flight_without_the_switch(monkeypatch):

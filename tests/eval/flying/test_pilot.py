@@ -1,8 +1,11 @@
 """Whole flights of the pilot in the simulated vehicle, what ends them early, and the logs they leave."""
 
+import contextlib
 import dataclasses
+import errno
 import itertools
 import json
+import os
 import sys
 import time
 from functools import partial
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import load_policy
+from inclined_landing.envs.shared.runs import locked
 from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import pilot as pilot_module
@@ -54,7 +58,8 @@ def flown(policies, tmp_path=None, *, dry=False, setting=SETTING, start=NEAR, se
     assert all(check.passed for check in pilot.check())
     if before is not None:
         before(pilot)
-    report = pilot.fly(None if tmp_path is None else tmp_path / "flight.csv")
+    with contextlib.nullcontext() if tmp_path is None else FlightLogWriter(tmp_path / "flight.csv") as log:
+        report = pilot.fly(log)
     radio.close()
     return pilot, report, flight.world
 
@@ -169,6 +174,34 @@ def test_a_planned_flight_is_checked_against_the_room(tmp_path):
     with pytest.raises(UserError, match="--no-platform"):
         read_planned(path, vehicle, slope)
     assert read_planned(path, vehicle, slope, present=False).reference.seconds == pytest.approx(2.99)
+
+
+IMPOSSIBLE = {  # changes of rows 120 on, and what is said of them
+    "commands a PWM outside": ("command", lambda x: x * [0.0, 1.0, 1.0, 1.0]),
+    "leans beyond 30 deg": ("command", lambda x: x + [0.0, 0.6, 0.0, 0.0]),
+    "turns faster than": ("command", lambda x: x + [0.0, 0.0, 0.0, 4.0]),
+    "accelerations that are not the change": ("acceleration", lambda x: x + [0.0, 0.0, 1.0]),
+    "leans otherwise than its acceleration": ("attitude", lambda x: x + [0.03, 0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("said", IMPOSSIBLE)
+def test_what_no_vehicle_flies_is_refused_before_take_off(said, tmp_path):
+    flight, path = reference(), tmp_path / "flight.csv"
+    column, change = IMPOSSIBLE[said]
+    values = getattr(flight, column).copy()
+    values[120:] = change(values[120:])
+    path.write_text(dataclasses.replace(flight, **{column: values}).csv())
+    with pytest.raises(UserError, match=f"{said}.* after 1.2 s"):
+        read_planned(path, load_vehicle(), load_vehicle().platform_inclination)
+
+
+@pytest.mark.parametrize("cell", ['"', "x" * 200_000])
+def test_a_plan_that_is_no_csv_is_refused(cell, tmp_path):
+    rows = reference().csv().splitlines()
+    (tmp_path / "flight.csv").write_text("\n".join([*rows[:100], cell + rows[100], *rows[101:]]))
+    with pytest.raises(UserError, match=r"planned flight .*flight\.csv (is not CSV|has an empty)"):
+        read_planned(tmp_path / "flight.csv", load_vehicle(), 0.0)
 
 
 @pytest.mark.slow
@@ -313,7 +346,8 @@ def test_checks_refuse_what_must_not_fly(policies):
 
 def test_a_log_holds_what_it_is_told(tmp_path):
     path = tmp_path / "f.csv"
-    with FlightLogWriter(path, 100.0) as log:
+    with FlightLogWriter(path) as log:
+        log.begin(100.0)
         for k in range(400):
             t = 100.0 + 0.01 * k
             if not 150 <= k < 200:  # blind
@@ -332,7 +366,7 @@ def test_a_log_holds_what_it_is_told(tmp_path):
     np.testing.assert_allclose(np.unwrap(found.attitude[:, 2]), 3.1 + 0.1 * (found.t + 0.002), atol=1e-3)
     assert found.command[-1, 0] == 30_398.0
     with pytest.raises(UserError, match="already exists"):
-        FlightLogWriter(path, 0.0)
+        FlightLogWriter(path)
 
 
 def test_motion_capture_by_library():
@@ -398,6 +432,44 @@ def test_the_command_writes_what_happened(tmp_path, capsys):
     for wrong in (["fly"], ["fly", "--yes", "--uri=radio://0", "--mocap=vicon:a:b"], ["fly", "--seed=1"]):
         assert cli.main(wrong) == 2
     assert not (tmp_path / "new").exists()
+
+
+def test_a_full_disk_does_not_hide_how_the_flight_ended(tmp_path, capsys, monkeypatch):
+    """The log fails in flight, which ends it, fly.json afterwards: both files are named."""
+    note = FlightLogWriter.command
+
+    def command(self, time, command):
+        if self._written > 1.0:
+            self._rows = SimpleNamespace(writerow=fail)
+        note(self, time, command)
+
+    def fail(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(FlightLogWriter, "command", command)
+    monkeypatch.setattr("os.replace", fail)
+    words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "out")]
+    assert cli.main(words) == 2
+    said = capsys.readouterr()
+    assert "ended early: error" in said.out
+    assert said.err.count("\n") == 1 and "Traceback" not in said.err
+    assert "flight_01.unfinished.csv: no space left" in said.err and "fly.json: no space left" in said.err
+    assert len((tmp_path / "out" / "flight_01.unfinished.csv").read_text("utf-8").splitlines()) > 50
+
+
+def test_a_folder_that_another_process_uses_is_refused_before_the_checks(tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    with locked(tmp_path / "out"):
+        assert cli.main(["fly", "--simulated", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert "another process is using" in said.err and "flight 1" not in said.out
+
+
+def test_a_watchdog_that_is_gone_is_said_once_and_reported(policies):
+    said, looks = [], itertools.count()
+    _, report, _ = flown(policies, say=said.append, guarded=lambda: next(looks) < 50)
+    assert report.outcome == "goal box" and report.unguarded
+    assert sum("the watchdog process" in line for line in said) == 1
 
 
 def until(true, seconds=60.0):

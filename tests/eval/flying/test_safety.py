@@ -42,6 +42,7 @@ CASES = {
     "supervisor": {"locked": True},
     "tilt": {"state": {PITCH: 1.1}},
     "disagreement": {"attitude_mismatch": 0.4},
+    "collision or wrong position": {"velocity_mismatch": 2.1, "near": True},
     "wrong position": {"velocity_mismatch": 2.1},
     "outside": {"state": {Y: -1.41}},
     "no room": {"state": {Z: 2.1, VZ: 1.5}},
@@ -90,7 +91,7 @@ def test_a_retreat_ends_by_what_switches_off_alone(name):
 
 
 def test_every_cause_of_the_module_is_in_the_table_and_the_page():
-    checked = [name for name, _ in SafetyMonitor(VEHICLE).conditions(now())]
+    checked = [name for name, _ in SafetyMonitor(VEHICLE).conditions(now(), 0.0)]
     assert [cause.name for cause in safety.CAUSES][5:] == checked and sorted(checked) == sorted(CASES)
     page = (ROOT / "docs" / "guides" / "fly.md").read_text("utf-8")
     found = [f"| {cause.name} | {cause.when} | {cause.reaction.value} |" for cause in safety.CAUSES]
@@ -100,6 +101,8 @@ def test_every_cause_of_the_module_is_in_the_table_and_the_page():
         if "| motors off |" in line or "| lands next to the platform |" in line
     ]
     assert [row.rpartition("|")[0].rpartition("|")[0] + "|" for row in rows] == found
+    for causes in (safety.LATE, safety.SILENT):
+        assert all(f"**{cause.name}**: {cause.when}" in page for cause in causes.values())
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 3.0])
@@ -128,7 +131,7 @@ def first_off(silences, acceleration=0.0):
             flight = now(Phase.RETREAT, 10.0 + 0.02 * k, {X: 0.0, Z: z, VZ: 1.0}, attitude_age=silence)
             flight.estimate.acceleration[2] = acceleration
             cause = monitor.cause(flight)
-        return cause is not None and cause.name == "no room"
+        return cause is not None and cause.name in ("no room", "poor link")
 
     heights = np.arange(1.0, 2.4, 0.002)
     return float(heights[bisect.bisect_left(heights, True, key=no_room)])
@@ -145,6 +148,31 @@ def test_a_silent_link_takes_the_way_of_its_silence():
     more = stopping_distance(np.array([0, 0, faster]), VEHICLE, 1.0)[2]
     more += 0.2 + 0.5 * 5.0 * 0.2**2 - stopping_distance(np.array([0, 0, 1.0]), VEHICLE, 1.0)[2]
     assert usual - first_off([silent], 5.0) == pytest.approx(more, abs=0.004)
+
+
+SLOW = {"since": 1.0, "state": {X: 0.0, Z: 1.85, VZ: 1.0}}  # 0.2 s at 1 m/s more, and it is beyond the fence
+
+
+@pytest.mark.parametrize(
+    ("case", "late", "name"),
+    [
+        (SLOW, 0.0, "poor link"),
+        (SLOW, 0.2, "late"),
+        ({"state": {Z: 2.1, VZ: 1.0}, "attitude_age": 0.03}, 0.01, "fence"),  # without them, too
+        ({"state": {X: 0.0}}, 0.0, "poor link"),
+        ({"state": {X: 0.0}}, 0.2, "late"),
+        ({"pose_age": 0.25}, 0.2, "late"),
+        ({"pose_age": 0.25}, 0.02, "no position"),
+    ],
+)
+def test_a_late_computer_and_a_silent_link_are_called_so(case, late, name):
+    """What holds only by the age of what is known is not the vehicle's; the reaction stays."""
+    age = {"attitude_age": 0.01 if "pose_age" in case else safety.LOG_PERIOD + 0.2}
+    flight = now(late=late, **(age | case))
+    cause = SafetyMonitor(VEHICLE).cause(flight)
+    assert cause.name == name
+    if name == "late":
+        assert cause.reaction is SafetyMonitor(VEHICLE).cause(now(**(age | case))).reaction
 
 
 @pytest.mark.parametrize(("axis", "speed"), [(0, 2.5), (0, -1.5), (1, 1.5), (2, 1.2), (2, -1.2)])
