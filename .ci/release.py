@@ -107,14 +107,14 @@ def files() -> str:
 
 def twine() -> str:
     """The metadata and the description are what the package index takes."""
-    run(sys.executable, "-m", "twine", "check", "--strict", *sorted(DIST.iterdir()))
+    run(sys.executable, "-P", "-m", "twine", "check", "--strict", *sorted(DIST.iterdir()))
     return "metadata and description are what the package index takes"
 
 
 def auditwheel() -> str:
     """The plugins need no newer C library than the name of the wheel says, and nothing but it and MuJoCo."""
     # Its own verdict counts libmujoco as missing: MuJoCo's wheel brings it, and loads it before the plugins.
-    found = json.loads(run(sys.executable, "-m", "auditwheel", "show", "--json", wheel()))
+    found = json.loads(run(sys.executable, "-P", "-m", "auditwheel", "show", "--json", wheel()))
     foreign = [name for name in found["external_libs"] if not name.startswith("libmujoco.so.")]
     if foreign:
         raise Failed(f"The plugins need {', '.join(foreign)}, which is not everywhere.")

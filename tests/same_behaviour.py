@@ -81,7 +81,9 @@ def _run(module: str, words: list[str]) -> subprocess.CompletedProcess[str]:
         roots = [Path(path).resolve().parent for path in models.__path__]
         place = next((root for root in roots if (root / "tests" / "proof").is_dir()), None)
         module = EVAL if place is None else PROOF
-    return subprocess.run([sys.executable, "-m", module, *words], capture_output=True, text=True, cwd=place)
+    return subprocess.run(
+        [sys.executable, "-P", "-m", module, *words], capture_output=True, text=True, cwd=place
+    )
 
 
 def _content(path: Path):

@@ -69,7 +69,7 @@ def until(condition, what, process=None):
 
 def program(words):
     """landing-train or landing-eval as this Python runs it."""
-    return [sys.executable, "-m", words[0].replace("landing-", "inclined_landing."), *words[1:]]
+    return [sys.executable, "-P", "-m", words[0].replace("landing-", "inclined_landing."), *words[1:]]
 
 
 class Machines:

@@ -72,7 +72,8 @@ def fly(name: str, words: str) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         _, command, *options = shlex.split(line)
-        program = [sys.executable, "-m", "inclined_landing.eval", command, *options, "--out", str(out)]
+        program = [sys.executable, "-P", "-m", "inclined_landing.eval", command, *options]
+        program += ["--out", str(out)]
         subprocess.run(program, check=True, stdout=subprocess.DEVNULL)
         report = json.loads((out / f"{command}.json").read_text("utf-8"))
     versions = {key: report["versions"][key] for key in ("mujoco", "inclined-landing")}

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import socket
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -122,7 +123,8 @@ def _connected(address: str | None) -> Iterator[_Cluster]:
     ray = import_ray()
     quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
     try:
-        with _signals_kept():
+        # Ray's workers import from the folder that it is started in, before any other.
+        with _signals_kept(), contextlib.chdir(Path(sys.executable).parent):
             ray.init(address or "local", **quiet)
     except (OSError, ValueError, RuntimeError, ImportError) as error:
         where = f"at {shown(address)}" if address else "on this machine"

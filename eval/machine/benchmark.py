@@ -118,7 +118,9 @@ def training_rate(steps: int, seed: int) -> float:
         options = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]
         quiet = ["--no-report", "--evaluate-every", "0"]
         done = subprocess.run(
-            [sys.executable, "-m", "inclined_landing.train", *options, *quiet], capture_output=True, text=True
+            [sys.executable, "-P", "-m", "inclined_landing.train", *options, *quiet],
+            capture_output=True,
+            text=True,
         )
         if done.returncode:
             raise UserError(f"landing-train failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}")

@@ -301,6 +301,14 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
     assert not (tmp_path / "harm").exists()
 
 
+def test_child_processes_import_nothing_from_the_current_folder():
+    """In the source: every Python that is started has -P (`sys.flags.safe_path`)."""
+    started = re.compile(r"""sys\.executable,\s*"-\S+\s*(\S+)""")
+    files = [f for place in ("envs", "eval", "train", "docs", ".ci") for f in (ROOT / place).rglob("*.py")]
+    found = [(file, match[0]) for file in files for match in started.finditer(file.read_text("utf-8"))]
+    assert len(found) >= 6 and not [call for call in found if '"-P",' not in call[1]]
+
+
 def test_nothing_is_called_that_executes_what_a_file_holds():
     """In the source: readers of others that unpickle, and shells."""
     wrong = re.compile(

@@ -59,7 +59,9 @@ def test_the_other_process_imports_nothing_from_the_current_folder(tmp_path, mon
 @pytest.mark.parametrize("end", ["dies", "returns"])
 def test_the_switch_sends_the_stop_when_its_process_dies_and_only_then(end):
     listener = Listener()
-    done = subprocess.run([sys.executable, "-c", HOLDER, listener.uri, end], capture_output=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", HOLDER, listener.uri, end], capture_output=True, timeout=60
+    )
     assert done.returncode == (-9 if end == "dies" else 0), done.stderr
     assert listener.heard(0.1) == (STOP if end == "dies" else set())
     listener.socket.close()
