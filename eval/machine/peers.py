@@ -187,7 +187,7 @@ def rates(
 def in_new_process(vehicles: int, seed: int) -> list[dict[str, Any]]:
     """Return `rates` of a process whose packages may have settings of their own; raises UserError."""
     settings = os.environ | {"SCIPY_ARRAY_API": "1"}  # Crazyflow needs it before SciPy is imported
-    words = [sys.executable, "-m", __name__, str(vehicles), str(seed)]
+    words = [sys.executable, "-P", "-m", __name__, str(vehicles), str(seed)]
     done = subprocess.run(words, env=settings, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         raise UserError(f"the measurement of the simulators ended with exit code {done.returncode}")
