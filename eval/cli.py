@@ -41,7 +41,7 @@ COMMANDS = {
     ),
     "export": (
         "",
-        "Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.",
+        "Export a policy as ONNX or as C for a microcontroller, with contract and test vectors.",
     ),
     "figure": ("pictures", "Draw a stroboscopic trajectory with PWM and pitch over time, as PNG and PDF."),
     "picture": (

@@ -1,4 +1,4 @@
-"""The C export: landing_policy.c and .h, and the app of the Crazyflie firmware around them."""
+"""The C export: landing_policy.c and .h, with a self test."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ from inclined_landing.models.errors import UserError, shown
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
 SMALL = 100_000  # bytes that are no burden beside the firmware
 _PER_LINE = 6
-_ESTIMATED = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw")  # what the firmware's estimator knows
-_APP_STACK = 350  # words that the firmware's own examples give an app, beside the policy's arrays
 
 
 def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vectors: Vectors) -> None:
-    """Write the C source into `folder`, and the app if the firmware can observe what the policy observes.
+    """Write the C source into `folder`.
 
     Raises UserError when the constants would not fit next to the firmware.
     """
@@ -38,25 +36,7 @@ def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vect
     for name in ("landing_policy.h", "landing_policy.c"):
         storage.write_text(source / name, render(f"c/{name}.j2", **content))
     storage.write_text(folder / "check.c", render("c/check.c.j2", **content))
-    reason = reason_without_app(contract)
-    if reason is None:
-        storage.write_text(source / "app_main.c", render("c/crazyflie/app_main.c.j2", **content))
-        storage.write_text(source / "Kbuild", render("c/crazyflie/src_Kbuild.j2"))
-        storage.write_text(folder / "app-config", render("c/crazyflie/app-config.j2", **content))
-        for name in ("Makefile", "Kbuild"):
-            storage.write_text(folder / name, render(f"c/crazyflie/{name}.j2"))
-    storage.write_text(folder / "README.md", render("c/README.md.j2", without_app=reason, **content))
-
-
-def reason_without_app(contract: dict) -> str | None:
-    """Return why the firmware cannot fly the policy as an app, in a few words; None where it can."""
-    unknown = [entry["name"] for entry in contract["observation"] if entry["name"] not in _ESTIMATED]
-    if unknown:
-        return f"the firmware's estimator does not provide {', '.join(unknown)}"
-    period = 1e3 * contract["control_period"]
-    if abs(period - round(period)) > 1e-9:
-        return f"its period of {period:g} ms is not a whole number of milliseconds"
-    return None
+    storage.write_text(folder / "README.md", render("c/README.md.j2", **content))
 
 
 def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -> dict:
@@ -64,22 +44,15 @@ def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -
     widest = max(network.inputs, *network.sizes)
     stack = 4 * (2 * widest + (network.inputs + a) * (history > 0))
     stack += 4 * (1 + (network.inputs - o) * (history > 0) + a)  # of the self test
-    task, period = contract["task"], 1e3 * contract["control_period"]
-    goal, half = task["goal"], task["goal_half_widths"]
-    if goal is None or half is None or not task["motors_cut_at_goal"]:
-        goal = {}
     return {
         **contract,
-        "about": f"Policy {_comment_text(contract['policy']['name'])} of the task {task['name']}, exported "
-        f"by inclined-landing {contract['versions']['inclined-landing']}.",
+        "about": f"Policy {_comment_text(contract['policy']['name'])} "
+        f"of the task {contract['task']['name']}, exported by inclined-landing {contract['versions']['inclined-landing']}.",
         "network": network,
         "number": number,
         "stack": stack,
-        "stack_words": _APP_STACK + stack // 4,
         "observation_names": [_comment_text(entry["name"]) for entry in contract["observation"]],
-        "period_ms": round(period),
-        "task_period_ms": f"{period:g}",
-        "absent": [entry["name"].replace("_", " ") for entry in contract["commands"] if not entry["given"]],
+        "period_ms": f"{1e3 * contract['control_period']:g}",
         "widest": widest,
         "blocks": _blocks(network),
         "limit": number(0.0 if math.isinf(network.limit) else network.limit),
@@ -87,7 +60,6 @@ def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -
         "vectors": len(vectors.observations),
         "vector_observations": _format_rows(vectors.observations),
         "vector_actions": _format_rows(vectors.actions),
-        "goal": [(name, goal[name], half[name]) for name in goal],  # in which motors are cut
     }
 
 

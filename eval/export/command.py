@@ -23,9 +23,8 @@ from inclined_landing.models.parameters import load_vehicle
 FORMATS = {
     "onnx": "inclined_landing.eval.export.onnx_file",
     "c": "inclined_landing.eval.export.c_source",
-    "numpy": "inclined_landing.eval.export.numpy_file",
 }
-FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c,numpy}")]
+FormatName = Annotated[str, tyro.conf.arg(metavar="{onnx,c}")]
 
 
 def command(
@@ -36,10 +35,10 @@ def command(
     task: TaskName = None,
     vehicle: VehicleFile = None,
 ) -> None:
-    """Export a policy as ONNX, C for a microcontroller or NumPy, with contract and test vectors.
+    """Export a policy as ONNX or as C for a microcontroller, with contract and test vectors.
 
     Args:
-        format: onnx for ONNX runtimes, c for a microcontroller and the Crazyflie's firmware, numpy for NumPy.
+        format: onnx for ONNX runtimes, c for a microcontroller.
         out: new folder for the export.
         task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
             is written module:Class or file.py:Class and imported.
@@ -54,9 +53,6 @@ def command(
     terms = write(loaded, format, out)
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
         say(f"its constants take {4 * terms['cost']['constants']} bytes of flash in addition to the firmware")
-    reason = c_source.reason_without_app(terms) if format == "c" else None
-    if reason is not None:
-        say(f"without an app for the Crazyflie: {reason}")
     say(
         f"The policy {loaded.name} is exported as {format}; {out / 'contract.md'} describes its inputs and "
         "outputs."

@@ -114,7 +114,6 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
             "tolerance": TOLERANCE,
             "not_finite": {
                 "c": "an error code; nothing is written",
-                "numpy": "ValueError; the history does not change",
                 "onnx": "every action of that row is NaN",
             },
         },

@@ -269,7 +269,8 @@ def command(
 def _write(log: FlightLogWriter | None, path: Path, description: dict[str, Any]) -> None:
     """Finish the log and write the description. Raises UserError, with the names of the files that fail."""
     failed: list[str] = []
-    for write in (lambda: log and log.finish(), lambda: storage.write_json(path, description)):
+    writes = [] if log is None else [log.finish]
+    for write in (*writes, lambda: storage.write_json(path, description)):
         try:
             write()
         except UserError as error:

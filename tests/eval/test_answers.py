@@ -18,7 +18,7 @@ QUICK = {
     "crazyflie --port 0 --poses 127.0.0.1:9 --seconds 0.05": r"was switched off at x 1\.00, .* m\.",
     "doctor": r"All requirements are met\..*",
     "effects": r"The library has \d+ effects; .*\.",
-    "export landing --format numpy --out {place}/out": r"is exported as numpy; .*contract.md describes .*\.",
+    "export landing --format c --out {place}/out": r"is exported as c; .*contract.md describes .*\.",
     "flights": r"\d+ sets of measured flights are available: .*\.",
     "gap-example --out {place}/out": r".*out contains twenty flights with hidden effects.*\.",
     "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",

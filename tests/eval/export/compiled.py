@@ -45,7 +45,7 @@ class Library:
 
     def __init__(self, folder: Path, scratch: Path, *flags: str):
         source = folder / "src"
-        sources = [source / "landing_policy.c", Path(__file__).with_name("firmware") / "rows.c"]
+        sources = [source / "landing_policy.c", Path(__file__).with_name("c_code") / "rows.c"]
         path = build(sources, scratch / "policy.so", f"-I{source}", "-shared", "-fPIC", *(flags or ("-O2",)))
         self._library = ctypes.CDLL(str(path))
 

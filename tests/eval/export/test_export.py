@@ -26,12 +26,11 @@ from inclined_landing.envs.policy import Policy, load_policy, locate, write_meta
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
-from inclined_landing.eval.export import c_source, contract, numpy_file, onnx_file, vectors
+from inclined_landing.eval.export import c_source, contract, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import LONGEST
 from inclined_landing.models import storage
-from inclined_landing.models.attitude import quaternion
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
@@ -69,14 +68,6 @@ def libraries(exported, tmp_path_factory):
     }
 
 
-def reader(folder):
-    """The NumPy export as a user has it: its own module, and nothing of the package."""
-    spec = importlib.util.spec_from_file_location("exported_policy", folder / numpy_file.READER)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.LandingPolicy(folder / "policy.npz")
-
-
 def session(folder):
     return onnxruntime.InferenceSession(folder / "policy.onnx", providers=["CPUExecutionProvider"])
 
@@ -86,8 +77,6 @@ def answers(folder, format, library=None):
     actions = len(json.loads((folder / "contract.json").read_text())["action"])
     if format == "c":
         return lambda inputs: library.infer(inputs, actions)
-    if format == "numpy":
-        return reader(folder).infer
     run = session(folder).run
     return lambda inputs: run(None, {"input": np.asarray(inputs, np.float32)})[0]
 
@@ -147,14 +136,6 @@ def test_the_vectors_are_met_step_by_step(exported, libraries, name, format):
         answers(folder, format, library)(table["inputs"]), table["actions"], rtol=0.0, atol=TOLERANCE
     )
     size, width = terms["input"]["history"]["steps"], len(terms["action"])
-    if format == "numpy":
-        policy = reader(folder)
-        for _ in range(2):  # a second flight begins as the first one
-            got = [policy.act(row) for row in table["observations"]]
-            np.testing.assert_allclose(got, table["actions"], rtol=0.0, atol=TOLERANCE)
-            policy.reset()
-        got = [policy.commands(a) for a in table["actions"]]
-        np.testing.assert_allclose(got, table["commands"], rtol=1e-12)
     if format == "c":
         memory = np.zeros(1 + size * (table["observations"].shape[1] + width), np.float32)
         action, command = np.zeros(width, np.float32), np.zeros(4, np.float32)
@@ -173,20 +154,16 @@ def test_what_is_not_finite_is_refused_or_nan(exported, libraries):
     name = "landing"
     library, size = libraries[name], 26
     memory, action = np.zeros(1 + 21, np.float32), np.full(2, 7, np.float32)
-    policy, run = reader(exported[name, "numpy"]), session(exported[name, "onnx"]).run
+    run = session(exported[name, "onnx"]).run
     good = np.array([0.5, 1.5, 0.1, 0.0, 0.1], np.float32)
     library.call("landing_policy_act", memory, good, np.zeros(2, np.float32))
-    policy.act(good)
-    before, remembered = memory.copy(), policy._past.copy()
+    before = memory.copy()
     for k in range(5):
         for wrong in (np.nan, np.inf, -np.inf):
             bad = good.copy()
             bad[k] = wrong
             assert library.call("landing_policy_act", memory, bad, action) == 1
             assert (action == 7).all() and (memory.view(np.int32) == before.view(np.int32)).all()
-            with pytest.raises(ValueError, match="NaN or infinite"):
-                policy.act(bad)
-            np.testing.assert_array_equal(policy._past, remembered)
             rows = np.zeros((2, size), np.float32)
             rows[0, :5] = bad
             answer = run(None, {"input": rows})[0]
@@ -238,7 +215,7 @@ CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wal
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
 @pytest.mark.parametrize("name", ["landing-nominal", "landing", "touchdown-nominal"])
 def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_answers_as_the_policy(exported, tmp_path, name):
-    source, here = exported[name, "c"] / "src", Path(__file__).with_name("firmware")
+    source, here = exported[name, "c"] / "src", Path(__file__).with_name("c_code")
     words = ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", str(source / "landing_policy.c")]
     subprocess.run([*words, "-std=c99", "-pedantic", "-c", "-o", tmp_path / "policy.o"], check=True)
     said = subprocess.run(["arm-none-eabi-size", tmp_path / "policy.o"], capture_output=True, text=True)
@@ -274,24 +251,6 @@ def test_a_changed_weight_fails_the_self_tests(exported, tmp_path):
     path.write_text(changed)
     assert changed != text
     assert compiled.Library(folder, tmp_path).call("landing_policy_self_test") == 2
-    folder = shutil.copytree(exported["landing", "numpy"], tmp_path / "numpy")
-    with np.load(folder / "policy.npz") as file:
-        arrays = dict(file)
-    arrays["weight_2"] = arrays["weight_2"] + np.float32(0.01)
-    np.savez(folder / "policy.npz", **arrays)
-    with pytest.raises(ValueError, match="fails its self test"):
-        reader(folder)
-
-
-def test_the_numpy_export_needs_numpy_alone(exported):
-    code = (
-        "import sys; from landing_policy import LandingPolicy\n"
-        "p = LandingPolicy(); print(p.act([1.5, 1.8, 0, 0, 0]).shape)\n"
-        "assert not [m for m in sys.modules if m.startswith('inclined')]"
-    )
-    done = subprocess.run([sys.executable, "-S", "-c", "import site; site.main()\n" + code],
-                          cwd=exported["landing", "numpy"], capture_output=True, text=True)  # fmt: skip
-    assert (done.stdout, done.returncode) == ("(2,)\n", 0), done.stderr
 
 
 # --- the contract -------------------------------------------------------------------------------------
@@ -449,7 +408,7 @@ def any_network_is_exported(policy, tmp_path):
     network = ExportNetwork.from_policy(policy)
     terms = contract.describe(policy, network)
     rng = np.random.default_rng(1)
-    o, a = len(policy.task.observation_names), len(policy.task.action_names)
+    o = len(policy.task.observation_names)
     tested = vectors.sequence(policy, np.zeros((8, 13)), rng.normal(scale=2.0, size=(8, o)))
     folder = tmp_path / "export"
     folder.mkdir()
@@ -463,7 +422,6 @@ def any_network_is_exported(policy, tmp_path):
     for format in FORMATS:
         got = answers(folder, format, library)(inputs)
         np.testing.assert_allclose(got, policy.predict(inputs), rtol=0.0, atol=5e-5, err_msg=format)
-    assert reader(folder).act(tested.observations[0]).shape == (a,)
     shutil.rmtree(folder)
 
 
@@ -497,104 +455,12 @@ def test_tanh_of_the_c_code_is_tanh(tmp_path):
     assert np.abs(got - np.tanh(x.astype(float))).max() < 2e-7
 
 
-# --- the app ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def app(exported, tmp_path_factory):
-    """A function that runs the app of a policy over lines of input; returns what it said for each period."""
-    if compiled.compiler() is None:
-        pytest.skip("no C compiler on this machine")
-    stand_in = Path(__file__).with_name("firmware")
-    programs = {}
-
-    def run(name, lines):
-        if name not in programs:
-            root = tmp_path_factory.mktemp("app")
-            for header in re.findall(r'"(\w+\.h)"', (exported[name, "c"] / "src/app_main.c").read_text()):
-                if not header.startswith("landing_policy"):
-                    (root / header).write_text('#include "firmware.h"\n')
-            sources = [exported[name, "c"] / "src" / f for f in ("app_main.c", "landing_policy.c")]
-            sources.append(stand_in / "firmware.c")
-            programs[name] = compiled.build(
-                sources, root / "app", f"-I{root}", f"-I{stand_in}", "-O1", "-lm", "-Wno-error=pedantic"
-            )
-        done = subprocess.run([programs[name]], input="\n".join(lines) + "\n", capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return [part.split("\n") for part in done.stdout.split("tick ")[1:]]
-
-    return run
-
-
-def line(run, state):
-    """Input for a state (13,): what the estimator says, with the quaternion of its angles."""
-    w, x, y, z = quaternion(*state[6:9])
-    return " ".join(f"{number:.9g}" for number in (run, *state[:6], x, y, z, w))
-
-
-@pytest.mark.parametrize("name", ["landing-nominal", "landing", "setpoint", "touchdown-nominal"])
-def test_the_app_commands_what_the_policy_does(exported, app, name):
-    policy = contract.load(name)
-    start = policy.task.sample(np.random.default_rng(3), 1).state
-    flight = record_flights(policy, "hybrid", start, steps=100)[0]
-    rows = len(flight.t) - 1
-    told = app(name, [line(1, state) for state in flight.state[:rows]])
-    assert len(told) == rows
-    for command, said in zip(flight.commands, told):
-        words = said[1].split()
-        assert words[:2] == ["set", "3"] and said[2] == "state 1"
-        thrust, roll, pitch, yaw_rate, *modes = map(float, words[2:])
-        # Observations are single precision, and angles have been through a quaternion.
-        assert thrust == pytest.approx(command[0], abs=1.0 + 1e-3 * policy.task.pwm_span)
-        if command[0] == 0.0:
-            assert modes == [0, 0, 0, 0]
-            continue
-        assert modes == [1, 1, 2, 0] and yaw_rate == 0.0
-        tilt = thrust_direction(np.radians(roll), -np.radians(pitch))
-        wanted = [
-            np.sin(command[2]),
-            -np.sin(command[1]) * np.cos(command[2]),
-            np.cos(command[1]) * np.cos(command[2]),
-        ]
-        np.testing.assert_allclose(tilt, wanted, atol=2e-3)
-
-
-def thrust_direction(roll, pitch):
-    """Of the firmware's angles, pitch with our sign: Ry(pitch) Rx(roll) e_z."""
-    return [np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)]
-
-
-def test_the_app_waits_ends_and_begins_again(app):
-    task = contract.load("landing").task
-    start = task.states_at([(1.5, 1.8)])[0]
-    away, turned, lost, goal = (start.copy() for _ in range(4))
-    away[1], turned[8], lost[0] = 1.5, 0.3, np.nan
-    goal[[0, 2, 7]] = 0.0, 1.25, task.inclination
-    plan = (  # landing.run, where the vehicle is, the state it leads to, is a setpoint sent
-        *((0, start, 0, False), (1, start, 1, True), (0, start, 0, False)),
-        *((1, start, 1, True), (1, away, 3, False), (1, start, 3, False), (0, start, 0, False)),
-        *((1, turned, 3, False), (0, start, 0, False)),
-        *((1, start, 1, True), (1, lost, 4, False), (0, start, 0, False)),
-        *((1, start, 1, True), (1, goal, 2, True), (1, start, 2, True), (0, start, 0, False)),
-    )
-    said = app("landing", [line(run, where) for run, where, *_ in plan])
-    assert len(said) == len(plan)
-    for (*_, state, sends), words in zip(plan, said):
-        assert f"state {state}" in words
-        assert any(word.startswith("set") for word in words) == sends
-    relaxed = [k for k, words in enumerate(said) if "relax" in words]
-    assert relaxed == [2, 4, 10, 15]  # what was begun is let go
-    assert all(said[k][1].split()[2:] == ["0"] * 8 for k in (13, 14))  # motors cut
-    assert said[1][1] == said[3][1] == said[9][1]
-
-
 # --- the command --------------------------------------------------------------------------------------
 
 
 def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     for format, files in {
-        "c": {"README.md", "check.c", "src", "app-config", "Makefile", "Kbuild"},
-        "numpy": {"policy.npz", "landing_policy.py"},
+        "c": {"README.md", "check.c", "src"},
         "onnx": {"policy.onnx"},
     }.items():
         out = tmp_path / format
@@ -617,7 +483,7 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     ("words", "sentence"),
     [
         (["none.zip", "--format", "c", "--out", "{here}/out"], "does not exist"),
-        (["landing", "--format", "tflite", "--out", "{here}/out"], "choose from onnx, c, numpy"),
+        (["landing", "--format", "tflite", "--out", "{here}/out"], "choose from onnx, c"),
         (["landing", "--format", "c", "--out", "{here}"], "exists and is not empty"),
         (["landing", "--format", "c", "--task", "setpoint", "--out", "{here}/out"], "was trained for"),
     ],
@@ -702,22 +568,18 @@ def test_policies_of_sac_and_of_another_vehicle(tmp_path):
 
 
 def test_what_a_policy_is_told_of_its_vehicle_is_part_of_its_export(tmp_path):
-    """For the Hummingbird: the reader is given the plain observation, and answers as the policy does."""
+    """For the Hummingbird: the export is given the plain observation, and answers as the policy does."""
     vehicle = load_vehicle("hummingbird")
     task = make_task("landing", vehicle, observe_vehicle=True, pwm_centre="own")
     rng = np.random.default_rng(0)
     weight = rng.normal(0.0, 0.3, (len(input_names(task)), 2))
     scaling = input_centre(task), input_scale(task), 10.0
     told = Policy(task, {}, locate("landing"), *scaling, (weight,), (np.zeros(2),), "Tanh")
-    terms = write(told, "numpy", tmp_path / "out")
+    terms = write(told, "onnx", tmp_path / "out")
     assert terms["input"]["names"] == list(task.observation_names)
     assert terms["action"][0]["centre"] == pytest.approx(vehicle.hover_pwm)
     assert terms["vehicle"]["differences"]["body_mass"] == 0.5
-    spec = importlib.util.spec_from_file_location("told_reader", tmp_path / "out/landing_policy.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    reader = module.LandingPolicy(tmp_path / "out/policy.npz")
     rows = rng.normal(scale=0.5, size=(20, 5)).astype(np.float32)
     inputs = History(task, 20).stack(rows)
-    for row, given in zip(rows, inputs):
-        np.testing.assert_allclose(reader.act(row), told.predict(given), rtol=0.0, atol=TOLERANCE)
+    got = session(tmp_path / "out").run(None, {"input": rows})[0]
+    np.testing.assert_allclose(got, told.predict(inputs), rtol=0.0, atol=TOLERANCE)
