@@ -68,10 +68,6 @@ COMMANDS = {
         "Run a landing study: thousands of touchdowns over friction, speeds ..., each classified.",
     ),
     "logs": ("", "Report what flight logs contain and whether they are plausible."),
-    "flights": (
-        "logs",
-        "List public sets of measured flights with their licences, or convert one to documented CSV.",
-    ),
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file."),
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
@@ -95,7 +91,7 @@ GROUPS = {
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
     "Pictures": ("figure", "picture", "video", "replay", "view", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
-    "Flight logs and the gap to the model": ("logs", "flights", "identify", "gap", "plan", "gap-example"),
+    "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly",),
 }
 

@@ -41,13 +41,13 @@ def write(folder: Path, task: Task, network: ExportNetwork, contract: dict, vect
 
 def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -> dict:
     history, o, a = contract["input"]["history"]["steps"], len(contract["observation"]), network.sizes[-1]
-    widest = max(network.inputs, *network.sizes)
+    widest, task = max(network.inputs, *network.sizes), contract["task"]["name"]
     stack = 4 * (2 * widest + (network.inputs + a) * (history > 0))
     stack += 4 * (1 + (network.inputs - o) * (history > 0) + a)  # of the self test
     return {
         **contract,
-        "about": f"Policy {_comment_text(contract['policy']['name'])} "
-        f"of the task {contract['task']['name']}, exported by inclined-landing {contract['versions']['inclined-landing']}.",
+        "about": f"Policy {_comment_text(contract['policy']['name'])} of the task {task}, exported by "
+        f"inclined-landing {contract['versions']['inclined-landing']}.",
         "network": network,
         "number": number,
         "stack": stack,

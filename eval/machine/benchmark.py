@@ -20,7 +20,6 @@ from inclined_landing.envs.shared.statistics import spread
 from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyName, Seed
-from inclined_landing.eval.machine import peers as simulators
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants import make_plant
@@ -41,7 +40,6 @@ _TRAINING_STEPS = 100_000
 def command(
     *,
     policy: PolicyName = "landing",
-    peers: Flag = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -50,20 +48,12 @@ def command(
 
     Args:
         policy: policy whose actions are timed.
-        peers: measure control steps of the plants and of other quadrotor simulators instead (those that are
-            installed; extra baselines has two).
         seed: seed for actions and training.
         json: print only JSON on standard output.
-        out: new folder for benchmark.json, and with --peers for benchmark.md.
+        out: new folder for benchmark.json.
     """
     report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
     report["load_before"] = os.getloadavg()
-    if peers:
-        report["peers"] = simulators.in_new_process(simulators.VEHICLES, seed)
-        report["load_after"] = os.getloadavg()
-        page = simulators.markdown(report["peers"], _machine(report))
-        hand_over(report, _show_peers, json, out, {"benchmark.md": page})
-        return
     loaded = load_policy(policy)
     report["environments"] = step_rates(_REPEATS, seed)
     report["action_us"] = action_times(loaded, _ACTIONS, seed)
@@ -127,7 +117,8 @@ def training_rate(steps: int, seed: int) -> float:
         return float(storage.read_json(Path(folder, "run", "metrics.json"), "metrics")["steps_per_second"])
 
 
-def _machine(report: dict[str, Any]) -> str:
+def machine_line(report: dict[str, Any]) -> str:
+    """Return the machine, its load and the versions of a measurement in one line."""
     machine, loads = report["versions"], (report["load_before"][0], report["load_after"][0])
     return (
         f"{machine['cpu']}, {machine['cores']} cores, load {loads[0]:.1f} before and {loads[1]:.1f} after; "
@@ -136,15 +127,9 @@ def _machine(report: dict[str, Any]) -> str:
     )
 
 
-def _show_peers(report: dict[str, Any]) -> None:
-    say(_machine(report))
-    show_table(simulators.table(report["peers"]))
-    say(*(f"{row['simulator']}: {row['missing']}" for row in report["peers"] if "missing" in row))
-
-
 def _show(report: dict[str, Any]) -> None:
     rows = report["environments"]
-    say(_machine(report))
+    say(machine_line(report))
     table = new_table(f"Control steps per second, {VEHICLES} vehicles", "plant", "steps per second")
     for row in rows:
         table.add_row(row["plant"], spread_cell(row["steps_per_second"], 0, ends=("min", "max")))

@@ -302,7 +302,7 @@ def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
 
 
 def test_child_processes_import_nothing_from_the_current_folder():
-    """In the source: every Python that is started has -P (`sys.flags.safe_path`)."""
+    """In the source: every Python that is started has -P."""
     started = re.compile(r"""sys\.executable,\s*"-\S+\s*(\S+)""")
     files = [f for place in ("envs", "eval", "train", "docs", ".ci") for f in (ROOT / place).rglob("*.py")]
     found = [(file, match[0]) for file in files for match in started.finditer(file.read_text("utf-8"))]

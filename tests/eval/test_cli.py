@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs import policy
 from inclined_landing.envs.shared import command_line, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.machine import benchmark, doctor, peers
+from inclined_landing.eval.machine import benchmark, doctor
 from inclined_landing.models import plugins
 from inclined_landing.models.effects import LIBRARY
 
@@ -295,42 +295,6 @@ def test_benchmark_rows(landing_policy, monkeypatch, capsys):
     assert [row["plant"] for row in report["environments"]] == list(benchmark._PLANTS)
     assert all(row["steps_per_second"]["median"] > 0 for row in report["environments"])
     assert report["action_us"]["median"] > 0 and report["training_steps_per_second"] > 0
-
-
-def _still(vehicles, seed):
-    return peers.Simulation(lambda: None, vehicles, "none", "none", "64 bits", "none", seconds=0.01)
-
-
-def test_simulators_are_measured_or_named_with_their_remedy(tmp_path, monkeypatch, capsys):
-    def raises(vehicles, seed):
-        raise TypeError("no such option")
-
-    made = {
-        "still": peers.Peer(_still),
-        "absent": peers.Peer(_still, ("no_such_simulator",), install="pip install it"),
-        "changed": peers.Peer(raises),
-    }
-    rows = peers.rates(3, 0, repeats=2, seconds=0.001, peers=made)
-    assert rows[0]["vehicles"] == 3 and 0 < rows[0]["steps_per_second"]["min"]
-    assert rows[1]["missing"] == "not installed (no_such_simulator): pip install it"
-    assert rows[2]["missing"] == "does not run: TypeError: no such option"
-    monkeypatch.setattr(benchmark.simulators, "in_new_process", lambda vehicles, seed: rows)
-    assert cli.main(["benchmark", "--peers", "--out", str(tmp_path / "out")]) == 0
-    assert "pip install it" in capsys.readouterr().out
-    lines = (tmp_path / "out" / "benchmark.md").read_text().splitlines()
-    assert len({line.count("|") for line in lines[2:]}) == 1 and len(lines) == 7
-    assert len(json.loads((tmp_path / "out" / "benchmark.json").read_text())["peers"]) == 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", peers.PEERS)
-def test_an_installed_simulator_steps(name):
-    (row,) = peers.rates(8, 0, repeats=1, seconds=0.01, peers={name: peers.PEERS[name]})
-    if "not installed" in row.get("missing", ""):
-        pytest.skip(row["missing"])
-    if "SCIPY_ARRAY_API" in row.get("missing", ""):
-        pytest.skip("SciPy was imported first")
-    assert row["steps_per_second"]["median"] > 0
 
 
 def test_the_effects_are_listed_and_explained(capsys):

@@ -8,7 +8,6 @@ import pandas
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.logs.flights.convert import public_sets
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
@@ -17,6 +16,7 @@ from tests.proof import from_logs, gap_example
 from tests.proof.causes.rows import _expanded
 from tests.proof.identified.command import vehicles
 from tests.proof.simulator import World
+from tests.validation.convert import public_sets
 
 
 def test_one_command_runs_them_from_the_root():

@@ -75,7 +75,7 @@ def command(
     """Simulate the touchdowns of measured flights, and fit the contact setting to them.
 
     Args:
-        flights: folder of NanoBench flights (nb_*.csv.gz), as `landing-eval flights` converts them.
+        flights: folder of NanoBench flights (nb_*.csv.gz), as `tests.validation.flights` converts them.
         out: new folder for table.md.
     """
     runs.check_new_run(out)

@@ -30,7 +30,7 @@ def command(
     """Known causes in real flights of five laboratories: is the right one named, and how large (minutes)?
 
     Args:
-        data: folder with the clones of the five repositories (`landing-eval flights` says which).
+        data: folder with the clones of the five repositories (`tests.validation.flights` says which).
         out: folder for table.md, causes.json, and figures; rows that are in it are kept.
         half: flights that the workflow was looked at with, those that were held out, or those that came last.
         only: names of repositories.

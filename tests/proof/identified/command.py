@@ -18,11 +18,11 @@ from inclined_landing.eval.gap.answer.identify import Identification, identify
 from inclined_landing.eval.gap.answer.rollout import measure_gap
 from inclined_landing.eval.gap.report.identified import described, write_posterior
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.eval.logs.flights.convert import public_sets
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
+from tests.validation.convert import public_sets
 
 from ..causes.rows import paths_of, read
 
@@ -39,7 +39,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     """Vehicles identified from public flights, and how far they predict flights left out (a minute).
 
     Args:
-        data: folder with the clones of the repositories (`landing-eval flights` says which).
+        data: folder with the clones of the repositories (`python -m tests.validation.flights` says which).
         out: folder for NAME.toml and NAME.posterior.json, as they stand in models/vehicles, and table.md.
         only: names of vehicles.
     """

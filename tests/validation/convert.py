@@ -12,7 +12,6 @@ import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +49,8 @@ class PublicSet:
 @cache
 def public_sets() -> Mapping[str, PublicSet]:
     """Return the known sets by name."""
-    folder = resources.files("inclined_landing.eval.logs") / "flights"
-    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
-    return {f.name[:-5]: PublicSet(**tomllib.loads(f.read_text("utf-8"))) for f in files}
+    files = sorted(Path(__file__).with_name("public_sets").glob("*.toml"))
+    return {file.stem: PublicSet(**tomllib.loads(file.read_text("utf-8"))) for file in files}
 
 
 def convert(name: str, path: Path) -> tuple[str, pandas.DataFrame, list[str]]:

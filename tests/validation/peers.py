@@ -1,4 +1,7 @@
-"""`landing-eval benchmark --peers`: other quadrotor simulators and the plants of this package, in one run.
+"""`python -m tests.validation.peers`: other quadrotor simulators and the plants of this package, in one run.
+
+SCIPY_ARRAY_API=1 python -m tests.validation.peers --out DIR writes DIR/peers.json and DIR/peers.md. Crazyflow
+needs the variable before SciPy is imported.
 
 Each function of `PEERS` builds a simulation and returns a call that advances it, with what the call contains.
 No two calls contain the same: the table says so in its columns, and a speed without them means little.
@@ -9,24 +12,25 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import importlib.metadata
-import json
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
+from inclined_landing.envs.shared.command_line import bound, exit_code, parse
+from inclined_landing.envs.shared.options import NewFolder, Seed
+from inclined_landing.envs.shared.runs import staged_run, versions
 from inclined_landing.envs.shared.statistics import spread
-from inclined_landing.envs.shared.tables import new_table, spread_cell
+from inclined_landing.envs.shared.tables import spread_cell
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.progress import stages
-from inclined_landing.models.errors import UserError
+from inclined_landing.eval.machine.benchmark import machine_line
+from inclined_landing.models import storage
 from inclined_landing.models.plants import make_plant
 
 PERIOD = 0.02  # s, of a control step
@@ -184,16 +188,6 @@ def rates(
     return rows
 
 
-def in_new_process(vehicles: int, seed: int) -> list[dict[str, Any]]:
-    """Return `rates` of a process whose packages may have settings of their own; raises UserError."""
-    settings = os.environ | {"SCIPY_ARRAY_API": "1"}  # Crazyflow needs it before SciPy is imported
-    words = [sys.executable, "-P", "-m", __name__, str(vehicles), str(seed)]
-    done = subprocess.run(words, env=settings, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        raise UserError(f"the measurement of the simulators ended with exit code {done.returncode}")
-    return json.loads(done.stdout.splitlines()[-1])  # simulators print, too
-
-
 def _built(name: str, peer: Peer, vehicles: int, seed: int) -> tuple[dict[str, Any], Simulation | None]:
     """Return the row of a simulator and its simulation, stepped once, or None where it does not run."""
     row: dict[str, Any] = {"simulator": name}
@@ -229,20 +223,37 @@ def cells(row: dict[str, Any]) -> list[str]:
     return [f"{row['simulator']} {row['version']}", *contents, str(row["vehicles"]), *speeds]
 
 
-def table(rows: list[dict[str, Any]]) -> Table:
-    """Return the table of those that run, for a terminal."""
-    result = new_table("Control steps of 20 ms per second", *COLUMNS, labels=1 + len(_CONTENTS))
-    for row in rows:
-        if "missing" not in row:
-            result.add_row(*cells(row))
-    return result
-
-
 def markdown(rows: list[dict[str, Any]], machine: str) -> str:
     """Return machine and table as Markdown."""
     lines = [COLUMNS, ["---"] * len(COLUMNS), *map(cells, rows)]
     return machine + "\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
+def command(*, vehicles: int = VEHICLES, seed: Seed = 0, out: NewFolder = None) -> None:
+    """Measure control steps per second of the plants and of the other simulators that are installed.
+
+    Args:
+        vehicles: number of vehicles of the simulators that fly many at a time.
+        seed: seed of the actions.
+        out: new folder for peers.json and peers.md.
+    """
+    report: dict[str, Any] = {"seed": seed, "versions": versions(), "load_before": os.getloadavg()}
+    report["peers"] = rates(vehicles, seed)
+    report["load_after"] = os.getloadavg()
+    page = markdown(report["peers"], machine_line(report))
+    print(page)
+    if out is not None:
+        with staged_run(out) as folder:
+            storage.write_json(folder / "peers.json", report)
+            storage.write_text(folder / "peers.md", page)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    program = "python -m tests.validation.peers"
+    return exit_code(program, lambda: parse(bound(command), program, words)())
+
+
 if __name__ == "__main__":
-    print(json.dumps(rates(*map(int, sys.argv[1:]))))
+    sys.exit(main())
