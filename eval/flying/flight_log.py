@@ -1,9 +1,9 @@
 """The log of a flight: the documented CSV of eval/logs, written as it goes and named when it is finished.
 
 A row is a position of motion capture; the vehicle's attitude is interpolated to its time between neighbours
-of its own, commands and voltage are the last ones sent and received. Through holes of the motion capture
-commands have rows without a position. Until it is finished the file is called NAME.unfinished.csv: what a
-killed process leaves is a log too.
+of its own, commands and voltage are the last ones sent and received, for as long as the reader bridges, but
+motors that were stopped stay so. Through holes of the motion capture commands have rows without a position.
+Until it is finished the file is called NAME.unfinished.csv: what a killed process leaves is a log too.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.flying import frames
+from inclined_landing.eval.logs.log import GAP_SECONDS, VOLTAGE_BRIDGED
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -29,7 +30,6 @@ COLUMNS = (
 )
 _COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
 REORDER_WINDOW = 0.5  # s that a measurement may come after a later one: rows are in order of their times
-LONGEST_GAP = 0.1  # s, as in the reader: longer holes between neighbours are not bridged
 
 
 class FlightLogWriter:
@@ -131,7 +131,7 @@ class FlightLogWriter:
         commands = [(t, False) for t, _ in tracks["command"] if self._written < t <= until]
         last = max([*poses, *commands], default=None) if until == math.inf else None
         for t, seen in sorted(poses + commands):
-            if not seen and t - self._posed < LONGEST_GAP and (t, seen) != last:
+            if not seen and t - self._posed < GAP_SECONDS and (t, seen) != last:
                 continue  # the next pose's row shows it
             self._rows.writerow({"t": f"{t:.6f}"} | self._cells(t, seen))
             self._written = t
@@ -149,16 +149,20 @@ class FlightLogWriter:
         angles = self._between("attitude", t)
         if angles is not None:
             cells |= dict(zip(("roll", "pitch", "yaw"), angles))
-        for kind, names, longest in (("command", _COMMANDS, math.inf), ("voltage", ("vbat",), 2.0)):
+        for kind, names, longest in (
+            ("command", _COMMANDS, GAP_SECONDS),
+            ("voltage", ("vbat",), VOLTAGE_BRIDGED),
+        ):
             before = [(time, values) for time, values in self._tracks[kind] if time <= t]
-            if before and t - before[-1][0] <= longest:
+            stopped = kind == "command" and before and before[-1][1][0] == 0.0  # motors stay off
+            if before and (stopped or t - before[-1][0] <= longest):
                 cells |= dict(zip(names, before[-1][1]))
         return {name: f"{value:.10g}" for name, value in cells.items()}
 
     def _between(self, kind: str, t: float) -> tuple[float, ...] | None:
-        """Return a track interpolated at t, between neighbours at most LONGEST_GAP apart."""
+        """Return a track interpolated at t, between neighbours at most GAP_SECONDS apart."""
         for (t0, a), (t1, b) in itertools.pairwise(self._tracks[kind]):
-            if t0 <= t <= t1 and t1 - t0 <= LONGEST_GAP:
+            if t0 <= t <= t1 and t1 - t0 <= GAP_SECONDS:
                 share = (t - t0) / (t1 - t0)  # a + share (b - a), the short way round
                 return tuple(frames.wrapped(x + share * frames.wrapped(y - x)) for x, y in zip(a, b))
         return None

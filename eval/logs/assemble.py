@@ -14,12 +14,11 @@ from inclined_landing.eval.logs.channels import Channel
 from inclined_landing.eval.logs.limits import LARGEST_VALUE
 from inclined_landing.eval.logs.log import (
     COMMANDS,
-    GAP_SECONDS,
-    GAP_STEPS,
-    REPEATED,
+    VOLTAGE_BRIDGED,
     FlightLog,
-    repeated_share,
+    longest_bridged,
 )
+from inclined_landing.eval.logs.repeats import percent, without_repeats
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
 from inclined_landing.models.errors import UserError
 
@@ -47,30 +46,34 @@ def assemble(
 ) -> FlightLog:
     """Return one flight from its channels.
 
-    Rows are those of x. Other measurements are interpolated between neighbours at most GAP_SECONDS
-    (or GAP_STEPS of their own steps) apart; rows without such neighbours are dropped. Commands and
-    contact are held. All changes are noted. euler: convention of the angles, "ZXY" or "ZYX".
+    Rows are those of x. Placeholders are left out. Other measurements are interpolated between neighbours at
+    most `longest_bridged` apart, commands and contact are held for as long; rows beyond are dropped. All
+    changes are noted. euler: convention of the angles, "ZXY" or "ZYX".
 
     Raises UserError when position, attitude or thrust command are missing.
     """
     notes = list(notes)
     channels = {key: _clean(path, key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
+    if quaternion:
+        channels |= _rotations(path, channels, QUATERNION, notes)
     if all(key in channels for key in COMMANDED_QUATERNION):
-        channels |= _commanded_angles(path, channels, euler)
+        channels |= _rotations(path, channels, COMMANDED_QUATERNION, notes)
+        channels |= _commanded_angles(channels, euler)
     _require_columns(path, channels, quaternion)
     for key in ("roll", "pitch", "yaw", "cmd_roll", "cmd_pitch"):
         if key in channels:
             _check_angle(path, key, channels[key])
 
-    channels |= _without_repeats(channels, notes)
-    t = channels["x"].t
     turning = QUATERNION if quaternion else _EULER
+    channels |= without_repeats(channels, turning, notes, as_one=quaternion)
+    t = channels["x"].t
     pose, near = _at(t, channels, (*_POSITION, *turning), _interpolate)
     commands, started = _at(t, channels, (*COMMANDS, "contact"), _hold)
     complete = near & started
     if complete.sum() < 2:
-        raise UserError(f"{path}: pose and commands are never logged at the same time")
+        why = f" ({notes[-1]})" if notes else ""
+        raise UserError(f"{path}: pose and commands are never logged at the same time{why}")
     notes += _describe_rows(channels, t, complete)
     optional = _optional(t[complete], channels, notes)
     if "cmd_yaw" in channels and "cmd_yaw_rate" not in channels:
@@ -80,7 +83,7 @@ def assemble(
     command = np.stack([commands.get(key, nothing)[complete] for key in COMMANDS], axis=1)
     attitude = np.stack([pose.get(key, nothing)[complete] for key in turning], axis=1)
     if quaternion:
-        attitude = _from_quaternion(path, attitude)
+        attitude = _zxy(_rotation(attitude))
     if euler == "ZYX":
         if not quaternion:
             attitude = _zyx_to_zxy(attitude, "attitude", notes)
@@ -103,54 +106,58 @@ def assemble(
     )
 
 
-def _commanded_angles(path: str, channels: Mapping[str, Channel], euler: str) -> dict[str, Channel]:
+def _commanded_angles(channels: Mapping[str, Channel], euler: str) -> dict[str, Channel]:
     """Return roll and pitch commands from a commanded quaternion, in the mapping's own convention."""
     parts = [channels[key] for key in COMMANDED_QUATERNION]
-    angles = _from_quaternion(path, np.stack([_hold(c, parts[0].t)[0] for c in parts], axis=1))
+    held = [_hold(part, parts[0].t) for part in parts]
+    known = np.all([usable for _, usable in held], axis=0)
+    rotation = _rotation(np.stack([value[known] for value, _ in held], axis=1))
     if euler == "ZYX":
-        yaw, pitch, roll = Rotation.from_euler("ZXY", angles[:, [2, 0, 1]]).as_euler("ZYX").T
-        angles = np.stack([roll, pitch, yaw], axis=1)
-    return {
-        f"cmd_{name}": Channel(parts[0].t, angles[:, k], parts[0].column)
-        for k, name in enumerate(("roll", "pitch"))
+        _, pitch, roll = rotation.as_euler("ZYX").T
+    else:
+        roll, pitch, _ = _zxy(rotation).T
+    named = (("cmd_roll", roll), ("cmd_pitch", pitch))
+    return {key: Channel(parts[0].t[known], angle, parts[0].column) for key, angle in named}
+
+
+def _rotations(
+    path: str, channels: Mapping[str, Channel], keys: tuple[str, ...], notes: list[str]
+) -> dict[str, Channel]:
+    """Return quaternions w, x, y, z without the zeros that loggers write for none, of continuous sign.
+
+    With a quaternion of zeros a position of zeros is none either. Raises UserError for other numbers.
+    """
+    parts = [channels[key] for key in keys]
+    t = parts[0].t
+    if any(not np.array_equal(part.t, t) for part in parts):
+        return {}
+    value = np.stack([part.value for part in parts], axis=1)
+    length = np.linalg.norm(value, axis=1)
+    named, none, wrong = ", ".join(keys), length < 0.05, np.abs(length - 1.0) > 0.05
+    wrong &= ~none
+    if none.all() or wrong.mean() > 0.01:
+        worst = length[np.argmax(np.abs(length - 1.0) * (wrong | none.all()))]
+        raise UserError(f"{path}: {named} have length {worst:.3g} instead of 1; not a quaternion")
+    left = ~(none | wrong)
+    if not left.all():
+        share = f"{percent(1.0 - left.mean())} of the rows"
+        notes.append(f"{named} are zeros or no rotation in {share}: not measured, and left out")
+    # q and -q are the same rotation; between them, no number is.
+    value = value[left]
+    value[1:] *= np.cumprod(np.where((value[1:] * value[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))[:, None]
+    found = {
+        key: dataclasses.replace(part, t=t[left], value=column)
+        for key, part, column in zip(keys, parts, value.T)
     }
-
-
-def _without_repeats(channels: Mapping[str, Channel], notes: list[str]) -> dict[str, Channel]:
-    """Return the position without rows that repeat it, where it was measured less often than written."""
-    axes = [channels[key] for key in _POSITION]
-    t = axes[0].t
-    if len(t) < 20 or any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in axes):
-        return {}
-    position = np.stack([c.value for c in axes], axis=1)
-    share = repeated_share(position)
-    if share <= REPEATED:
-        return {}
-    new = np.r_[True, (np.diff(position, axis=0) != 0.0).any(axis=1)]
-    new[_at_rest(t, position, new)] = True
-    notes.append(
-        f"position repeats its last value in {100 * share:.0f} % of the rows in motion: it was measured less "
-        "often than written, and only new values are used"
-    )
-    return {key: dataclasses.replace(c, t=t[new], value=c.value[new]) for key, c in zip(_POSITION, axes)}
-
-
-def _at_rest(t: np.ndarray, position: np.ndarray, new: np.ndarray) -> list[int]:
-    """Return the repeated rows (k,) to keep, one in 0.05 s, while the vehicle stands."""
-    # The value that follows is one step of the log's resolution away; after a loss of tracking it is not.
-    moved = np.abs(np.diff(position, axis=0))
-    resolution = moved[moved > 0.0].min()
-    following = np.append(np.flatnonzero(new), len(t))
-    rows, last = [], t[0]
-    for k in range(len(t)):
-        after = following[np.searchsorted(following, k)]
-        if new[k]:
-            last = t[k]
-        elif after < len(t) and t[k] - last >= 0.5 * GAP_SECONDS:
-            if np.abs(position[after] - position[k]).max() < 1.5 * resolution:
-                rows.append(k)
-                last = t[k]
-    return rows
+    if keys == QUATERNION and none.any():
+        axes = [channels[key] for key in _POSITION if key in channels]
+        if all(np.array_equal(axis.t, t) for axis in axes):
+            seen = ~(none & np.all([axis.value == 0.0 for axis in axes], axis=0))
+            found |= {
+                key: dataclasses.replace(axis, t=t[seen], value=axis.value[seen])
+                for key, axis in zip(_POSITION, axes)
+            }
+    return found
 
 
 def _at(
@@ -173,7 +180,7 @@ def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) 
     found = {}
     for what, keys, method in (
         ("velocity", _VELOCITY, _interpolate),
-        ("battery voltage", ("vbat",), functools.partial(_interpolate, longest=1.5)),
+        ("battery voltage", ("vbat",), functools.partial(_interpolate, longest=VOLTAGE_BRIDGED)),
         ("requests", REQUESTS, _hold),
         ("rotor speed", ROTOR_SPEEDS, _interpolate),
     ):
@@ -269,9 +276,7 @@ def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float,
     return rows[beyond & (low <= usual) & (usual <= high)]
 
 
-def _interpolate(
-    channel: Channel, t: np.ndarray, longest: float = GAP_SECONDS
-) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate(channel: Channel, t: np.ndarray, longest: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the values at t, and a mask of where their neighbours are near enough; (m,) each."""
     if len(channel.t) == len(t) and np.array_equal(channel.t, t):
         return channel.value, np.ones(len(t), bool)
@@ -281,27 +286,24 @@ def _interpolate(
     step = channel.t[right] - channel.t[right - 1]
     exact = np.isin(t, channel.t)
     inside = (t >= channel.t[0]) & (t <= channel.t[-1])
-    near = exact | (inside & (step <= max(longest, GAP_STEPS * np.median(np.diff(channel.t)))))
+    near = exact | (inside & (step <= max(longest, longest_bridged(channel.t))))
     value = np.unwrap(channel.value) if channel.wraps else channel.value
     return np.interp(t, channel.t, value), near
 
 
 def _hold(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the last value sent at or before t, and a mask of where there is one; (m,) each."""
+    """Return the last value sent at or before t, and a mask of where one is near enough; (m,) each."""
     if not len(channel.t):
         return np.full(len(t), np.nan), np.zeros(len(t), bool)
     last = np.searchsorted(channel.t, t + 1e-9, side="right") - 1
-    return channel.value[np.maximum(last, 0)], last >= 0
+    age = t - channel.t[np.maximum(last, 0)]
+    return channel.value[np.maximum(last, 0)], (last >= 0) & (age <= longest_bridged(channel.t))
 
 
-def _from_quaternion(path: str, quaternion: np.ndarray) -> np.ndarray:
-    """Return roll, pitch, yaw (m, 3) in ZXY order from quaternions (m, 4) w, x, y, z."""
-    norm = np.linalg.norm(quaternion, axis=1)
-    if (np.abs(norm - 1) > 0.05).mean() > 0.01:
-        worst = norm[np.argmax(np.abs(norm - 1))]
-        raise UserError(f"{path}: qw, qx, qy, qz have length {worst:.3g} instead of 1; not a quaternion")
-    rotation = Rotation.from_quat(quaternion / norm[:, None], scalar_first=True)
-    return _zxy(rotation)
+def _rotation(quaternion: np.ndarray) -> Rotation:
+    """Return rotations from numbers w, x, y, z (m, 4) that are nearly quaternions."""
+    length = np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return Rotation.from_quat(quaternion / length, scalar_first=True)
 
 
 def _zxy(rotation: Rotation) -> np.ndarray:

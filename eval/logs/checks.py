@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.logs import motion, values
-from inclined_landing.eval.logs.channels import FULL_COMMAND
+from inclined_landing.eval.logs import motion, repeats, values
+from inclined_landing.eval.logs.channels import FULL_COMMAND, Channel
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.log import FlightLog, as_logs
+from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
 from inclined_landing.models.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
@@ -28,7 +28,11 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     its motion.
     """
     (log,) = as_logs([log])
-    findings = list(values.check(log))
+    findings = list(_check_repeats(log))
+    measured = without_bad_data(log, findings)
+    rows = np.searchsorted(log.t, measured.t)
+    for finding in values.check(measured):
+        findings.append(dataclasses.replace(finding, rows=tuple(rows[list(finding.rows)])))
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)
         findings += motion.check(good)
@@ -38,6 +42,31 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
             why = "is the unit right (for example newton instead of a fraction)?"
             findings.append(limit("cmd_thrust_pwm", f"{text}: {why}"))
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.decision]))
+
+
+def _check_repeats(log: FlightLog) -> Iterator[Finding]:
+    """Yield findings on the rows with placeholders, and with poses that only repeat the row before."""
+    tables = {MEASURED: np.hstack([log.position, log.attitude]), COMMANDS: log.command}
+    if log.velocity is not None:
+        tables["vx", "vy", "vz"] = log.velocity
+    if log.voltage is not None:
+        tables["vbat",] = log.voltage[:, None]
+    channels = {
+        name: Channel(log.t, column, name, wraps=name in ("roll", "yaw"))
+        for names, table in tables.items()
+        for name, column in zip(names, table.T)
+        if np.isfinite(column).all()
+    }
+    if not {"x", "y", "z", "cmd_thrust_pwm"} <= channels.keys():
+        return  # the checks of single columns say so
+    notes: list[str] = []
+    changed = repeats.without_repeats(channels, MEASURED[3:], notes, as_one=True)
+    kept = [np.isin(log.t, changed[name].t) for name in MEASURED if name in changed]
+    rows = np.flatnonzero(~np.all(kept, axis=0)) if kept else ()
+    yield from (limit("", note, rows=tuple(map(int, rows))) for note in notes)
+    for without, column in (("velocity", "vx"), ("voltage", "vbat")):
+        if column in changed:
+            yield limit(column, f"{without} is not logged throughout and is not used", without=without)
 
 
 def enforce(log: FlightLog, where: str | None = None) -> FlightLog:

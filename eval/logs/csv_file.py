@@ -249,7 +249,9 @@ def _numbers(
         seconds = (dates - pandas.Timestamp(0, tz="UTC")).dt.total_seconds()
         return seconds.to_numpy(float), "s", None
     lower = text.str.lower()
-    text = text.mask(lower == "true", "1").mask(lower == "false", "0")
+    missing = lower.isin(_MISSING).fillna(True).astype(bool)
+    if lower[~missing].isin(("true", "false")).all():
+        return lower.map({"true": 1.0, "false": 0.0}).to_numpy(float, na_value=np.nan), "", None
     marks = " '\u2019\u00a0\u202f" + ("," if decimal == "." else ".")
     grouped = _matches(text, _GROUPED.format(marks=marks, point=re.escape(decimal)))
     if grouped.any():
@@ -258,7 +260,7 @@ def _numbers(
     if decimal == ",":
         text = text.str.replace(",", ".")
     values = pandas.to_numeric(text, errors="coerce")
-    bad = values.isna() & text.notna() & ~lower.isin(_MISSING).fillna(False)
+    bad = values.isna() & ~missing
     if cut and bad.sum() == 1 and bad.iloc[-1]:
         bad.iloc[-1] = False
     numbers = values.to_numpy(float, na_value=np.nan)

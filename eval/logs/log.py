@@ -14,20 +14,22 @@ from inclined_landing.models.errors import UserError, shown
 MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
 COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")
 
-# A hole in the record is a step in time this many times the usual one, and at least this long (s).
-REPEATED = 0.2  # share of repeated positions above which they were measured less often than written
+# A gap in the record is a step in time this many times the usual one, and longer than the first time (s). A
+# step beyond the second time is a gap however seldom a quantity was logged.
 GAP_STEPS = 5.0
 GAP_SECONDS = 0.1
+ALWAYS_GAP = 0.5
+VOLTAGE_BRIDGED = 1.5  # s, of the battery's voltage, which changes slowly
+MOTORS_OFF = 10_000.0  # PWM
 
 
-def repeated_share(position: np.ndarray) -> float:
-    """Return the share of the rows in motion that repeat the position (m, 3) before them."""
-    ahead = 10
-    if len(position) <= 2 * ahead:
-        return 0.0
-    moving = np.abs(position[ahead:] - position[:-ahead]).max(axis=1) > 0.02
-    repeated = (np.diff(position, axis=0) == 0).all(axis=1)[: len(moving)]
-    return float((repeated & moving).sum() / max(np.sum(moving), 1))
+def longest_bridged(t: np.ndarray) -> float:
+    """Return the longest step (s) of a record with rows at t (m,) that is not a gap.
+
+    Measurements are interpolated over as much, and commands are held for as long.
+    """
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    return min(max(GAP_SECONDS, GAP_STEPS * step), ALWAYS_GAP)
 
 
 # Columns of each array that has a value per row; None: it is one column, (m,).
@@ -103,8 +105,7 @@ class FlightLog:
     @property
     def gap_starts(self) -> np.ndarray:
         """Rows (k,) after which the record has a gap."""
-        step = np.diff(self.t)
-        return np.flatnonzero(step > max(GAP_STEPS * np.median(step), GAP_SECONDS))
+        return np.flatnonzero(np.diff(self.t) > longest_bridged(self.t))
 
     def rows(self, selection) -> FlightLog:
         """Return the rows of a slice, an index array or a mask."""

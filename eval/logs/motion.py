@@ -16,8 +16,8 @@ from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
-from inclined_landing.eval.logs.log import FlightLog
-from inclined_landing.eval.logs.values import MOTORS_OFF, SHORTEST
+from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog
+from inclined_landing.eval.logs.values import SHORTEST
 
 GRAVITY = 9.81
 RATE = 100.0  # Hz, of the grid compared on

@@ -11,30 +11,32 @@ from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, MOST_PER_SECOND
 from inclined_landing.eval.logs.log import (
     COMMANDS,
-    GAP_SECONDS,
     GAP_STEPS,
     MEASURED,
-    REPEATED,
+    MOTORS_OFF,
     FlightLog,
-    repeated_share,
+    longest_bridged,
 )
 from inclined_landing.eval.logs.units import OF_A_FORCE
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
+SETTLES = 0.5  # s after which an attitude has settled where it was commanded
+FOLLOWS = 0.1  # rad, the least that an attitude moves on that does not follow its command
 # Hz: commands are sent every 20 ms or faster and held from row to row: on average they are dated
 # (dt - 20 ms)/2 wrong, beyond the 5 ms of lag that matter for dt > 30 ms.
 LEAST_RATE = 30.0
-JUMP = 0.03  # m that a row may lie away from its neighbours besides what HARDEST allows
+MOST_JUMPS = 0.02  # of the rows
+JUMP = 0.03  # m that a row may lie away from its neighbours besides what LARGEST_ACCELERATION allows
 LARGEST_ACCELERATION = 40.0  # m/s2
+TURN, LARGEST_TURNING = 0.15, 300.0  # rad, rad/s2: the same of the attitude
+LEANS = 0.02  # rad rms by which no vehicle leans that stays in its place
 LARGEST_SPEED = 15.0  # m/s
 LARGEST_DISTANCE = 200.0  # m
-MOTORS_OFF = 10_000.0  # PWM
 # Of a rotor's speed to the median of the other three, in lasting flight. Thrust goes with its square: beyond,
 # one rotor would give less than 4/9 or more than 9/4 of what the others give, and torques would not balance.
 SPEED_RATIO = 1.5
 FAILED_SHARE = 0.1  # of the rows in flight: manoeuvres pass
-MOVED = 0.1  # m, by which a vehicle moves whose attitude and commands cannot all stay the same
 _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
     ("cmd_roll", np.pi / 2, "rad"),
     ("cmd_pitch", np.pi / 2, "rad"),
@@ -48,7 +50,6 @@ def check(log: FlightLog) -> Iterator[Finding]:
     yield from _check_finite(log)
     yield from _check_position(log)
     yield from _check_attitude(log)
-    yield from _check_end(log)
     yield from _check_thrust(log)
     yield from _check_attitude_commands(log)
     yield from _check_voltage(log)
@@ -103,8 +104,9 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
         moves = f"move at {top:.3g} m/s" if top > LARGEST_SPEED else f"span {span:.3g} m"
         yield refuse("x, y, z", f"columns x, y, z {moves}: wrong unit (millimetres?)")
         return
+    yield from _check_axes(log)
     spikes, jumps = _discontinuities(log)
-    if len(spikes) + len(jumps) > 0.02 * len(log):
+    if len(spikes) + len(jumps) > MOST_JUMPS * len(log):
         count = len(spikes) + len(jumps)
         yield refuse("x, y, z", f"columns x, y, z jump in {count} of {len(log)} rows: tracking was lost")
         return
@@ -128,24 +130,13 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
         often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
         text = f"position jumps for good {often} at t = {log.t[jumps[0]]:.2f} s"
         yield limit("x, y, z", f"{text}: the rows around are left out", rows=tuple(map(int, near)))
-    share = repeated_share(log.position)
-    if share > REPEATED:
-        yield limit(
-            "x, y, z",
-            f"position repeats its last value in {100 * share:.0f} % of the rows in motion: "
-            "it was measured less often than the log was written",
-        )
 
 
 def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of isolated outliers in position, and the rows from which on it is offset."""
-    # A row is an outlier where |x - median_5(x)| exceeds JUMP + a dt^2 and 8 times its median; a jump where
-    # the step differs from the median velocity times dt by as much.
+    # A jump is where the step differs from the median velocity times dt by more than a row may from others.
     smooth = JUMP + LARGEST_ACCELERATION / log.rate**2
-    deviation = np.linalg.norm(
-        log.position - median_filter(log.position, size=(5, 1), mode="nearest"), axis=1
-    )
-    spikes = np.flatnonzero(deviation > max(smooth, 8 * np.median(deviation)))
+    spikes = _outliers(log.position, smooth)
     rows = np.delete(np.arange(len(log)), spikes)
     step = np.diff(log.t[rows])[:, None]
     moved = np.diff(log.position[rows], axis=0)
@@ -156,11 +147,33 @@ def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
     return spikes, rows[jumps + 1]
 
 
+def _outliers(value: np.ndarray, smooth: float) -> np.ndarray:
+    """Return the rows of `value` (m, k) that lie further than `smooth` from the rows around them."""
+    # |x - median_5(x)| > smooth, and 8 times its median
+    deviation = np.linalg.norm(value - median_filter(value, size=(5, 1), mode="nearest"), axis=1)
+    return np.flatnonzero(deviation > max(smooth, 8 * np.median(deviation)))
+
+
+def _check_axes(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding on each axis of a position that never changes while the others do."""
+    roll, pitch, yaw = np.nan_to_num(log.attitude).T
+    # Where the thrust points: Rz(yaw) Rx(roll) Ry(pitch) e_z
+    ahead, left = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
+    leans = np.cos(yaw) * ahead - np.sin(yaw) * left, np.sin(yaw) * ahead + np.cos(yaw) * left
+    for name, column, lean in zip("xyz", log.position.T, (*leans, np.zeros(len(log)))):
+        if np.ptp(column) < 1e-9 and np.std(lean) > LEANS:
+            yield refuse(
+                name, f"column {name} never changes, although the vehicle leans along it: not measured"
+            )
+        elif np.ptp(column) < 1e-9:
+            yield limit(name, f"column {name} never changes: this axis cannot be judged")
+
+
 def _rows_near_jumps(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
     """Return the rows so close to jumps that leaving them out makes a gap in the record."""
     if not len(jumps):
         return jumps
-    width = 0.6 * max(GAP_STEPS / log.rate, GAP_SECONDS)
+    width = 0.6 * longest_bridged(log.t)
     before = np.maximum(np.searchsorted(jumps, np.arange(len(log))) - 1, 0)
     after = np.minimum(before + 1, len(jumps) - 1)
     distance = [np.abs(log.t - log.t[jumps[k]]) for k in (before, after)]
@@ -178,29 +191,21 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
             yield limit(
                 name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which the models do not cover"
             )
+    spikes = _outliers(np.nan_to_num(log.attitude), TURN + LARGEST_TURNING / log.rate**2)
+    if len(spikes):
+        where = (
+            f"{len(spikes)} of {len(log)} rows, first in row {spikes[0] + 1} (t = {log.t[spikes[0]]:.2f} s)"
+        )
+        text = f"attitude jumps away and back in {where}"
+        if len(spikes) > MOST_JUMPS * len(log):
+            yield refuse("roll, pitch, yaw", f"{text}: not a measurement")
+        else:
+            yield limit("roll, pitch, yaw", f"{text}: left out", rows=tuple(map(int, spikes)))
     if np.median(np.cos(np.nan_to_num(log.attitude[:, :2])).prod(axis=1)) < 0.0:
         order = " Is the order of the quaternion x, y, z, w instead of w, x, y, z?" * log.from_quaternion
         yield refuse("roll, pitch", f"the vehicle is upside down in most of the rows.{order}")
     if np.ptp(np.nan_to_num(log.attitude[:, :2]), axis=0).max() < 1e-9:
         yield refuse("roll, pitch", "neither roll nor pitch ever changes: not a measurement")
-
-
-def _check_end(log: FlightLog) -> Iterator[Finding]:
-    """Yield a finding where attitude and commands are those of the last row for long, and position is not."""
-    known = np.nan_to_num(np.hstack([log.attitude, log.command]))
-    differ = np.flatnonzero((known != known[-1]).any(axis=1))
-    rows = np.arange(differ[-1] + 1 if len(differ) else 0, len(log))
-    if log.t[-1] - log.t[rows[0]] < SHORTEST or np.ptp(log.position[rows], axis=0).max() < MOVED:
-        return
-    text = f"attitude and commands never change from t = {log.t[rows[0]]:.2f} s on, while the vehicle moves"
-    if log.t[rows[0]] - log.t[0] < SHORTEST:
-        yield refuse("roll, pitch, yaw, commands", f"{text}: too little is left")
-    else:
-        yield limit(
-            "roll, pitch, yaw, commands",
-            f"{text}: logging stopped, and these rows are left out",
-            rows=tuple(map(int, rows)),
-        )
 
 
 def _check_thrust(log: FlightLog) -> Iterator[Finding]:
@@ -230,6 +235,7 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
             "wrong; " + OF_A_FORCE,
         )
     else:
+        yield from _check_frozen_thrust(log)
         share = (pwm >= 65534.0).mean()
         if share > 0.01:
             yield limit(
@@ -238,8 +244,29 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
             )
 
 
+def _check_frozen_thrust(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding where a thrust command stays for long in flight that else changes all the time."""
+    pwm = log.command[:, 0]
+    start, stop = _constant(pwm)
+    lasts = np.where((pwm[start] > MOTORS_OFF) & (pwm[start] < 65534.0), log.t[stop - 1] - log.t[start], 0.0)
+    long = lasts >= SHORTEST
+    if long.any() and lasts[~long].max(initial=0.0) < SETTLES:
+        first = start[long][0]
+        yield limit(
+            "cmd_thrust_pwm",
+            f"column cmd_thrust_pwm stays at {pwm[first]:.0f} PWM for {lasts[long].max():.2g} s from "
+            f"t = {log.t[first]:.2f} s on, and else changes all the time: was it still logged?",
+        )
+
+
+def _constant(column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first row and the row after the last (n,) of every stretch in which a column stays."""
+    start = np.flatnonzero(np.r_[True, np.diff(column) != 0.0])
+    return start, np.append(start[1:], len(column))
+
+
 def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
-    for (name, most, unit), column in zip(_ATTITUDE_COMMANDS, log.command[:, 1:].T):
+    for (name, most, unit), column, angle in zip(_ATTITUDE_COMMANDS, log.command[:, 1:].T, log.attitude.T):
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
@@ -249,6 +276,27 @@ def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
             top = f"{abs(column[row]):.3g} {unit} at t = {log.t[row]:.2f} s"
             taken = unit.replace("rad", "degrees")
             yield refuse(name, f"column {name} reaches {top}: {taken}? State its unit")
+        elif unit == "rad":
+            yield from _check_frozen_command(log, name, column, angle)
+
+
+def _check_frozen_command(
+    log: FlightLog, name: str, column: np.ndarray, angle: np.ndarray
+) -> Iterator[Finding]:
+    """Yield a finding where an angle (m,) moves as far as ever long after its command (m,) stays."""
+    usual = np.ptp(np.percentile(angle, (5, 95)))
+    for a, b in zip(*_constant(column)):
+        rows = slice(int(np.searchsorted(log.t, log.t[a] + SETTLES)), b)
+        if log.t[b - 1] - log.t[a] < SHORTEST + SETTLES or log.command[rows, 0].min() < MOTORS_OFF:
+            continue
+        moved = np.ptp(np.percentile(angle[rows], (5, 95)))
+        if moved > max(FOLLOWS, 0.5 * usual):
+            yield limit(
+                name,
+                f"column {name} stays at {column[a]:.3g} rad for {log.t[b - 1] - log.t[a]:.2g} s from "
+                f"t = {log.t[a]:.2f} s on, while the angle moves by {moved:.2g} rad: was it still logged?",
+            )
+            return
 
 
 def _check_voltage(log: FlightLog) -> Iterator[Finding]:

@@ -35,6 +35,7 @@ from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
+from inclined_landing.eval.logs.log import GAP_SECONDS
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
@@ -354,7 +355,7 @@ def test_a_log_holds_what_it_is_told(tmp_path):
                 log.pose(t + 0.004, np.array([0.1, 0.2, 1 + 0.001 * k]), k < 10)
             log.attitude(t + 0.002, 0.0, 0.1 + 0.001 * (k % 3), 3.1 + 0.001 * k)
             log.voltage(t, 4.0)
-            if k % 2 == 0:
+            if k % 2 == 0 and not 300 <= k < 350:  # nothing is sent for half a second
                 log.command(t, np.array([30_000.0 + k, 0.0, 0.1, 0.0]))
         log.pose(100.0, np.full(3, np.nan), False)
         rows = (tmp_path / "f.unfinished.csv").read_text("utf-8").splitlines()
@@ -365,6 +366,11 @@ def test_a_log_holds_what_it_is_told(tmp_path):
     np.testing.assert_allclose(found.position[:, 2], 1 + 0.1 * found.t, atol=2e-3)
     np.testing.assert_allclose(np.unwrap(found.attitude[:, 2]), 3.1 + 0.1 * (found.t + 0.002), atol=1e-3)
     assert found.command[-1, 0] == 30_398.0
+    unseen, unsent = found.gap_starts
+    assert found.t[unseen] < 1.5 and found.t[unseen + 1] == pytest.approx(2.0, abs=0.011)
+    # Held by the writer, then by the reader; rows every 10 ms.
+    assert 2.98 <= found.t[unsent] <= 2.98 + 2 * GAP_SECONDS + 0.011
+    assert found.t[unsent + 1] == pytest.approx(3.5, abs=0.011)
     with pytest.raises(UserError, match="already exists"):
         FlightLogWriter(path)
 

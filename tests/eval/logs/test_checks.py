@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_command
+from inclined_landing.eval.logs.log import GAP_SECONDS
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.errors import UserError
@@ -372,19 +373,142 @@ def test_a_quaternion_in_another_order_is_refused(named, order, heading, tmp_pat
         read_log(wrong)
 
 
-@pytest.mark.parametrize("moves", [True, False])
-def test_a_controller_that_stops_writing_is_noticed_where_the_vehicle_moves_on(moves):
+POSE = ["x", "y", "z", "roll", "pitch", "yaw"]
+
+
+def written(path, table: pandas.DataFrame) -> FlightLog:
+    table.to_csv(path, index=False)
+    return read_log(path)
+
+
+@pytest.mark.parametrize("held", ["last", "zero"])
+@pytest.mark.parametrize("span", [(5.0, 5.4), (4.0, 8.0), (-1.0, 3.0), (9.0, 99.0)])
+@pytest.mark.parametrize("columns", [POSE, POSE[3:], ["z"], ["roll"]], ids="-".join)
+def test_a_value_that_stands_for_a_missing_measurement_is_read_as_an_empty_cell(
+    tmp_path, columns, span, held
+):
+    table = log_table(flight()).drop(columns=["vx", "vy", "vz", "vbat"])
+    hidden = table.t.between(*span)
+    missing, last = table.copy(), np.flatnonzero(hidden)[0]
+    missing.loc[hidden, columns] = np.nan
+    table.loc[hidden, columns] = table.loc[last, columns].to_numpy() if held == "last" else 0.0
+    used, expected = written(tmp_path / "a.csv", table), written(tmp_path / "b.csv", missing)
+    for field in ("t", "position", "attitude", "command"):
+        assert np.array_equal(getattr(used, field), getattr(expected, field)), field
+    note = next(note for note in used.notes if "one value to the last digit" in note)
+    assert note.startswith(", ".join(columns)) and f"in {100 * hidden.mean():.0f} % of the rows" in note
+
+
+def waits(table: pandas.DataFrame, thrust: float) -> pandas.DataFrame:
+    """The flight after 2 s in which the vehicle stands with that thrust, then leaves at 0.6 m/s2."""
+    rest, since = table.t < 2.0, np.maximum(table.t - 2.0, 0.0)
+    table.loc[rest, POSE] = table.loc[200, POSE].to_numpy()
+    table.loc[rest, "cmd_thrust_pwm"] = thrust
+    if not thrust:
+        table.loc[rest, "vbat"] = 4.2
+    for name in POSE:
+        turns = np.minimum(since, 1.0) ** 2  # what else moves begins as slowly
+        table[name] = (
+            table[name][200] + turns * (table[name] - table[name][200]) + 0.3 * since**2 * (since < 1)
+        )
+    return table
+
+
+RESTS = {
+    "rounded, slow": lambda table: table.assign(t=3 * table.t).round(
+        {name: 3 if name in "xyz" else 2 for name in POSE}
+    ),
+    "on the ground": lambda table: waits(table, 20_000.0),
+    "motors off": lambda table: waits(table, 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", RESTS)
+def test_a_value_that_rests_is_a_measurement(tmp_path, kind):
+    plain = log_table(flight(noise=0.0, level=True)).drop(columns=["vx", "vy", "vz"])
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        plain[name] = 0.1 * np.sin(plain.t + k)
+    table = RESTS[kind](plain)
+    assert (table[POSE].diff().eq(0.0).rolling(8).sum() == 8).any(axis=None)  # more than five steps
+    table.to_csv(tmp_path / "a.csv", index=False)
+    used = read_log(tmp_path / "a.csv", check=False)
+    assert used.notes == () and len(used) == len(table) and used.voltage is not None
+
+
+@pytest.mark.parametrize("zero", [False, True])
+def test_a_voltage_that_is_no_longer_measured_is_not_used(tmp_path, zero):
+    table = log_table(flight())
+    table.loc[300:600, "vbat"] = 0.0 if zero else table.vbat[300]
+    used = written(tmp_path / "a.csv", table)
+    assert used.voltage is None and len(used) == len(table)
+    assert any(note.startswith("vbat keeps one value") for note in used.notes)
+
+
+@pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
+def test_a_command_is_held_as_long_as_a_measurement_is_bridged(tmp_path, column):
+    table = log_table(flight()).drop(columns=["vx", "vy", "vz", "vbat"])
+    table.loc[600:800, column] = np.nan
+    used = written(tmp_path / "a.csv", table)
+    (gap,) = used.gap_starts
+    np.testing.assert_allclose(used.t[[gap, gap + 1]], [5.99 + GAP_SECONDS, 8.01])
+    table.loc[~table.index.isin([3, 900]), column] = np.nan
+    with pytest.raises(UserError, match="between them, no interval is as long as 1 s"):
+        written(tmp_path / "a.csv", table)
+
+
+@pytest.mark.parametrize("rows", [[300], range(300, 325), range(60)])
+def test_a_quaternion_of_zeros_is_none_and_so_is_the_position_with_it(tmp_path, rows):
     log = flight()
-    log.attitude[700:], log.command[700:] = log.attitude[700], log.command[700]
-    if not moves:  # a vehicle that stands needs no new attitude
-        log.position[700:] = log.position[700]
-    texts = [text for text in found(log, "limit") if "never change from" in text]
-    assert len(texts) == moves and all("from t = 7.00 s on" in text for text in texts)
-    assert len(enforce(log)) == (700 if moves else len(log))
-    early = log.rows(slice(640, None))
-    if moves:
-        with pytest.raises(UserError, match=r"never change from t = 7\.00 s on.*too little is left"):
-            enforce(early)
+    yaw, roll, pitch = (log.attitude[:, k] for k in (2, 0, 1))
+    turned = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=1)).as_quat() * [[1], [-1]][0]
+    table = log_table(log).drop(columns=["vx", "vy", "vz", "vbat", "roll", "pitch", "yaw"])
+    table[["qx", "qy", "qz", "qw"]] = turned * np.where(np.arange(len(log)) % 7, 1.0, -1.0)[:, None]
+    table.loc[list(rows), ["x", "y", "z", "qx", "qy", "qz", "qw"]] = 0.0
+    used = written(tmp_path / "a.csv", table)
+    assert any(note.startswith("qw, qx, qy, qz are zeros or no rotation in") for note in used.notes)
+    kept = np.isin(np.arange(len(log)), list(rows), invert=True)
+    assert np.array_equal(used.t, log.t[kept] - log.t[kept][0])
+    np.testing.assert_allclose(used.attitude, log.attitude[kept], atol=1e-9)
+    np.testing.assert_array_equal(used.position, log.position[kept])
+
+
+def test_spikes_of_the_attitude_are_left_out():
+    log = flight()
+    log.attitude[[100, 300, 500], 0] = -1.0
+    used = enforce(log)
+    assert len(used) == len(log) - 3 and np.abs(used.attitude[:, 0]).max() < 0.5
+    assert "attitude jumps away and back in 3 of 1200 rows, first in row 101 (t = 1.00 s)" in used.notes[0]
+    log.attitude[::20, 0] = -1.0
+    assert "attitude jumps away and back in 59 of 1200 rows" in found(log, "refuse")[0]  # and row 0 alone
+
+
+def test_an_axis_that_never_changes_is_judged_by_how_the_vehicle_leans():
+    log = flight()
+    assert found(change(log, x=0), "refuse") == [
+        "column x never changes, although the vehicle leans along it: not measured"
+    ]
+    still = change(flight(planar=True, heading=0.0), y=0, roll=0.001 * np.sin(log.t))
+    assert "column y never changes: this axis cannot be judged" in found(still, "limit")
+
+
+@pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
+def test_a_command_that_is_no_longer_logged_is_named(column):
+    log = flight()
+    k = ["cmd_thrust_pwm", "cmd_roll"].index(column)
+    log.command[700:, k] = log.command[700, k]
+    assert any(f"column {column} stays at" in text for text in found(log, "limit"))
+
+
+@pytest.mark.parametrize("flies", [True, False])
+def test_a_log_that_stops_is_noticed_in_flight(flies):
+    log = flight()
+    for values in (log.position, log.attitude, log.command):
+        values[700:] = values[700]
+    log.command[700:, 0] *= flies
+    assert len(enforce(log)) == (700 if flies else len(log))
+    if flies:
+        with pytest.raises(UserError, match=r"lasts only 0\.59 s"):
+            enforce(log.rows(slice(640, None)))
 
 
 def test_the_command_names_two_vehicles(tmp_path, capsys):

@@ -208,6 +208,10 @@ BAD = {
         "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,o,0,0,0,1\n2,0,0,0,0,1\n",
         "line 3, column x: 'o' is not",
     ),
+    "truth among numbers": (
+        "t,x,y,z,roll,cmd_thrust_pwm\n0,0,0,0,0,1\n1,0,0,0,True,1\n2,0,0,0,0,1\n",
+        "line 3, column roll: 'True' is not",
+    ),
     "twice": ("t,x,x,z\n0,0,0,0\n", "column x appears twice"),
     "ragged": ("t,x,y,z\n0,0,0,0\n0,0,0,0,0,0\n", "rows of different length"),
     "time back": (

@@ -16,7 +16,7 @@ from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.logs import FlightLog, motion
-from inclined_landing.eval.logs.values import MOTORS_OFF
+from inclined_landing.eval.logs.log import MOTORS_OFF
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.vehicle import Vehicle
 
