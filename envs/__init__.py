@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.make import make_batch, make_for
     from inclined_landing.envs.policy import load_policy
-    from inclined_landing.envs.sb3 import BatchVecEnv, save_policy
+    from inclined_landing.envs.save import save_policy
+    from inclined_landing.envs.sb3 import BatchVecEnv
     from inclined_landing.envs.tasks import Task, import_task, make_task
 
 __all__ = [
@@ -47,6 +48,6 @@ _MODULES = {  # what takes time to import, or is not installed with the environm
     "make_for": "make",
     "make_task": "tasks",
     "record_flights": "flights",
-    "save_policy": "sb3",
+    "save_policy": "save",
 }
 __getattr__ = at_first_use(__name__, _MODULES)

@@ -1,17 +1,10 @@
-"""Policy files: Stable-Baselines3 zips with metadata: what they were trained for.
-
-A policy file is what `PPO.save` writes plus one entry, `inclined_landing.json`: task, task
-options, plant, seed, steps, command, versions. Reading it runs no code from the file: only the
-actor's weights are taken.
-"""
+"""Policies: the actor of a policy file with the task that it was trained for."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import os
-import shutil
-import zipfile
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,15 +12,15 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
-from inclined_landing.envs import weights
+from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.network import Network, forward
+from inclined_landing.envs.policy_file import ACTIVATIONS, DEEPEST, METADATA
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.envs.weights import ACTIVATIONS, LARGEST_WEIGHT, METADATA
-from inclined_landing.models import schema, storage
+from inclined_landing.models import schema
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -40,7 +33,8 @@ SHIPPED = tuple(
         + sorted(file.stem for file in _FOLDER.glob("*.zip"))
     )
 )
-_DEEPEST, _WIDEST = 16, 8192
+LARGEST_WEIGHT = 1e6  # beyond, sums of products could overflow
+_WIDEST = 8192
 _Word = Annotated[str, Meta(max_length=99)]
 
 
@@ -49,7 +43,7 @@ class Policy:
     """The deterministic actor of a policy file; `load_policy` makes one."""
 
     task: Task
-    metadata: dict  # empty for a plain SB3 file
+    metadata: dict  # empty for a file of Stable-Baselines3 alone
     path: Path
     centre: np.ndarray  # (o,) subtracted from the observation
     scale: np.ndarray  # (o,) that the difference is divided by
@@ -70,9 +64,9 @@ class Policy:
         layers = len(self.weights)
         if not fits or not 0 < layers == len(self.biases):
             raise UserError(f"policy {self.path} has layers of incompatible sizes")
-        if layers > _DEEPEST or max(sizes) > _WIDEST:
+        if layers > DEEPEST or max(sizes) > _WIDEST:
             raise UserError(
-                f"policy {self.path} has {layers} layers of up to {max(sizes)} numbers; at most {_DEEPEST} "
+                f"policy {self.path} has {layers} layers of up to {max(sizes)} numbers; at most {DEEPEST} "
                 f"of {_WIDEST} are evaluated"
             )
         if not (np.isfinite(self.scale).all() and (self.scale > 0).all()):
@@ -134,27 +128,6 @@ class Policy:
         )
 
 
-def write_metadata(path: str | Path, metadata: dict) -> None:
-    """Write `metadata` into the SB3 zip at `path`, replacing earlier ones, atomically.
-
-    metadata must name the task in "task" and its options in "task_options".
-    """
-    path = Path(path)
-    missing = [key for key in ("task", "task_options") if key not in metadata]
-    if missing:
-        raise UserError(f"the metadata of {path} lacks {' and '.join(missing)}")
-    with weights.open_policy(path) as source, storage.atomic(path) as part:
-        if METADATA not in source.namelist():
-            shutil.copyfile(path, part)
-        else:
-            with zipfile.ZipFile(part, "w") as target:
-                for entry in source.infolist():
-                    if entry.filename != METADATA:
-                        target.writestr(entry, source.read(entry))
-        with zipfile.ZipFile(part, "a", zipfile.ZIP_DEFLATED) as target:
-            target.writestr(METADATA, storage.to_json(metadata))
-
-
 def locate(name: str | Path) -> Path:
     """Return the path of a policy: a shipped one by name (see SHIPPED), a file, or the final one of a run."""
     if not isinstance(name, (str, os.PathLike)):
@@ -197,9 +170,7 @@ def load_policy(
         raise UserError(f"task must be a Task or the name of one, not {shown(repr(task), 40)}")
     vehicle = None if vehicle is None else as_vehicle(vehicle)
     path = locate(path)
-    file = weights.read_file(path)
-    metadata = _checked(file.metadata, path)
-    network = weights.read_network(file, path)
+    metadata, network = read_policy(path)
     wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
@@ -226,47 +197,38 @@ def load_policy(
     return policy
 
 
-def trained_task(path: str | Path) -> str | None:
-    """Return the task that the metadata of a policy file, or of a shipped policy, names; None for a plain SB3
-    file.
+def read_policy(path: str | Path) -> tuple[dict, dict[str, Any]]:
+    """Return the metadata of a policy file, or of a shipped policy, and its network as fields of `Policy`.
+
+    The metadata are empty for a file of Stable-Baselines3 alone.
     """
+    path = locate(path)
+    with policy_file.open_file(path) as archive:
+        metadata, network = policy_file.read(archive, path)
+        _check(metadata, path)
+        return metadata, network or sb3_file.read_network(archive, metadata, path)
+
+
+def trained_task(path: str | Path) -> str | None:
+    """Return the task that a policy file, or a shipped policy, was trained for; None for a file without."""
     return _metadata_of(path).get("task")
 
 
-def history_length(path: str | Path) -> int:
-    """Return how many past steps a policy file, or a shipped policy, observes; 0 for a plain SB3 file."""
-    return _metadata_of(path).get("task_options", {}).get("history", 0)
-
-
-def dimensions_of(path: str | Path) -> int:
-    """Return in how many dimensions the landing of a policy file, or of a shipped policy, flies."""
-    return _metadata_of(path).get("task_options", {}).get("dimensions", 2)
+def trained_options(path: str | Path) -> dict[str, Any]:
+    """Return the task options that a policy file, or a shipped policy, was trained with."""
+    return _metadata_of(path).get("task_options", {})
 
 
 def _metadata_of(path: str | Path) -> dict:
     path = locate(path)
-    return _checked(weights.read_metadata(path), path)
+    with policy_file.open_file(path) as archive:
+        metadata = policy_file.read_table(archive, METADATA, path)
+    _check(metadata, path)
+    return metadata
 
 
-def observes_vehicle(path: str | Path) -> bool:
-    """Return whether a policy, of a file or shipped, observes its vehicle's parameters; False for a plain SB3
-    file.
-    """
-    return bool(_metadata_of(path).get("task_options", {}).get("observe_vehicle", False))
-
-
-def action_map(path: str | Path) -> tuple[float | str, float]:
-    """Return PWM at action 0 (or "own") and span of a policy file, or of a shipped policy, as in training."""
-    return _action_map(_metadata_of(path).get("task_options", {}))
-
-
-def tensors(path: str | Path) -> dict[str, np.ndarray]:
-    """Return all tensors of a policy file by SB3's names, the critic and the exploration noise included."""
-    return weights.read_file(locate(path)).tensors
-
-
-def _action_map(options: dict) -> tuple[float | str, float]:
-    """Return PWM at action 0 and span from the metadata's options. Names refer to the shipped vehicle.
+def action_map(options: dict) -> tuple[float | str, float]:
+    """Return PWM at action 0 and span of the options of a training. Names refer to the shipped vehicle.
 
     "own" stays as it is for every vehicle.
     """
@@ -291,7 +253,7 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
         if field.metadata.get("trained_with"):
             trained[field.name] = options.get(field.name, field.default)
             here[field.name] = task.options.get(field.name, field.default)
-    centre, trained["pwm_span"] = _action_map(options)
+    centre, trained["pwm_span"] = action_map(options)
     trained["pwm_centre"], here["pwm_span"] = centre, task.pwm_span
     here["pwm_centre"] = OWN if task.per_vehicle_hover else task.pwm_centre
     drawn = task.options.get("steepest") is not None
@@ -328,7 +290,7 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
     options |= angles
     try:
         if vehicle is not None:
-            options["pwm_centre"], options["pwm_span"] = _action_map(options)
+            options["pwm_centre"], options["pwm_span"] = action_map(options)
         return make_task(name, vehicle, **options)
     except UserError as error:
         raise UserError(f"policy {path}: {error}") from error
@@ -341,10 +303,9 @@ class _Metadata(Struct):
     task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
 
 
-def _checked(metadata: dict, path: Path) -> dict:
-    """Return the metadata of a policy file, whose values are validated."""
+def _check(metadata: dict, path: Path) -> None:
+    """Raise UserError for the metadata of a policy file that are not what `_Metadata` says."""
     schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ")
-    return metadata
 
 
 def _unknown_task(metadata: dict, path: Path) -> UserError:

@@ -3,133 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Iterable
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, as_floats, check_seed, is_whole, reset_option
-from inclined_landing.envs.features import ScaledObservation
-from inclined_landing.envs.policy import write_metadata
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.envs.tasks.base import OWN, Task
-from inclined_landing.envs.weights import NORMALISATION
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, optional, shown
 
 with optional():
-    from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import (
-        DummyVecEnv,
-        SubprocVecEnv,
-        VecCheckNan,
-        VecEnv,
-        VecEnvWrapper,
-        VecMonitor,
-        VecNormalize,
-        VecVideoRecorder,
-    )
-
-# Wrappers that change neither what a policy observes nor what it commands: of vector environments, and the
-# names of those of single ones (the last two where they leave the spaces of observations and actions alone).
-_HARMLESS = (VecCheckNan, VecMonitor, VecVideoRecorder)
-_HARMLESS_OF_ONE = {
-    *("Monitor", "TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "HumanRendering"),
-    *("RecordEpisodeStatistics", "RecordVideo", "RenderCollection"),
-    *("TransformReward", "ClipReward", "NormalizeReward", "FlattenObservation", "RescaleAction"),
-}
-
-
-def save_policy(model, path: str | Path) -> None:
-    """Save a Stable-Baselines3 model with the metadata for `load_policy`.
-
-    It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the statistics of a
-    `VecNormalize` around them are saved as well. Raises UserError, and writes nothing, for other environments
-    and for wrappers that may change what the policy observes or commands.
-    """
-    if not isinstance(model, BaseAlgorithm):
-        raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
-    if not isinstance(path, (str, os.PathLike)):
-        raise UserError(f"save_policy takes the path of a file, not {shown(repr(path), 40)}")
-    task, normalisation = _trained_on(model)
-    if normalisation.get(NORMALISATION) and any(
-        isinstance(m, ScaledObservation) for m in model.policy.modules()
-    ):
-        raise UserError(
-            "VecNormalize and ScaledObservation both scale the observations; use "
-            "VecNormalize(..., norm_obs=False), or no ScaledObservation"
-        )
-    path = Path(path) if Path(path).suffix else Path(f"{path}.zip")
-    storage.check_file(path)
-    action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
-    metadata = {
-        "task": task.name,
-        "task_options": task.options | action_map,
-        "algorithm": type(model).__name__,
-        "seed": model.seed,
-        "steps": int(model.num_timesteps),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with storage.atomic(path) as part:
-        model.save(part, exclude=["lr_schedule"])  # perhaps of a callback, and not needed
-        write_metadata(part, metadata | normalisation)
-
-
-def _trained_on(model: BaseAlgorithm) -> tuple[Task, dict]:
-    """Return the task of a model's environments, and what `VecNormalize` around them adds to the metadata."""
-    env = model.get_env()
-    if env is None:
-        raise UserError(
-            "the model has no environment; load it with env=ENV, the environment it was trained on"
-        )
-    normalisation: dict[str, dict | None] = {}
-    while isinstance(env, VecEnvWrapper):
-        if type(env) is VecNormalize and not normalisation.get(NORMALISATION):
-            normalisation = {NORMALISATION: _scaling(env) if env.norm_obs else None}
-        elif type(env) not in _HARMLESS:
-            raise _not_held(type(env).__name__)
-        env = env.venv
-    if isinstance(env, BatchVecEnv):
-        return env.env.task, normalisation
-    foreign = UserError("the model was not trained on an environment of this package and has no task")
-    if not (isinstance(env, (DummyVecEnv, SubprocVecEnv)) and env.has_attr("task")):
-        raise foreign
-    for text in env.env_method("__str__"):  # such as <Monitor<TimeLimit<TaskEnv<InclinedLanding-v0>>>>
-        *names, last = text.strip("<>").split("<")
-        wrappers = names if last.endswith(" instance") else names[:-1]
-        for name in set(wrappers) - _HARMLESS_OF_ONE:
-            raise _not_held(name)
-    task, *others = env.get_attr("task")
-    if not isinstance(task, Task):
-        raise foreign
-    if any(
-        (one.name, one.options, one.pwm_centre) != (task.name, task.options, task.pwm_centre)
-        for one in others
-    ):
-        raise UserError(
-            "the model's environments have different options, but a policy file can only store one set"
-        )
-    spaces = observation_space(task), action_space(task)
-    if (env.observation_space, env.action_space) != spaces:
-        raise _not_held("that changes its spaces (RescaleAction?)")
-    return task, normalisation
-
-
-def _scaling(env: VecNormalize) -> dict:
-    """Return centre, scale and limit of the observations: clip((o - centre)/scale, -limit, limit)."""
-    scale = np.sqrt(env.obs_rms.var + env.epsilon)
-    return {"centre": env.obs_rms.mean, "scale": scale, "limit": float(env.clip_obs)}
-
-
-def _not_held(name: str) -> UserError:
-    return UserError(
-        f"a policy file cannot hold the wrapper {shown(name, 60)}, which may change what the policy observes "
-        "or commands; train without it (the task option history adds past steps). If it only changes "
-        "rewards, call model.set_env with the environment without it, and save again"
-    )
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class BatchVecEnv(VecEnv):

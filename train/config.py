@@ -12,10 +12,8 @@ from msgspec import Meta
 
 from inclined_landing.envs.policy import (
     action_map,
-    dimensions_of,
-    history_length,
-    observes_vehicle,
-    tensors,
+    read_policy,
+    trained_options,
     trained_task,
 )
 from inclined_landing.envs.policy import locate as locate_policy
@@ -290,7 +288,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
     if dimensions is None and not config.nominal and kind.drawn_vehicles == (3,):
-        in_space = start in (None, descent.NAME) or dimensions_of(start) == 3
+        in_space = start in (None, descent.NAME) or trained_options(start).get("dimensions") == 3
         dimensions = 3 if in_space else None
 
     # Which vehicles, and how learning begins.
@@ -317,14 +315,15 @@ def resolve(config: TrainConfig) -> TrainConfig:
     # A policy to go on from flies as before: of the same task with its history, and with its actions and net.
     policy = None if learning.start_from == descent.NAME else learning.start_from
     same = policy if policy is not None and trained_task(policy) == kind.name else None
+    before = {} if same is None else trained_options(same)
     values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
     if config.evaluate_every is None:
         of_drawn = randomise is not None and "success" not in values
         values["evaluate_every"] = EVALUATE_DRAWN_EVERY if of_drawn else EVALUATE_EVERY
     values["history"] = config.history
     if config.history is None:
-        values["history"] = preset.history if same is None else history_length(same)
-    values["observe_vehicle"] = config.observe_vehicle or (same is not None and observes_vehicle(same))
+        values["history"] = preset.history if same is None else before.get("history", 0)
+    values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
     values |= _action_map(config, policy, preset)
     values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
 
@@ -374,7 +373,7 @@ def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict
     centre: float | str | None = config.pwm_centre
     span = config.pwm_span
     if policy is not None and (centre is None or span is None):
-        before = action_map(policy)
+        before = action_map(trained_options(policy))
         centre = before[0] if centre is None else centre
         span = before[1] if span is None else span
     if preset.all_commands and centre is None and span is None:
@@ -387,5 +386,4 @@ def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict
 
 def _net_arch(policy: str | None) -> list[int]:
     """Return the widths of the hidden layers of a policy's actor; none without a policy."""
-    names = tensors(policy) if policy is not None else {}
-    return [len(bias) for name, bias in names.items() if "policy_net" in name and name.endswith("bias")]
+    return [] if policy is None else [len(bias) for bias in read_policy(policy)[1]["biases"][:-1]]

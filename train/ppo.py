@@ -143,8 +143,3 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
             "optimizer_kwargs": {"fused": True},
         },
     }
-
-
-def save_model(model: PPO, path) -> None:
-    """Write the policy with its optimizer to `path` (.zip), without the schedule, which is training code."""
-    model.save(path, exclude=("lr_schedule", "threads"))

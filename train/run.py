@@ -23,7 +23,8 @@ from pathlib import Path
 
 from stable_baselines3.common.logger import Logger
 
-from inclined_landing.envs.policy import Policy, load_policy, write_metadata
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.save import actor_of, write_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS
@@ -392,15 +393,13 @@ class Run:
             **{name: value for name, value in self.record.items() if name != "config"},
         }
         with storage.scratch(self.folder / "policy.zip") as path:
-            ppo.save_model(self.model, path)
-            write_metadata(path, metadata)
+            write_policy(self.model, path, metadata, actor_of(self.model))
             return path.read_bytes()
 
     def _policy(self) -> Policy:
-        """Return the present policy, as it will be read from its file."""
-        with storage.scratch(self.folder / "current.zip") as path:
-            ppo.save_model(self.model, path)
-            return load_policy(path, self.evaluation.task)
+        """Return the present policy for evaluation."""
+        task, path = self.evaluation.task, self.folder / "final.zip"
+        return Policy(task=task, metadata={}, path=path, **actor_of(self.model))
 
     def _as_recorded(self) -> dict:
         """Return the configuration as run.json has it; only the limits of time may be others."""

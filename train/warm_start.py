@@ -19,9 +19,10 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
+from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, tensors, trained_task
+from inclined_landing.envs.policy import Policy, load_policy, trained_task
 from inclined_landing.envs.tasks import StepContext, Task
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.envs.tasks.touchdown import (
@@ -146,7 +147,8 @@ def _centre_shift(policy: Policy, task: Task) -> np.ndarray:
 
 def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int, shift: np.ndarray) -> None:
     """Copy the standard deviation of the actions, and the critic if it is in the policy's file."""
-    found = tensors(policy.path)
+    with policy_file.open_file(policy.path) as archive:
+        found = sb3_file.read_tensors(archive, policy.path)
     for name, tensor in model.policy.state_dict().items():
         if name != "log_std" and "value_net" not in name:
             continue

@@ -205,9 +205,9 @@ LISTED = """\
 <!-- Made by `python docs/site/cards.py`. -->
 
 Every command that takes a policy takes these by name, and so does `load_policy("landing")` in Python.
-They are Stable-Baselines3 files with metadata (`inclined_landing.json` in the zip): task, options,
-training command, versions. The name links to the policy's card with all conditions, failures and the
-commands that measured them.
+They are policy files, which Stable-Baselines3 reads too; `inclined_landing.json` in the zip holds task,
+options, training command, versions. The name links to the policy's card with all conditions, failures and
+the commands that measured them.
 """
 
 END = """\

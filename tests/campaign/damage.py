@@ -149,7 +149,7 @@ def changes(content: bytes) -> st.SearchStrategy[Change]:
 def _structure(text: str) -> st.SearchStrategy[Change]:
     """Draw a wrong entry of JSON or TOML, or a wrong cell or column of a table."""
     for read, spell in ((json.loads, _json), (tomllib.loads, _toml_file)):
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, TypeError):  # a number alone has no entries
             return _entries(read(text)).map(
                 lambda c, read=read, spell=spell: Change(
                     c[0], lambda b: spell(c[1](read(b.decode()))).encode()

@@ -4,6 +4,7 @@ An entry of `READERS` is all that a new kind of file needs: good files, what rea
 """
 
 import base64
+import contextlib
 import dataclasses
 import functools
 import gzip
@@ -26,12 +27,14 @@ from hypothesis import given
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings.design import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
 from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
+from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train
@@ -45,6 +48,9 @@ from tests.log_files import firmware_values, sd_card, write_bag
 
 POLICY = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
 WEIGHTS, PICKLED = "policy.pth", "archive/data.pkl"
+# What Stable-Baselines3 alone would have written.
+PLAIN = damage.zipped([(n, b) for n, b in damage.members(POLICY).items() if n in ("data", WEIGHTS)])
+ARRAY = "network/weights_1.npy"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +87,11 @@ def is_flown_by(policy) -> None:
     assert (np.abs(policy.predict(rows)) <= 1.0).all()
     states = hover_states(np.array([[1.0, 0.0, 1.9]]), policy.task.vehicle)
     assert np.isfinite(record_flights(policy, "mujoco", states, steps=5)[0].state).all()
+
+
+def load_plain(folder: Path):
+    """Return the policy of a file of Stable-Baselines3 alone."""
+    return load_policy(folder / "p.zip", make_task("landing", history=3, pwm_span=25_000))
 
 
 def is_a_flight(log) -> None:
@@ -194,6 +205,48 @@ NETWORKS = (
     *(damage.Change(n, functools.partial(unpickled, instructions=p)) for n, p in PICKLES.items()),
     *(damage.Change(n, functools.partial(weights, change=change)) for n, change in TENSORS.items()),
 )
+# What an array of the network may be instead, in a policy file.
+ARRAYS = {
+    "objects": lambda a: np.array([Harmful()], object),
+    "integers": lambda a: a.astype(int),
+    "halves": lambda a: a.astype(np.float16),
+    "complex": lambda a: a.astype(complex),
+    "text": lambda a: a.astype(str),
+    "records": lambda a: a.view([("a", a.dtype)]),
+    "one more axis": lambda a: a[None],
+    "columns first": lambda a: np.asfortranarray(a),
+    "one row less": lambda a: a[:-1],
+    "nothing": lambda a: a[:0],
+    "NaN": lambda a: np.full_like(a, np.nan),
+    "1e300": lambda a: np.full(a.shape, 1e300),
+}
+HEADERS = {  # of an array's file
+    "states terabytes": b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000), }",
+    "states exabytes": b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 100000000), }",
+    "states less than nothing": b"{'descr': '<f8', 'fortran_order': False, 'shape': (-4, 2), }",
+    "calls": b"{'descr': __import__('os').mkdir('harm'), 'fortran_order': False, 'shape': (1,), }",
+    "nested": b"[" * 5000,
+}
+
+
+def array(content: bytes, change) -> bytes:
+    """Return a policy file of which one array is another."""
+    out = io.BytesIO()
+    before = np.load(io.BytesIO(damage.members(content)[ARRAY]))
+    np.lib.format.write_array(out, change(before), allow_pickle=True)
+    return damage.with_member(content, ARRAY, lambda _: out.getvalue())
+
+
+def headed(content: bytes, header: bytes) -> bytes:
+    """Return a policy file of which one array has this header."""
+    written = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
+    return damage.with_member(content, ARRAY, lambda _: written)
+
+
+OWN_NETWORKS = (
+    *(damage.Change(n, functools.partial(array, change=change)) for n, change in ARRAYS.items()),
+    *(damage.Change(n, functools.partial(headed, header=header)) for n, header in HEADERS.items()),
+)
 RUN = {
     "run/run.json": b'{"config": {"task": "landing"}}',
     "run/learning.csv": b"steps,level,episode_length,episode_reward\n8192,0.1,40,-60\n16384,0.2,50,-50\n",
@@ -231,7 +284,10 @@ READERS = {
     ),
     "bag of ROS 1": Reader(lambda: a_bag(1), lambda f: read_log(f / "log.bag")),
     "bag of ROS 2": Reader(lambda: a_bag(2), lambda f: read_log(f / "log"), places=("nothing", "a folder")),
-    "policy": Reader(lambda: {"p.zip": POLICY}, lambda f: load_policy(f / "p.zip"), is_flown_by, NETWORKS),
+    "policy": Reader(
+        lambda: {"p.zip": POLICY}, lambda f: load_policy(f / "p.zip"), is_flown_by, OWN_NETWORKS
+    ),
+    "policy of SB3": Reader(lambda: {"p.zip": PLAIN}, load_plain, is_flown_by, NETWORKS),
     "training": Reader(a_training, lambda f: Run(TrainConfig(out=f / "run", resume=True))),
     "curves": Reader(lambda: RUN, elsewhere("curves {folder}/run --out {out}.png")),
     "report": Reader(
@@ -283,11 +339,26 @@ def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypat
     """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
     monkeypatch.chdir(tmp_path)
     harm = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
-    (tmp_path / "p.zip").write_bytes(
-        damage.with_member(POLICY, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
-    )
-    is_flown_by(load_policy(tmp_path / "p.zip"))
+    for content in (POLICY, PLAIN):
+        (tmp_path / "p.zip").write_bytes(
+            damage.with_member(content, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
+        )
+        with contextlib.suppress(UserError):
+            is_flown_by(load_plain(tmp_path))
     assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("kind", ["policy", "policy of SB3"])
+def test_nothing_in_the_network_of_a_policy_is_executed(kind, tmp_path, monkeypatch):
+    """Every change that a network's data may suffer, one after the other."""
+    monkeypatch.chdir(tmp_path)
+    refused = {change.name: judged(READERS[kind], "p.zip", change.of) for change in READERS[kind].more}
+    assert not (tmp_path / "harm").exists()
+    assert {name for name, sentence in refused.items() if not sentence} <= {
+        "columns first",
+        "a huge stride",
+        "a view",
+    }
 
 
 def test_nothing_in_a_checkpoint_is_executed(tmp_path, monkeypatch):
@@ -312,7 +383,8 @@ def test_child_processes_import_nothing_from_the_current_folder():
 def test_nothing_is_called_that_executes_what_a_file_holds():
     """In the source: readers of others that unpickle, and shells."""
     wrong = re.compile(
-        r"\b(PPO|SAC|TD3|torch|joblib|cloudpickle|pickle|marshal|shelve)\.(load|loads|open)\("
+        r"\b(PPO|SAC|TD3|joblib|cloudpickle|pickle|marshal|shelve)\.(load|loads|open)\("
+        r"|\btorch\.load\((?!.*weights_only=True\))"
         r"|allow_pickle=True|read_pickle|yaml\.(unsafe_|full_)?load\(|shell=True"
     )
     files = [file for folder in ("models", "envs", "eval", "train") for file in (ROOT / folder).rglob("*.py")]

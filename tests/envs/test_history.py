@@ -9,20 +9,14 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv  # type: ignore
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import (
-    Policy,
-    history_length,
-    load_policy,
-    locate,
-    trained_task,
-    write_metadata,
-)
+from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options, trained_task
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
+from tests.policy_files import restamp
 
 K = 3
 
@@ -111,7 +105,7 @@ def test_every_face_shows_it():
 
 def test_a_policy_file_says_its_history(tmp_path):
     path = shutil.copy(locate("landing-nominal"), tmp_path / "h.zip")
-    write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
-    assert history_length(path) == 2 and trained_task(path) == "landing"
+    restamp(path, {"task": "landing", "task_options": {"pwm_centre": "hover", "history": 2}})
+    assert trained_options(path)["history"] == 2 and trained_task(path) == "landing"
     with pytest.raises(UserError, match=r"takes 5 observations and returns 2 actions, but .* landing has 19"):
         load_policy(path)

@@ -1,14 +1,15 @@
 """Policy files: what is read is what SB3 would do, and what is wrong is said in one sentence."""
 
 import dataclasses
-import json
+import subprocess
+import sys
 import zipfile
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -22,11 +23,15 @@ from stable_baselines3.common.vec_env import (
 
 from inclined_landing.envs import BatchVecEnv, load_policy, make_batch, policy, save_policy
 from inclined_landing.envs.features import ScaledObservation
+from inclined_landing.envs.gym_env import InclinedLandingEnv  # type: ignore
 from inclined_landing.envs.make import make_for
 from inclined_landing.envs.network import tanh
+from inclined_landing.envs.policy_file import METADATA as METADATA_FILE
+from inclined_landing.envs.save import actor_of
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from tests.policy_files import restamp, written
 
 NAME = "inclined_landing.envs:InclinedLanding-v0"  # imported in other processes too
 SETPOINT = {"task": "setpoint", "task_options": {}}
@@ -47,9 +52,10 @@ def model(observations=5, actions=2, **policy_kwargs) -> PPO:
 
 
 def saved(path, network: PPO, metadata=METADATA):
+    """Write Stable-Baselines3's own file, with metadata as earlier versions of this package added them."""
     network.save(path)
     if metadata is not None:
-        policy.write_metadata(path, metadata)
+        restamp(path, metadata)
     return path
 
 
@@ -105,14 +111,18 @@ def test_networks_are_the_same_where_python_runs_them():
     )
 
 
-def test_a_stamped_file_is_still_sb3s_and_can_be_stamped_again(tmp_path):
-    path = saved(tmp_path / "p.zip", model())
-    policy.write_metadata(path, METADATA | {"seed": 4})
-    with zipfile.ZipFile(path) as archive:
-        assert archive.namelist().count(policy.METADATA) == 1
-        assert json.loads(archive.read(policy.METADATA))["seed"] == 4
-    assert PPO.load(path, device="cpu").observation_space.shape == (5,)
+def test_a_policy_file_is_sb3s_too_and_is_read_without_torch(tmp_path):
+    network = learner(vehicles())
+    save_policy(network, tmp_path / "p.zip")
+    assert_same_actions(PPO.load(tmp_path / "p.zip", device="cpu"), tmp_path / "p.zip")
     assert [p.name for p in tmp_path.iterdir()] == ["p.zip"]
+    with np.load(tmp_path / "p.zip") as arrays:
+        assert arrays["network/weights_0"].shape == (5, 64) and arrays["network/biases_2"].shape == (2,)
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(('torch', 'stable_baselines3')))\n"
+        f"from inclined_landing.envs import load_policy; load_policy({str(tmp_path / 'p.zip')!r})"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def test_a_plain_sb3_file_needs_the_task(tmp_path):
@@ -178,9 +188,9 @@ def damaged(path):
             target.writestr(name, content)
 
 
-def huge_stride(path):
+def expanded(path):
     network = model()
-    network.policy.log_std.data = network.policy.log_std.data.as_strided((1, 2), (2**62, 1))
+    network.policy.log_std.data = network.policy.log_std.data[:1].expand(1_000_000_000)
     saved(path, network)
 
 
@@ -193,7 +203,7 @@ def discrete_actions(path):
 def damaged_metadata(path):
     saved(path, model(), metadata=None)
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(policy.METADATA, "{")
+        archive.writestr(METADATA_FILE, "{")
 
 
 @pytest.mark.parametrize(
@@ -202,7 +212,7 @@ def damaged_metadata(path):
         (lambda path: None, "does not exist"),
         (lambda path: path.mkdir(), "is a folder"),
         (lambda path: path.write_text("nothing"), "is not a zip file"),
-        (another_zip, "lacks policy.pth"),
+        (another_zip, "not a file of this package, .* with save_policy"),
         (
             lambda path: saved(path, model(8, 3)),
             "takes 8 observations and returns 3 actions, but the task landing has 5 and 2",
@@ -214,8 +224,9 @@ def damaged_metadata(path):
         (nan_weights, "NaN or infinite"),
         (cut_short, "is not a "),
         (damaged, "policy.pth in it is not a zip file"),
-        (huge_stride, "tensor log_std has an invalid shape"),
-        (discrete_actions, "not a PPO, SAC or TD3 policy"),
+        (expanded, "policy.pth in it states more numbers than it holds"),
+        (discrete_actions, "in an action space other than the task's .*save_policy"),
+        (lambda path: learner(Spaces(5, 2), SAC).save(path), "not a file of this package, .*save_policy"),
         (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
         (damaged_metadata, "inclined_landing.json in it is not JSON"),
         (lambda path: saved(path, model(), METADATA | {"task_options": {"colour": 3}}), "colour"),
@@ -287,6 +298,41 @@ class Mirrored(gym.ObservationWrapper):
         return -observation
 
 
+class Sines(torch.nn.Module):
+    """Computes something else of what a policy's layers return."""
+
+    def __init__(self, layers):
+        super().__init__()
+        self.policy_net, self.value_net = layers.policy_net, layers.value_net
+
+    def forward(self, x):
+        return self.forward_actor(x), self.value_net(x)
+
+    def forward_actor(self, x):
+        return self.policy_net(x).sin()
+
+
+class Own(InclinedLandingEnv):
+    """An environment of this package that somebody changed."""
+
+
+class Monitor3(gym.ObservationWrapper):
+    """Changes what a policy observes, under the name of another wrapper."""
+
+    def observation(self, observation):
+        return 3.0 * observation
+
+
+Monitor3.__name__ = "TimeLimit"
+
+
+class Hidden(Mirrored):
+    """Says nothing of itself."""
+
+    def __str__(self):
+        return str(self.env)
+
+
 class Twice(VecNormalize):
     """Changes what a policy observes by more than the statistics."""
 
@@ -303,7 +349,7 @@ def single(**options):
 
 
 def learner(env, kind=PPO, **options):
-    usual = {PPO: {"n_steps": 16, "batch_size": 16, "n_epochs": 1}}.get(kind, {"buffer_size": 99})
+    usual = {PPO: {"n_steps": 16, "batch_size": 16, "n_epochs": 1}, A2C: {}}.get(kind, {"buffer_size": 99})
     return kind("MlpPolicy", env, seed=0, device="cpu", **usual, **options)
 
 
@@ -328,38 +374,59 @@ def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
     network = learner(env).learn(64)
     network.save(tmp_path / "plain.zip")
     env.save(tmp_path / "statistics.pkl")
-    save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
-    for name in ("plain.zip", "bare.zip"):
-        with pytest.raises(UserError, match=r"with VecNormalize.*VecNormalize\.load"):
-            load_policy(tmp_path / name, "landing")
+    with pytest.raises(UserError, match=r"with VecNormalize, whose statistics.*save_policy"):
+        load_policy(tmp_path / "plain.zip", "landing")
+    with pytest.raises(UserError, match=r"with VecNormalize.*VecNormalize\.load"):
+        save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
+    with pytest.raises(UserError, match=r"has no statistics; use VecNormalize\.load"):
+        save_policy(PPO.load(tmp_path / "plain.zip", env=VecNormalize(vehicles())), tmp_path / "bare.zip")
     again = VecNormalize.load(tmp_path / "statistics.pkl", vehicles())
     save_policy(PPO.load(tmp_path / "plain.zip", env=again), tmp_path / "mine.zip")
     np.testing.assert_array_equal(load_policy(tmp_path / "mine.zip").centre, env.obs_rms.mean)
 
 
-def test_files_of_sac_and_td3_are_read_after_training(tmp_path):
-    """Their headers have a last observation."""
-    for kind in (SAC, TD3):
-        network = learner(vehicles(), kind).learn(8)
-        network.save(tmp_path / "plain.zip")
-        assert_same_actions(network, tmp_path / "plain.zip", "landing")
+@pytest.mark.parametrize("kind", [SAC, TD3])
+def test_a_model_with_a_replay_buffer_tells_by_it_that_there_was_no_vecnormalize(tmp_path, kind):
+    """Also with another environment, and after loading with the buffer; the actions are the model's."""
+    network = learner(vehicles(), kind, learning_starts=4).learn(16)
+    network.set_env(vehicles())
+    save_policy(network, tmp_path / "mine.zip")
+    assert_same_actions(network, tmp_path / "mine.zip")
+    network.save_replay_buffer(tmp_path / "buffer.pkl")
+    again = kind.load(tmp_path / "mine.zip", env=vehicles(), device="cpu")
+    with pytest.raises(UserError, match=f"this {kind.__name__} was trained with VecNormalize.*replay buffer"):
+        save_policy(again, tmp_path / "again.zip")
+    again.load_replay_buffer(tmp_path / "buffer.pkl")
+    save_policy(again, tmp_path / "again.zip")
+    hidden = learner(VecNormalize(vehicles()), kind, learning_starts=4).learn(16)
+    hidden.set_env(vehicles())
+    with pytest.raises(UserError, match="was trained with VecNormalize"):
+        save_policy(hidden, tmp_path / "hidden.zip")
 
 
-LEVEL = {"centre": [0] * 5, "scale": [1] * 5, "limit": 1}
+NETWORK = {"layers": 3, "activation": "Tanh", "squashed": False, "limit": 10.0, "bound": None}
 
 
 @pytest.mark.parametrize(
-    "given",
-    [3, [], {"centre": [0] * 5}, *(LEVEL | {name: 10**400} for name in LEVEL), LEVEL | {"centre": "x"}],
+    "wrong, said",
+    [
+        (3, "network must be a table"),
+        ({}, "lacks"),
+        (NETWORK | {"layers": 10**400}, "layers must be a whole number from 1 to 16"),
+        (NETWORK | {"layers": 4}, r"lacks network/weights_3\.npy"),
+        (NETWORK | {"layers": 2}, "returns 64 actions"),
+        (NETWORK | {"activation": "SiLU"}, "activation must be 'ReLU' or 'Tanh'"),
+        (NETWORK | {"limit": -1.0}, "limit must be a number above 0"),
+        (NETWORK | {"colour": 1}, "unknown entry 'colour'"),
+    ],
 )
-def test_wrong_statistics_are_refused(tmp_path, given):
-    path = saved(tmp_path / "p.zip", model(), METADATA | {"normalisation": given})
-    with pytest.raises(UserError, match="lacks a centre, scale or limit"):
+def test_wrong_descriptions_of_a_network_are_refused(tmp_path, wrong, said):
+    path = written(tmp_path / "p.zip", model(**SCALED), METADATA)
+    restamp(path, METADATA | {"network": NETWORK})
+    assert load_policy(path).limit == 10.0
+    restamp(path, METADATA | {"network": wrong})
+    with pytest.raises(UserError, match=said):
         load_policy(path)
-    for wrong in ({"scale": [0] * 5}, {"centre": [0] * 4}, {"scale": [None] * 5}, {"limit": -1}):
-        saved(path, model(), METADATA | {"normalisation": LEVEL | wrong})
-        with pytest.raises(UserError):
-            load_policy(path)
 
 
 @pytest.mark.parametrize("kind", [DummyVecEnv, pytest.param(SubprocVecEnv, marks=pytest.mark.slow)])
@@ -391,6 +458,9 @@ def test_wrappers_that_leave_observations_and_actions_alone_are_no_hindrance(tmp
         (lambda: Twice(vehicles()), "wrapper Twice"),
         (lambda: Mirrored(single()), r"wrapper Mirrored, .*model\.set_env"),
         (lambda: Mirrored(single().unwrapped), "wrapper Mirrored"),
+        (lambda: Monitor3(single()), "wrapper in <Monitor<TimeLimit<"),
+        (lambda: Hidden(single()), "wrapper in <Monitor<"),
+        (lambda: Monitor(Own(plant="analytic")), "wrapper in <Monitor<Own"),
         (lambda: gym.wrappers.RescaleAction(single(), -2, 2), "RescaleAction"),
         (lambda: DummyVecEnv([lambda a=a: single(inclination=a) for a in (-0.2, -0.3)]), "different options"),
         (lambda: Spaces(5, 2), "not trained on an environment of this package"),
@@ -435,37 +505,78 @@ def more_tensors():
     return network
 
 
+def by_hand(change):
+    """Return a model whose policy was changed after it was made."""
+    network = learner(vehicles())
+    change(network.policy)
+    return network
+
+
 @pytest.mark.parametrize(
-    "make, said",
+    "make, foreign, own",
     [
-        (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled"),
-        (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "of a class in .*test_policy"),
-        (lambda: model(activation_fn=Tanh), "activation .*test_policy.Tanh"),
-        (action_bounds, "was trained with actions outside"),
-        (several_observations, "observes a .*Dict"),
-        (more_tensors, "lstm_actor"),
+        (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled", "PPO, .* Doubled"),
+        (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "nor one of .*its own policy class", None),
+        (lambda: model(activation_fn=Tanh), "activation .*test_policy.Tanh", "PPO, .* has Tanh in"),
+        (lambda: model(activation_fn=torch.nn.ELU), "activation .*ELU", "PPO, .* has ELU in"),
+        (action_bounds, "action space other than", None),
+        (several_observations, "own policy class|observation space other", "CombinedExtractor"),
+        (more_tensors, "lstm_actor", None),
     ],
 )
-def test_networks_that_the_known_tensors_do_not_tell_are_refused_by_name(tmp_path, make, said):
+def test_networks_that_are_more_than_dense_layers_are_refused_by_name(tmp_path, make, foreign, own):
+    """In files of Stable-Baselines3 alone, and by what writes policy files."""
+    network = make()
+    with pytest.raises(UserError, match=f"{foreign}.*save_policy"):
+        load_policy(saved(tmp_path / "mine.zip", network))
+    if own is not None:
+        with pytest.raises(UserError, match=own):
+            actor_of(network)
+
+
+def hooked(policy):
+    policy.action_net.register_forward_hook(lambda module, given, result: 0.9 * result)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda p: p.mlp_extractor.policy_net.insert(2, torch.nn.Dropout()), "PPO, which has Dropout in"),
+        (lambda p: setattr(p, "action_net", torch.nn.Bilinear(64, 64, 2)), "PPO, which has Bilinear in"),
+        (lambda p: p.mlp_extractor.policy_net.append(torch.nn.Linear(64, 64)), "has Linear in"),
+        (lambda p: setattr(p.mlp_extractor.policy_net, "3", torch.nn.ReLU()), "with one activation"),
+        (hooked, "PPO, which commands otherwise than its dense layers"),
+        (lambda p: setattr(p, "mlp_extractor", Sines(p.mlp_extractor)), "PPO, which commands otherwise"),
+    ],
+)
+def test_what_was_put_into_a_policy_by_hand_is_found(tmp_path, change, said):
     with pytest.raises(UserError, match=said):
-        load_policy(saved(tmp_path / "mine.zip", make()))
+        save_policy(by_hand(change), tmp_path / "mine.zip")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     "kind, options",
     [
+        (PPO, {"use_sde": True}),
         (PPO, {"use_sde": True, "policy_kwargs": {"squash_output": True}}),
+        (PPO, {"policy_kwargs": {"share_features_extractor": False, **SCALED}}),
+        (A2C, {"policy_kwargs": {"net_arch": {"pi": [16], "vf": []}, "activation_fn": torch.nn.ReLU}}),
         (SAC, {"use_sde": True, "policy_kwargs": {"clip_mean": 0.05}}),
         (SAC, {"use_sde": True, "policy_kwargs": {"net_arch": []}}),
         (SAC, {"policy_kwargs": {"net_arch": []}}),
         (SAC, {"policy_kwargs": {"net_arch": [32, 16], **SCALED}}),
         (TD3, {"policy_kwargs": {"net_arch": [32, 16], **SCALED}}),
-        (TD3, {"policy_kwargs": {"activation_fn": torch.nn.Tanh}}),
+        (DDPG, {"policy_kwargs": {"activation_fn": torch.nn.Tanh}}),
     ],
 )
-def test_predict_is_sb3s_with_less_usual_options(tmp_path, kind, options):
-    network = learner(Spaces(5, 2), kind, **options)
-    assert_same_actions(network, saved(tmp_path / "p.zip", network))
+def test_predict_is_sb3s_whatever_the_algorithm(tmp_path, kind, options):
+    network = learner(vehicles(), kind, **options)
+    save_policy(network, tmp_path / "p.zip")
+    assert_same_actions(network, tmp_path / "p.zip")
+    if kind is PPO:  # its own file alone says the same
+        network.save(tmp_path / "p.zip")
+        assert_same_actions(network, tmp_path / "p.zip", "landing")
 
 
 def test_start_states_of_a_vector_environment():

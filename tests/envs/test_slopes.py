@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import inclined_landing  # noqa: F401 (registers the environments)
 from inclined_landing.envs import load_policy, make_batch
-from inclined_landing.envs.policy import locate, write_metadata
+from inclined_landing.envs.policy import locate
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.frozen import START_CLEARANCE
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, LandingConditions
@@ -21,6 +21,7 @@ from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.surface import turned
+from tests.policy_files import restamp
 
 STEEP = math.radians(50)
 PLANE = make_task("landing", steepest=STEEP, angle_limit=math.radians(55))
@@ -132,7 +133,7 @@ def test_a_policy_of_other_options_is_refused(tmp_path, name, value):
     trained = {name: value} | ({"dimensions": 3} if name == "fastest" else {})
     path = tmp_path / "policy.zip"
     path.write_bytes(locate("landing-nominal").read_bytes())
-    write_metadata(path, {"task": "landing", "task_options": trained})
+    restamp(path, {"task": "landing", "task_options": trained})
     with pytest.raises(
         UserError, match=f"was trained with .*{name}=.*landing task here has .*{name}=.*make_for"
     ):

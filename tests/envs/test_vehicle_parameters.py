@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, observes_vehicle, write_metadata
+from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
 from inclined_landing.models.attitude import LAG, VZ
@@ -16,6 +16,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
+from tests.policy_files import restamp
 
 V = load_vehicle()
 # Those without effects: what is told is the linear drag, and their hover that of the transfer function.
@@ -117,7 +118,7 @@ def test_action_0_is_the_hover_of_each_vehicle():
 
 def stamped(folder, **options):
     path = shutil.copy(locate("landing-nominal"), folder / "policy.zip")
-    write_metadata(path, {"task": "landing", "task_options": options})
+    restamp(path, {"task": "landing", "task_options": options})
     return path
 
 
@@ -136,7 +137,7 @@ def test_a_policy_flies_each_vehicle_by_its_per_vehicle_hover_where_it_was_train
 
 def test_a_policy_is_not_flown_without_what_it_is_told(tmp_path):
     path = stamped(tmp_path, pwm_centre="hover", observe_vehicle=True)
-    assert observes_vehicle(path) and not observes_vehicle("landing")
+    assert trained_options(path)["observe_vehicle"] and "observe_vehicle" not in trained_options("landing")
     with pytest.raises(UserError, match=r"trained with observe_vehicle=True, and .* observe_vehicle=False"):
         load_policy(path, make_task("landing"))
     with pytest.raises(UserError, match=r"takes 5 observations and returns 2 actions, but .* 11 and 2"):

@@ -12,7 +12,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
-from inclined_landing.envs import policy
+from inclined_landing.envs import save_policy
 from inclined_landing.envs.shared import command_line, runs
 from inclined_landing.eval import cli
 from inclined_landing.eval.machine import benchmark, doctor
@@ -28,8 +28,7 @@ def landing_policy(tmp_path_factory):
     with torch.no_grad():
         for parameter in network.policy.parameters():
             parameter.zero_()
-    network.save(path)
-    policy.write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
+    save_policy(network, path)
     return path
 
 

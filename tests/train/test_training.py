@@ -14,7 +14,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from inclined_landing.envs.policy import load_policy, tensors
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import Ranges, locate, read_ranges
 from inclined_landing.envs.tasks import TASKS, StepContext
@@ -243,7 +243,7 @@ def test_a_run_trains_evaluates_and_resumes_with_its_vehicle_and_slope(tmp_path)
 def test_a_run_goes_on_from_a_policy_of_its_own_task(task, tmp_path):
     """Its actor, its noise and its critic; the actor is left alone at first, the critic learns."""
     begun = Run(config(tmp_path / "a", task=task, start_from=task, steps=256))
-    shipped = tensors(task)
+    shipped = weights(load_policy(task).path)
     for name, own in begun.model.policy.state_dict().items():
         np.testing.assert_array_equal(own, np.float32(shipped[name]))
     folder = begun.folder
@@ -404,7 +404,7 @@ def test_a_policy_is_carried_over_to_another_action_map(tmp_path):
     commands = [p.task.commands(action.astype(float)) for p, action in ((shipped, before), (carried, after))]
     np.testing.assert_allclose(commands[0][within, 0], commands[1][within, 0], rtol=0, atol=1e-5 * 24_000)
     np.testing.assert_array_equal(commands[0][:, 1:], commands[1][:, 1:])
-    noise = [np.exp(tensors(p.path)["log_std"]) * [p.task.pwm_span, 1.0] for p in (shipped, carried)]
+    noise = [np.exp(weights(p.path)["log_std"]) * [p.task.pwm_span, 1.0] for p in (shipped, carried)]
     np.testing.assert_allclose(*noise, rtol=1e-6)
     again = Run(config(tmp_path / "b", start_from=str(path)))
     assert (again.env.env.task.pwm_centre, again.env.env.task.pwm_span) == (40_000, 24_000)

@@ -22,7 +22,7 @@ from markdown_it import MarkdownIt
 
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import History, input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, write_metadata
+from inclined_landing.envs.policy import Policy, load_policy, locate
 from inclined_landing.envs.tasks import Start, Task, make_task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval import cli
@@ -34,6 +34,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
+from tests.policy_files import restamp, written
 
 POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown-nominal")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
@@ -323,9 +324,7 @@ def test_names_and_metadata_do_not_become_markdown_or_html(tmp_path):
         path = tmp_path / f"{words.replace('/', '')}.zip"
         shutil.copyfile(locate("landing"), path)
         metadata = load_policy(str(path)).metadata
-        write_metadata(
-            path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words}
-        )
+        restamp(path, metadata | {"command": words, "plant": words, "curriculum": {words: 1}, "seed": words})
         policy = contract.load(str(path))
         write(policy, "c", tmp_path / str(k))
         pages[k] = [markdown_of(tmp_path / str(k) / name) for name in ("contract.md", "README.md")]
@@ -526,16 +525,15 @@ def test_what_a_format_cannot_hold_is_refused(tmp_path):
 
 
 def test_policies_of_sac_and_of_another_vehicle(tmp_path):
-    from stable_baselines3 import SAC
+    from stable_baselines3 import PPO, SAC
     from torch import nn
 
     network = SAC(
         "MlpPolicy", Spaces(), seed=0, device="cpu", buffer_size=1, policy_kwargs={"net_arch": [32, 16]}
     )
     path = tmp_path / "sac.zip"
-    network.save(path)
     vehicle = {"command_control_period": 0.04, "body_mass": 0.035}
-    write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": 40000.0}, "vehicle": vehicle})
+    written(path, network, {"task": "landing", "task_options": {"pwm_centre": 40000.0}, "vehicle": vehicle})
     policy = contract.load(str(path))
     assert policy.task.vehicle.body_mass == 0.035 and policy.task.pwm_centre == 40000.0
     terms = write(policy, "c", tmp_path / "out")
@@ -554,12 +552,10 @@ def test_policies_of_sac_and_of_another_vehicle(tmp_path):
         ({"body_mass": -1.0}, "body.mass is -1"),
         ({"body_mass": "heavy"}, "body.mass"),
     ):
-        write_metadata(path, {"task": "landing", "task_options": {}, "vehicle": wrong})
+        restamp(path, {"task": "landing", "task_options": {}, "vehicle": wrong})
         with pytest.raises(UserError, match=sentence):
             contract.load(str(path))
-    elu = SAC(
-        "MlpPolicy", Spaces(), seed=0, device="cpu", buffer_size=1, policy_kwargs={"activation_fn": nn.ELU}
-    )
+    elu = PPO("MlpPolicy", Spaces(), seed=0, device="cpu", policy_kwargs={"activation_fn": nn.ELU})
     elu.save(path)
     assert (
         cli.main(["export", str(path), "--task", "landing", "--format", "c", "--out", str(tmp_path / "elu")])

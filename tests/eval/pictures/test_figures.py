@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from PIL import Image
 from stable_baselines3 import PPO
 
-from inclined_landing.envs import policy
+from inclined_landing.envs import policy, save_policy
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
@@ -344,8 +344,7 @@ def hover_policy(tmp_path_factory):
     with torch.no_grad():
         for parameter in network.policy.parameters():
             parameter.zero_()
-    network.save(path)
-    policy.write_metadata(path, {"task": "landing", "task_options": {"pwm_centre": "hover"}})
+    save_policy(network, path)
     return str(path)
 
 
