@@ -7,12 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
-from inclined_landing.envs.batch import BatchEnv
+from inclined_landing.envs.batch import BatchEnv, as_floats, is_whole
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, YAW, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants import MujocoPlant, Plant, make_plant
 from inclined_landing.models.plants.base import PLATFORM_SIZE
@@ -99,15 +99,19 @@ def record_flights(
     diverges. Flights of vehicles from a pool that diverge far outside the arena, where
     drawn effects of the air may add thrust without limit, end there without success instead.
     """
+    if not isinstance(getattr(policy, "task", None), Task):
+        raise UserError(f"policy must be one that load_policy returns, not {shown(repr(policy), 40)}")
     start = states if isinstance(states, Start) else None
-    states = np.atleast_2d(np.asarray(states, float)) if start is None else start.state
+    states = np.atleast_2d(as_floats(states, "the start state")) if start is None else start.state
     if isinstance(plant, str):
         plant = make_plant(plant, len(states), policy.task.vehicle, **policy.task.plant_options)
+    if not hasattr(plant, "step"):
+        raise UserError(f"plant must be a plant or the name of one, not {shown(repr(plant), 40)}")
     if plant.n != len(states):
         raise UserError(f"the plant has {plant.n} vehicles, but {len(states)} starts were given")
     env = BatchEnv(policy.task, plant, seed=0)
     limit = policy.task.max_steps if steps is None else steps
-    if not 1 <= limit <= policy.task.max_steps:
+    if not (is_whole(limit) and 1 <= limit <= policy.task.max_steps):
         raise UserError(f"a flight must have 1 to {policy.task.max_steps} control steps, not {limit}")
     observation = env.reset(state=states) if start is None else env.reset(start=start)
     n = len(states)

@@ -20,6 +20,7 @@ MOST_VEHICLES = 100_000  # of one environment
 def make_batch(
     task: str,
     n: int = 64,
+    /,
     *,
     plant: str = "mujoco",
     plant_options: dict | None = None,

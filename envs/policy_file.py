@@ -4,8 +4,9 @@ inclined_landing.json   metadata: task, task options, origin; "network": activat
 network/NAME.npy        arrays of floats: centre, scale, and of layer K from 0 weights_K (inputs, outputs) and
                         biases_K
 
-`save_policy` and `landing-train` write it into the file of Stable-Baselines3, which training goes on from.
-Reading takes NumPy alone, runs nothing from the file, and needs no more memory than `LARGEST` for a member.
+`save_policy` and `landing-train` write it into the file of Stable-Baselines3, from which training can
+continue. Reading takes NumPy alone, runs nothing from the file, and needs no more memory than `LARGEST` for
+a member.
 """
 
 from __future__ import annotations

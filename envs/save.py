@@ -61,7 +61,7 @@ def save_policy(model, path: str | Path) -> None:
     It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the statistics of a
     `VecNormalize` around them are saved as well. The file's actions are compared with those of
     `model.predict`. Raises UserError, and writes nothing, for a policy, an environment or a wrapper that a
-    file cannot hold. Stable-Baselines3 reads the file too, to go on from it.
+    file cannot hold. Stable-Baselines3 reads the file too, to continue the training.
     """
     if not isinstance(model, BaseAlgorithm):
         raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
@@ -116,7 +116,7 @@ def actor_of(model: BaseAlgorithm) -> dict[str, Any]:
     if modules and type(modules[-1]) is nn.Hardtanh:
         bound = float(modules.pop().max_val)
     layers, between = modules[::2], modules[1::2]
-    extractor = named.get("pi_features_extractor", named.get("features_extractor"))
+    extractor: Any = named.get("pi_features_extractor", named.get("features_extractor"))
     strange = [module for module in layers if type(module) is not nn.Linear]
     strange += [module for module in between if type(module) not in (nn.Tanh, nn.ReLU)]
     strange += [extractor] if type(extractor) not in (FlattenExtractor, ScaledObservation) else []

@@ -28,6 +28,7 @@ from inclined_landing.envs.tasks.touchdown import (
     SlopeTouchdown,
     SpaceTouchdown,
 )
+from inclined_landing.models import schema
 from inclined_landing.models.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {
@@ -91,7 +92,7 @@ def import_task(path: str) -> type[Task]:
     return kind
 
 
-def make_task(name: str, vehicle=None, **options) -> Task:
+def make_task(name: str, /, vehicle=None, **options) -> Task:
     """Return the task of this name with the options of its class; raises UserError for any other option."""
     kind = task_class(name)
     known = kind.option_names()
@@ -99,6 +100,7 @@ def make_task(name: str, vehicle=None, **options) -> Task:
         if key not in known:
             wrong = shown(repr(key), 40)
             raise UserError(f"the task {name} has no option {wrong}; choose from {', '.join(known)}")
+    schema.check(options, schema.kinds_of(kind.options_type))
     try:
         task = class_for(kind, options)(vehicle, **options)
     except TypeError as error:

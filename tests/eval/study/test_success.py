@@ -134,11 +134,22 @@ def test_flights_do_not_depend_on_their_company(landing):
         np.testing.assert_array_equal(alone.state, flight.state)
 
 
-def test_record_flights_refuses_a_plant_of_another_size(landing):
-    with pytest.raises(UserError, match="2 vehicles, but 1 starts"):
-        record_flights(Constant(landing, 0, 0), make_plant("analytic", 2), pose(2.0))
-    with pytest.raises(UserError, match="1 to 300 control steps"):
-        record_flights(Constant(landing, 0, 0), "analytic", pose(2.0), steps=301)
+def test_wrong_arguments_of_record_flights_are_one_sentence(landing):
+    policy = Constant(landing, 0, 0)
+    for arguments, options, sentence in (
+        ((policy, make_plant("analytic", 2), pose(2.0)), {}, "2 vehicles, but 1 starts"),
+        ((policy, "analytic", pose(2.0)), {"steps": 301}, "1 to 300 control steps"),
+        ((policy, "analytic", pose(2.0)), {"steps": 2.5}, "1 to 300 control steps, not 2.5"),
+        ((policy, "analytic", "x"), {}, "the start state must be an array of real numbers"),
+        ((policy, 5, pose(2.0)), {}, "plant must be a plant or the name of one, not 5"),
+        (
+            ("landing", "analytic", pose(2.0)),
+            {},
+            "policy must be one that load_policy returns, not 'landing'",
+        ),
+    ):
+        with pytest.raises(UserError, match=sentence):
+            record_flights(*arguments, **options)
 
 
 # ---- motors cut
