@@ -22,7 +22,7 @@ from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study import moving, success, touchdown
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.platforms import controllers
-from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
+from inclined_landing.eval.study.platforms.scenario import scenarios
 from inclined_landing.eval.study.show import document, show
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
@@ -87,7 +87,7 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
     if task.evaluated_by == "touchdown":
         return touchdown.study(final, _origin(task, metrics["config"]["start_from"], load))
     controller = controllers.of_policy(final, controllers.vehicle_flown())
-    return moving.study([read_scenario(name) for name in shipped()], [controller])
+    return moving.study([*scenarios().values()], [controller])
 
 
 def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:

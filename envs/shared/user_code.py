@@ -21,7 +21,7 @@ _FILES: dict[str, str] = {}  # what was imported here: what people called it, by
 
 
 def would_import(text: object) -> TypeGuard[str]:
-    """Would a task or controller of this name be imported: is it `module:NAME` or `file.py:NAME`."""
+    """Would a task of this name be imported: is it `module:NAME` or `file.py:NAME`."""
     source, _, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
     return bool(source) and name.isidentifier()
 

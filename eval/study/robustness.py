@@ -17,7 +17,7 @@ from inclined_landing.eval.study import changes, moving, slopes, vehicles
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.flights import named_policies
 from inclined_landing.eval.study.platforms.controllers import BASELINES, find_all
-from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
+from inclined_landing.eval.study.platforms.scenario import scenario_of, scenarios
 from inclined_landing.eval.study.show import hand_over
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -33,8 +33,7 @@ Policies = Annotated[
     tyro.conf.arg(
         metavar="[POLICY ...]",
         help=f"landing policies: files, run folders or shipped ones ({', '.join(SHIPPED)}). All are compared "
-        "with the first. LABEL=POLICY gives a name. --over moving takes 3D policies, planner, and custom "
-        "controllers as module:NAME or file.py:NAME.",
+        "with the first. LABEL=POLICY gives a name. --over moving takes 3D policies and planner.",
         help_behavior_hint=f"(default with --over moving: {' '.join(BASELINES)})",
     ),
     Meta(max_length=100),
@@ -82,11 +81,11 @@ class MovingOptions:
     """Options of --over moving, the frozen benchmark of moving platforms.
 
     Args:
-        scenario: scenarios of the benchmark, or scenario files (default: the whole benchmark).
+        scenario: scenarios of the benchmark (default: all).
         flights: number of flights in each scenario (default: 4; with --full all).
     """
 
-    scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE [...]")] = ()
+    scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     flights: Annotated[int, Meta(ge=1, le=100_000)] | None = None
 
 
@@ -149,10 +148,10 @@ def command(
         named = vehicle or vehicles.NAMED
         found.append(vehicles.study(named_policies(policies), named, plant=plant, every=every, **options))
     if "moving" in over:
-        names = moving_platforms.scenario or shipped()
-        scenarios = [read_scenario(name) for name in dict.fromkeys(names)]
+        names = moving_platforms.scenario or scenarios()
+        chosen = [scenario_of(name) for name in dict.fromkeys(names)]
         flights = moving_platforms.flights or (None if full else QUICK_FLIGHTS)
-        found.append(moving.study(scenarios, controllers, flights))
+        found.append(moving.study(chosen, controllers, flights))
     hand_over("robustness", run(found), json=json, out=out)
 
 

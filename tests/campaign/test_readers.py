@@ -33,7 +33,6 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.landings.design import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
-from inclined_landing.eval.study.platforms.scenario import read_scenario, shipped
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
@@ -105,13 +104,6 @@ def is_drawn(study) -> None:
     """Every landing has its parameters and its start."""
     drawn, start = design(study)
     assert len(start) and all(np.isfinite(drawn[parameter.name]).all() for parameter in study.parameters)
-
-
-def can_be_landed_on(scenario) -> None:
-    """Its platforms stay finite, and there is time to rest for as long as is asked."""
-    drawn = scenario.draw(load_vehicle(), 2)
-    assert all(np.isfinite(array).all() for array in (drawn.start, drawn.azimuth, *drawn.motion.at(1.0)))
-    assert scenario.success.hold < scenario.success.within
 
 
 @functools.cache
@@ -262,11 +254,6 @@ READERS = {
     ),
     "study": Reader(text("s.toml", inputs.STUDY), lambda f: read_study(f / "s.toml"), is_drawn),
     "recipe": Reader(text("r.toml", RECIPE), lambda f: read_recipe(f / "r.toml").runs()),
-    "scenario": Reader(
-        text("m.toml", shipped()["ship_5_bow"].read_text("utf-8")),
-        lambda f: read_scenario(f / "m.toml"),
-        can_be_landed_on,
-    ),
     "mapping": Reader(
         lambda: {"m.toml": inputs.MAPPING.encode(), "log.csv": FLIGHT.encode()},
         lambda f: read_log(f / "log.csv", mapping=f / "m.toml"),

@@ -21,7 +21,14 @@ SUFFIXES = (".py", ".toml", ".cc", ".h", ".in", ".j2", ".js", ".xml", ".yml", ".
 FOREIGN = {  # names of other programs, and names that are put together from parts
     *("kalman_core.c", "estimator_complementary.c"),
     *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c"),
-    *("supervisor_state_machine.c", "platform_defaults.h", "thrustLocked", "Commander", "send_setpoint"),
+    *(
+        "CONFIG_ENABLE_THRUST_BAT_COMPENSATED",
+        "supervisor_state_machine.c",
+        "platform_defaults.h",
+        "thrustLocked",
+        "Commander",
+        "send_setpoint",
+    ),
     *(
         "_nr_of_retries",
         "clampctrl",

@@ -41,7 +41,7 @@ _FILTER = 0.3  # of the platform's differenced acceleration, per period
 
 
 class Planner:
-    """Called as all controllers are; see `controllers`."""
+    """Called once per control period with t [s], the states (n, 13) of vehicles and platforms (n, 12)."""
 
     def __init__(self, vehicle: Vehicle):
         self._period, self._gravity = vehicle.command_control_period, vehicle.environment_gravity

@@ -95,12 +95,12 @@ def _waves(period: np.ndarray, modes: dict[str, np.ndarray]) -> Waves:
 
 
 def table(waves: Waves) -> str:
-    """The table [waves] of a scenario file."""
+    """The entries of a scenario's waves."""
 
     def numbers(values, digits: int) -> str:
         return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
 
-    lines = ["[waves]", f"period = {numbers(waves.period, 4)}"]
+    lines = [f"period = {numbers(waves.period, 4)}"]
     for k, mode in enumerate(MODES):
         if (waves.amplitude[k] > 1e-9).any():
             size = waves.amplitude[k] if k < 3 else np.degrees(waves.amplitude[k])
