@@ -1,10 +1,9 @@
-"""`landing-eval doctor`: versions, plugins, rendering, and a remedy for everything that is missing."""
+"""`landing-eval doctor`: what a first start needs, and a remedy for everything that is missing."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
-import os
 import re
 import sys
 from collections.abc import Callable
@@ -13,11 +12,8 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
-from inclined_landing.models.errors import shown
 
-_FOR_DEVELOPERS = {"all", "docs", "test", "test-all", "wheel"}  # extras that nothing of the program asks for
 _BUILD = "run `make` in the repository, or reinstall the package in this environment"
-_MISSING = {True: ("missing", "red"), False: ("-", "yellow")}  # by whether it is needed
 
 
 @dataclasses.dataclass
@@ -28,7 +24,6 @@ class CheckResult:
     ok: bool
     detail: str
     remedy: str = ""  # when not ok
-    needed: bool = True  # False: the package works without it
 
 
 def examine() -> list[CheckResult]:
@@ -42,27 +37,21 @@ def examine() -> list[CheckResult]:
         findings += [
             _tried("simulation", _simulation, _BUILD),
             _tried("rendering", _rendering, "run `make test` for more"),
-            _opengl(),
+            _tried("video encoder", _video, "pip install imageio-ffmpeg"),
         ]
-        named = importlib.metadata.metadata("inclined-landing").get_all("Provides-Extra") or []
-        for name in (name for name in named if name not in _FOR_DEVELOPERS):
-            missing = ", ".join(_missing(name))
-            remedy = f"pip install 'inclined-landing[{name}]'"
-            detail = f"missing: {missing}" if missing else "complete"
-            findings.append(CheckResult(f"extra {name}", not missing, detail, remedy, needed=False))
-    return [*findings, _tried("video encoder", _video, "pip install imageio-ffmpeg")]
+    return findings
 
 
 def command(*, json: Flag = False) -> int:
     """Check the installation and suggest remedies.
 
-    The exit code is 2 if something required is missing.
+    The exit code is 2 if something is missing.
 
     Args:
         json: print only JSON on standard output.
     """
     findings = examine()
-    healthy = all(finding.ok or not finding.needed for finding in findings)
+    healthy = all(finding.ok for finding in findings)
     if json:
         report = {
             "command": "doctor",
@@ -86,18 +75,17 @@ def _tried(name: str, check: Callable[[], tuple[bool, str]], remedy: str) -> Che
 
 def _packages() -> tuple[bool, str]:
     """Return whether the distribution's own requirements are installed, and their versions."""
-    if missing := _missing(""):
+    if missing := _missing():
         return False, f"missing: {', '.join(missing)}"
     return True, ", ".join(f"{name} {version}" for name, version in runs.packages().items() if version)
 
 
-def _missing(extra: str) -> list[str]:
-    """Return packages that an extra ("": the base) asks for and that are not installed."""
+def _missing() -> list[str]:
+    """Return packages that the distribution requires and that are not installed."""
     missing = []
     for requirement in importlib.metadata.requires("inclined-landing") or []:
         name, _, condition = requirement.partition(";")
-        wanted = re.search(r"extra == ['\"]([\w-]+)", condition)
-        if (wanted.group(1) if wanted else "") != extra:
+        if "extra ==" in condition:
             continue
         name = re.split(r"[^A-Za-z0-9._-]", name.strip())[0]
         try:
@@ -143,25 +131,6 @@ def _rendering() -> tuple[bool, str]:
     return True, "backend auto: ray casting on the processor"
 
 
-def _opengl() -> CheckResult:
-    """Return which OpenGL there is; that of MUJOCO_GL, where it is set, must load."""
-    import mujoco
-
-    from inclined_landing.envs.rendering.gl import probe
-
-    found, remedy = probe(), "apt install libegl1 libgl1 (or libosmesa6) for --backend gl"
-    asked = [name for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM") if os.environ.get(name)]
-    ok, detail = True, f"{found.kind}, {'hardware' if found.hardware else 'software'}"
-    if not found.kind:
-        ok, detail = False, f"none, {found.missing} is missing; pictures are ray-cast"
-    if getattr(getattr(mujoco, "GLContext", None), "__name__", "") == "_MissingGLContext":
-        named = ", ".join(f"{name}={shown(os.environ[name], 40)}" for name in asked)
-        ok, detail = False, f"{named} does not load; {'without it ' * bool(found.kind)}{detail}"
-    if asked:
-        remedy = f"unset {' and '.join(asked)}, or {remedy}"
-    return CheckResult("OpenGL", ok, detail, remedy, needed=False)
-
-
 def _video() -> tuple[bool, str]:
     import imageio_ffmpeg
 
@@ -174,15 +143,11 @@ def _show(findings: list[CheckResult]) -> None:
     table = new_table(None, "", "", "", labels=3)
     table.show_header = False
     for finding in findings:
-        state = Text("ok", "green") if finding.ok else Text(*_MISSING[finding.needed])
+        state = Text("ok", "green") if finding.ok else Text("missing", "red")
         table.add_row(state, finding.name, Text(finding.detail, overflow="fold"))
     show_table(table)
     versions = runs.versions()
     say(f"{versions['cpu']}, {versions['cores']} cores, {versions['system']}")
     say(*(f"{finding.name}: {finding.remedy}" for finding in findings if not finding.ok))
-    lacking, without = ([f.name for f in findings if not f.ok and f.needed is x] for x in (True, False))
-    optional = f" Optional and not installed: {', '.join(without)}." if without else ""
-    if lacking:
-        say(f"These requirements are missing or broken: {', '.join(lacking)}.{optional}")
-    else:
-        say(f"All requirements are met.{optional}")
+    lacking = ", ".join(finding.name for finding in findings if not finding.ok)
+    say(f"These are missing or broken: {lacking}." if lacking else "All requirements are met.")

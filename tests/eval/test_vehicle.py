@@ -20,7 +20,6 @@ NO_VEHICLE = {
     "demo",
     "export",
     "curves",
-    "flights",
     "logs",
     "effects",
     "gap-example",
