@@ -9,13 +9,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared.options import Flag, NewFolder, RunFolder, Seed  # noqa: F401
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
@@ -98,25 +98,53 @@ class Look:
 
 
 @dataclasses.dataclass(frozen=True)
-class LogSource:
+class Reading:
+    """What the column names of logs do not say.
+
+    Args:
+        mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
+        unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
+    """
+
+    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = ()
+    where: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=VALUE")] = ()
+
+    def options(self) -> dict[str, Any]:
+        """Return them as `read_log` takes them. Raises UserError for any other option."""
+        units = _pairs(self.unit, "--unit", "COLUMN=UNIT, as in roll=deg")
+        where = _pairs(self.where, "--where", "COLUMN=VALUE, as in name=cf1")
+        return {"mapping": self.mapping, "units": units, "where": where}
+
+
+def _pairs(options: tuple[str, ...], option: str, expected: str) -> dict[str, str]:
+    pairs = [text.partition("=") for text in options]
+    for text, (left, _, right) in zip(options, pairs):
+        if not (left and right):
+            raise UserError(f"{option} {shown(text)!r}: expected {expected}")
+    return {left: right for left, _, right in pairs}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LogSource(Reading):
     """Logs, and what their column names do not say.
 
     Args:
         files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
     """
 
     files: LogFiles
-    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = ()
 
     def __post_init__(self):
         if not self.files:
             raise UserError("name at least one log")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class FlightSource(LogSource):
     """Flights for a model, and the model.
 
@@ -125,6 +153,7 @@ class FlightSource(LogSource):
             one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).

@@ -45,9 +45,7 @@ def command(
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with stages(source.count + len(reference) + 5) as tick:
-        flights = read_flights(
-            source.files, source.heldout, reference, mapping=source.mapping, units=source.unit, tick=tick
-        )
+        flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
         notes = flights.notes
         tick("reference")
         found = None

@@ -26,9 +26,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with stages(source.count + 2) as tick:
-        flights = read_flights(
-            source.files, source.heldout, mapping=source.mapping, units=source.unit, tick=tick
-        )
+        flights = read_flights(source.files, source.heldout, tick=tick, **source.options())
         tick("fit")
         found = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
         tick("page")

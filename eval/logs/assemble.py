@@ -259,6 +259,16 @@ def _clean(path: str, key: str, channel: Channel, notes: list[str]) -> Channel:
         finite[outliers] = False
     t, value = channel.t[finite], channel.value[finite]
     later = np.r_[True, np.diff(t) > 0]
+    differing = np.flatnonzero(~later & np.r_[False, np.diff(value) != 0.0])
+    if len(differing) > max(1, _OUTLIER_SHARE * len(t)):
+        often = (
+            f"{len(differing)} of {len(t)} rows of column {channel.column} ({key}) differ from the row before"
+        )
+        step = np.median(np.diff(t[later])) if later.sum() > 1 else 0.0
+        raise UserError(
+            f"{path}: {often} at the same instant, first at t = {t[differing[0]]:.6g} s: a clock in steps of "
+            f"{step:.3g} s is too coarse, or the rows are those of several vehicles"
+        )
     if not later.all():
         notes.append(f"{int((~later).sum())} rows of {channel.column} repeat an instant and were dropped")
     wraps = key in ("roll", "yaw")

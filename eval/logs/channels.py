@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from inclined_landing.eval.logs import clock, limits, units
+from inclined_landing.eval.logs import clock, limits, units, vehicles
 from inclined_landing.eval.logs.mapping import AttitudePid, ColumnMap, Mixer, Source, find, patterns
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
@@ -81,6 +81,8 @@ def _on_its_clock(
         raise UserError(f'{where}: no time column ({called}); a mapping file can name it with t = "NAME"')
     names = list(record.columns)
     asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
+    axes = [c for key in ("x", "y", "z") for s in column_map.sources(key) for c in s.columns]
+    vehicles.check_one(record, time.value, [n for c in axes if (n := find(names, c, where)) is not None])
     t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])
     if rows is not None:
         late = int((t < np.maximum.accumulate(t)).sum())

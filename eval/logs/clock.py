@@ -62,6 +62,8 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | N
         first, rest = name.split(" + ")
         values, unit = record.columns[first] + 1e-9 * record.columns[rest], "s"
     inferred = ""
+    if unit is None and (here or name) == "t":
+        _check_counts(record, name, values)
     if unit is None:
         unit = _unit_by_step(values, _LONGEST_STEP["t" if here or name == "t" else ""])
         inferred = "" if here and unit == "s" else " (inferred from the time step)"
@@ -73,6 +75,18 @@ def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | N
     key = here or next(iter(wanted), "t")
     return dataclasses.replace(
         record, columns={**record.columns, key: values}, units={**record.units, key: unit}, notes=tuple(notes)
+    )
+
+
+def _check_counts(record: Record, name: str, values: np.ndarray) -> None:
+    """Raise UserError for a column t, without a unit, that counts the rows."""
+    if len(values) < 10 or not (np.diff(values) == 1.0).all():
+        return
+    other = named(column for column in record.columns if column != name)
+    rather = f", or omit it for {shown(other)}" if other else ""
+    raise UserError(
+        f"{record.path}: column {shown(name)} increases by exactly 1 per row: a frame number, or ticks? "
+        f"State its unit, for example --unit t='0.01 s' at 100 rows per second{rather}"
     )
 
 

@@ -24,8 +24,8 @@ def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     Args:
         json: print only JSON on standard output.
     """
-    units = parse_units(source.unit)
-    reports = [_check_file(file, source.mapping, units) for file in source.files]
+    options = source.options()
+    reports = [_check_file(file, options) for file in source.files]
     usable = [(log, found) for log, found in reports if log is not None and not _refused(found)]
     fleet = check_fleet([without_bad_data(log, found) for log, found in usable])
     flights = [_flight_json(file, *report) for file, report in zip(source.files, reports)]
@@ -64,22 +64,9 @@ def _answer(found: Sequence[Sequence[Finding]], fleet: Sequence[Finding]) -> str
     return f"{count}{f', {limited} with limits' if limited else ''}{together}."
 
 
-def parse_units(units: Sequence[str]) -> dict[str, str]:
-    """Return options like `roll=deg` as a dictionary. Raises UserError for anything else."""
-    result = {}
-    for option in units:
-        column, sign, unit = option.partition("=")
-        if not (column and sign and unit):
-            raise UserError(f"unit '{shown(option)}': expected COLUMN=UNIT, as in roll=deg")
-        result[column] = unit
-    return result
-
-
-def _check_file(
-    file: str, mapping: str | None, units: Mapping[str, str]
-) -> tuple[FlightLog | None, tuple[Finding, ...]]:
+def _check_file(file: str, options: Mapping[str, Any]) -> tuple[FlightLog | None, tuple[Finding, ...]]:
     try:
-        log = read_log(file, mapping=mapping, units=units, check=False)
+        log = read_log(file, **options, check=False)
     except UserError as error:
         return None, (refuse("", str(error)),)
     notes = [limit("", note) for note in log.notes]

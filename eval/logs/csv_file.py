@@ -8,22 +8,25 @@ import io
 import itertools
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas
 
 from inclined_landing.eval.logs.limits import MOST_COLUMNS, read_table
+from inclined_landing.eval.logs.mapping import ColumnMap, is_named, means_time
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
 
+MOST_AT_THE_END = 10  # rows of words or sums below a log, which are cut
+MOST_LABELS = 50  # values of a column that names something
 _COMMENT = ("#", "%", "//")
 # Cells without a value, in lower case, besides those that pandas knows.
 _MISSING = {"", "nan", "-", "--", "---", "?", "*", ".", "nat", "\\n", "missing", "undefined", "invalid"}
 _MISSING |= {"nan(ind)", "-nan(ind)", "#num!", "#div/0!", "#value!"}
-_DECIMAL_COMMA = r"(?![+-]?[1-9]\d{0,2}(?:,\d{3})+$)[+-]?\d*,\d+(?:[eE][+-]?\d+)?"
-_GROUPED = r"[+-]?\d{{1,3}}(?:([{marks}])\d{{3}})(?:\1\d{{3}})*(?:{point}\d*)?"  # 37,721.9
+_COMMAS = re.compile(r"[+-]?[\d.]*(?:,\d+)+(?:\.\d*)?(?:[eE][+-]?\d+)?")  # a number with commas
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")  # 37,721.9
 _DATE = r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d.*"
 _TIME_OF_DAY = r"\d{1,2}:\d\d:\d\d(?:\.\d+)?"
 
@@ -40,55 +43,107 @@ class _Layout:
     header: bytes
 
 
-def read(path: Path) -> Record:
+@dataclasses.dataclass(frozen=True)
+class _Column:
+    """A column of a table: its numbers, NaN for the words among them."""
+
+    values: np.ndarray
+    unit: str = ""
+    words: pandas.Series = dataclasses.field(
+        default_factory=pandas.Series
+    )  # the cells that are words, by row
+
+    @property
+    def mixed(self) -> bool:
+        """Whether words stand among more numbers, and are none of a column of text."""
+        return np.isfinite(self.values).sum() > len(self.words) > 0
+
+
+def read(path: Path, column_map: ColumnMap | None = None) -> Record:
     """Read a table with one header line and, optionally, comments above it and a line of units under it.
 
     Packed files are unpacked on the way; comma, semicolon, tab, bar or blanks separate. A column of lists
     becomes one for each of their numbers, dates and times of day become seconds. Columns of text are NaN.
+    Rows of words or sums below the log are cut. column_map: says which lines hold the names, where these are
+    not the first ones.
+
     Raises UserError for anything else.
     """
     data, encoding, notes = read_table(path)
-    layout = _layout(path, data, encoding)
+    layout = _described(path, data, encoding, column_map)
     if encoding != "utf-8":
         notes.append("the file is not UTF-8 and was read as Latin-1")
     rows = _without_comments(data[layout.start :], layout, notes)
     try:
-        table = _parse(rows, layout, encoding)
-        decimal = "," if _has_decimal_commas(table) else "."
-        if decimal == ",":
-            notes.append("the decimal sign is a comma")
-            table = _parse(rows, layout, encoding, decimal)
+        table, decimal, thousands = _parse_numbers(rows, layout, encoding, notes)
+        parts = {key: part for name in layout.names for key, part in _parts(path, table[name]).items()}
+        columns = {key: _numbers(part, decimal, thousands) for key, part in parts.items()}
+        for name in [name for name in table if means_time(name, column_map)]:
+            if name in columns and (np.diff(columns[name].values) < 0.0).any():
+                written = _parse(rows, layout, encoding, usecols=[name], dtype=str)[name]
+                columns[name] = _stamps(written, notes) or columns[name]
     except (pandas.errors.ParserError, pandas.errors.ParserWarning) as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
         raise UserError(f"{path}: rows of different length ({reason}) below the header") from error
     except pandas.errors.EmptyDataError as error:
         raise UserError(f"{path}: a header and no rows") from error
-    columns: dict[str, np.ndarray] = {}
-    unreadable: dict[str, str] = {}
-    units = dict(layout.units)
-    for name in layout.names:
-        for key, part in _parts(path, table[name]).items():
-            values, unit, problem = _numbers(part, decimal, notes, cut=not data.endswith(b"\n"))
-            if unit:
-                units[key] = unit
-            if problem is not None:
-                row, cell = problem
-                line = _line(data, layout, row)
-                unreadable[key] = f"line {line}, column {shown(key)}: {shown(cell, 40)!r} is not a number"
-            if values is not None:
-                columns[key] = values
-    return Record(str(path), columns, units=units, unreadable=unreadable, notes=tuple(notes))
+    last = len(table) - _at_the_end(columns, notes)
+    unreadable, labels = {}, {}
+    for name, column in columns.items():
+        words = column.words[column.words.index < last]
+        if words.empty:
+            continue
+        row, cell = int(words.index[0]), shown(words.iloc[0], 40)
+        unreadable[name] = f"line {_line(data, layout, row)}, column {shown(name)}: {cell!r} is not a number"
+        if not column.mixed and words.nunique() <= MOST_LABELS:
+            labels[name] = words.reindex(range(last), fill_value="").to_numpy(object)
+    return Record(
+        str(path),
+        {name: c.values[:last] for name, c in columns.items() if name not in unreadable or not c.mixed},
+        units=layout.units | {name: column.unit for name, column in columns.items() if column.unit},
+        unreadable=unreadable,
+        labels=labels,
+        notes=tuple(notes),
+    )
 
 
-def _layout(path: Path, data: bytes, encoding: str) -> _Layout:
-    """Return the lines above the rows: `sep=`, comments and titles, the header, and a line of units."""
-    separator, comment, header = "", None, None
+def _described(path: Path, data: bytes, encoding: str, column_map: ColumnMap | None) -> _Layout:
+    """Return the lines above the rows: those of the mapping for a file whose columns they then name."""
+    if column_map is None or not column_map.header:
+        return _layout(path, data, encoding)
+    try:
+        layout = _layout(path, data, encoding, column_map.header)
+        if is_named(layout.names, column_map):
+            return layout
+        names = shown(", ".join(layout.names), 120)
+        problem = UserError(
+            f"{path}: header = {list(column_map.header)} names no column of the mapping, but {names}"
+        )
+    except UserError as error:
+        problem = error
+    try:
+        return _layout(path, data, encoding)
+    except UserError:
+        raise problem from None
+
+
+def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -> _Layout:
+    """Return the lines above the rows: `sep=`, comments and titles, the header, and a line of units.
+
+    named: the lines, from 1 on, whose cells make up the names; empty: the line that looks like it.
+    """
+    separator, comment, header, above = "", None, None, []
     for count, (raw, end) in enumerate(_lines(data), 1):
         line = raw.decode(encoding, "replace")
         said = re.fullmatch(r'"?sep=(.)"?', line, re.IGNORECASE)
         marked = line.lstrip().startswith(_COMMENT)
         if said:
             separator = said[1]
+        elif named and count <= named[-1]:
+            above += [line] if count in named else []
+            if count == named[-1]:
+                mark = separator or _separator(line)
+                header = (_joined([_cells(path, text, mark) for text in above]), mark, raw, end, count)
         elif not line.strip():
             pass
         elif header is None and marked:
@@ -104,22 +159,57 @@ def _layout(path: Path, data: bytes, encoding: str) -> _Layout:
                 header = (_cells(path, comment[0], mark), mark, *comment[1:])
                 break
             else:
-                raise UserError(f"{path}: the first line contains numbers; expected column names")
+                problem = "the first line contains numbers; expected column names"
+                raise UserError(f"{path}: {problem}{_where_names_are(data, encoding)}")
         else:
             mark = separator or _separator(line)
             cells = _cells(path, line.lstrip(" #%/") if marked else line, header[1])
             other = _cells(path, line, mark)
             titled = len(other) > max(len(header[0]), 2) or (header[1] == " " != mark and len(other) > 1)
-            if titled and not any(map(_is_number, other)):
+            if titled and not any(map(_is_number, other)) and not named:
                 header = (other, mark, raw, end, count)  # what was above is a title
             elif _are_units(cells) and (not marked or len(cells) == len(header[0])):
-                names = _names(path, header[0])
+                names = _names(path, header[0], data, encoding)
                 return _Layout(names, dict(zip(names, cells)), header[1], end, count, header[2])
             else:
                 break
     if header is None:
         raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")
-    return _Layout(_names(path, header[0]), {}, header[1], header[3], header[4], header[2])
+    return _Layout(_names(path, header[0], data, encoding), {}, header[1], header[3], header[4], header[2])
+
+
+def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Return the names that several lines make up; an upper line's empty cell repeats that to its left."""
+    names = [""] * len(lines[-1])
+    for upper in lines:
+        left = ""
+        for k, cell in enumerate(upper[: len(names)]):
+            left = cell if cell or upper is lines[-1] else left
+            names[k] = ".".join(filter(None, (names[k], left)))
+    return names
+
+
+def _where_names_are(data: bytes, encoding: str) -> str:
+    """Return which lines above the rows name the columns, as the end of a sentence; empty where none do."""
+    head = [raw.decode(encoding, "replace") for raw, _ in itertools.islice(_lines(data), 100)]
+    table = [next(csv.reader([line], delimiter=_separator(line)), []) for line in head]
+    numbers = [2 * sum(map(_is_number, cells)) > sum(map(bool, cells)) > 2 for cells in table]
+    for row in range(1, len(table) - 1):
+        width = len(table[row])
+        if not (numbers[row] and numbers[row + 1] and len(table[row + 1]) == width):
+            continue
+        lines: list[int] = []
+        for k in reversed(range(row)):
+            if len(table[k]) != width or any(map(_is_number, table[k])):
+                break
+            lines.insert(0, k)
+            names = _joined([table[k] for k in lines])
+            if len({*names}) == width and all(names):
+                said = ", ".join(str(k + 1) for k in lines)
+                line = f"line{'s' * (len(lines) > 1)} {said}"
+                return f"; if the names are in {line}, say so in a mapping file: header = [{said}]"
+        break
+    return ""
 
 
 def _separator(line: str) -> str:
@@ -156,7 +246,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     return all(cell in ("", "1") or not _is_number(cell) for cell in cells) and texts > cells.count("1")
 
 
-def _names(path: Path, cells: list[str]) -> list[str]:
+def _names(path: Path, cells: list[str], data: bytes, encoding: str) -> list[str]:
     """Return the names of the columns; unnamed ones are numbered."""
     if not any(cells):
         raise UserError(f"{path}: empty; expected a line of column names and rows of numbers")
@@ -166,7 +256,8 @@ def _names(path: Path, cells: list[str]) -> list[str]:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise UserError(f"{path}: column {shown(name)} appears twice")
+            where = _where_names_are(data, encoding)
+            raise UserError(f"{path}: column {shown(name)} appears twice{where}")
         seen.add(name)
     return names
 
@@ -184,7 +275,33 @@ def _without_comments(rows: bytes, layout: _Layout, notes: list[str]) -> bytes:
     return rows
 
 
-def _parse(rows: bytes, layout: _Layout, encoding: str, decimal: str = ".") -> pandas.DataFrame:
+def _parse_numbers(
+    rows: bytes, layout: _Layout, encoding: str, notes: list[str]
+) -> tuple[pandas.DataFrame, str, str]:
+    """Return a table, and its signs of decimals and thousands, which are those of most numbers."""
+    table = _parse(rows, layout, encoding)
+    text = table.select_dtypes(exclude="number")
+    cells = [
+        str(c) for _, column in text.items() for c in column.dropna().unique() if _COMMAS.fullmatch(str(c))
+    ]
+    if not cells:
+        return table, ".", ""
+    if all(map(_GROUPED.fullmatch, cells)):
+        decimal, thousands, note = ".", ",", "commas separate thousands"
+    else:
+        decimal, thousands, note = (
+            ",",
+            "." * any("." in cell for cell in cells),
+            "the decimal sign is a comma",
+        )
+    other = _parse(rows, layout, encoding, decimal=decimal, thousands=thousands or None)
+    if other.select_dtypes("number").shape[1] <= table.select_dtypes("number").shape[1]:
+        return table, ".", ""
+    notes.append(note)
+    return other, decimal, thousands
+
+
+def _parse(rows: bytes, layout: _Layout, encoding: str, **options) -> pandas.DataFrame:
     with warnings.catch_warnings():
         # A row too long is an error, not the first column turned into an index.
         warnings.simplefilter("error", pandas.errors.ParserWarning)
@@ -196,21 +313,8 @@ def _parse(rows: bytes, layout: _Layout, encoding: str, decimal: str = ".") -> p
             skipinitialspace=True,
             encoding=encoding,
             low_memory=False,
-            decimal=decimal,
+            **options,
         )
-
-
-def _has_decimal_commas(table: pandas.DataFrame) -> bool:
-    """Return whether a table that was read with decimal points has decimal commas, and no points."""
-    numbers, text = table.select_dtypes("number"), table.select_dtypes(exclude="number")
-    commas = any(_matches(column.astype("string"), _DECIMAL_COMMA).any() for _, column in text.items())
-    return commas and not any((column % 1.0 > 0.0).any() for _, column in numbers.items())
-
-
-def _matches(text: pandas.Series, pattern: str) -> np.ndarray:
-    """Return which cells (m,) are what the pattern describes."""
-    whole = re.compile(pattern).fullmatch
-    return text.isin([cell for cell in text.dropna().unique() if whole(cell)]).to_numpy(bool)
 
 
 def _line(data: bytes, layout: _Layout, row: int) -> int:
@@ -231,44 +335,50 @@ def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
     return {f"{name}.{k}": parts[k].rename(f"{name}.{k}") for k in parts}
 
 
-def _numbers(
-    column: pandas.Series, decimal: str, notes: list[str], cut: bool
-) -> tuple[np.ndarray | None, str, tuple[int, str] | None]:
-    """Return a column's numbers, their unit if stated, and the first row and cell that is not a number.
-
-    Of text alone the numbers are NaN, of numbers with text among them None. cut: the last line may be cut.
-    """
+def _numbers(column: pandas.Series, decimal: str, thousands: str) -> _Column:
+    """Return a column's numbers; of dates the seconds since 1970, of times of day those since midnight."""
     if pandas.api.types.is_numeric_dtype(column):
-        return column.to_numpy(float), "", None
+        return _Column(column.to_numpy(float))
     text = column.astype("string").str.strip()
     first = str(text.dropna().head(1).squeeze())
-    if re.fullmatch(_TIME_OF_DAY, first):  # s since midnight
-        return pandas.to_timedelta(text, errors="coerce").dt.total_seconds().to_numpy(float), "s", None
-    if re.fullmatch(_DATE, first):  # s since 1970
+    if re.fullmatch(_TIME_OF_DAY, first):
+        spans = pandas.to_timedelta(text, errors="coerce")
+        return _Column(spans.dt.total_seconds().to_numpy(float), unit="s")
+    if re.fullmatch(_DATE, first):
         dates = pandas.to_datetime(text, errors="coerce", format="ISO8601", utc=True)
         seconds = (dates - pandas.Timestamp(0, tz="UTC")).dt.total_seconds()
-        return seconds.to_numpy(float), "s", None
+        return _Column(seconds.to_numpy(float), unit="s")
     lower = text.str.lower()
-    missing = lower.isin(_MISSING).fillna(True).astype(bool)
-    if lower[~missing].isin(("true", "false")).all():
-        return lower.map({"true": 1.0, "false": 0.0}).to_numpy(float, na_value=np.nan), "", None
-    marks = " '\u2019\u00a0\u202f" + ("," if decimal == "." else ".")
-    grouped = _matches(text, _GROUPED.format(marks=marks, point=re.escape(decimal)))
-    if grouped.any():
-        notes.append(f"column {shown(column.name)} has thousands separators")
-        text = text.mask(grouped, text.str.replace(f"[{marks}]", "", regex=True))
-    if decimal == ",":
-        text = text.str.replace(",", ".")
-    values = pandas.to_numeric(text, errors="coerce")
-    bad = values.isna() & ~missing
-    if cut and bad.sum() == 1 and bad.iloc[-1]:
-        bad.iloc[-1] = False
-    numbers = values.to_numpy(float, na_value=np.nan)
-    if not bad.any():
-        return numbers, "", None
-    row = int(np.argmax(bad.to_numpy()))
-    mixed = values.notna().sum() > bad.sum()
-    return None if mixed else np.full(len(numbers), np.nan), "", (row, str(text.iloc[row]))
+    text = text.mask(lower.isin(_MISSING).fillna(False))
+    if lower[text.notna()].isin(["true", "false"]).all():
+        return _Column(lower.map({"true": 1.0, "false": 0.0}).to_numpy(float, na_value=np.nan))
+    plain = text.str.replace(thousands, "", regex=False) if thousands else text
+    values = pandas.to_numeric(plain.str.replace(decimal, ".", regex=False), errors="coerce")
+    words = text[values.isna() & text.notna()]
+    return _Column(values.to_numpy(float, na_value=np.nan), words=words)
+
+
+def _stamps(text: pandas.Series, notes: list[str]) -> _Column | None:
+    """Return times as `sec.nanosec`, whose nanoseconds lack leading zeros; None for other numbers."""
+    parts = text.str.strip().str.extract(r"^(\d+)\.(\d{1,9})$").to_numpy(float, na_value=np.nan)
+    values = parts[:, 0] + 1e-9 * parts[:, 1]
+    if not (np.diff(values) >= 0.0).all():
+        return None
+    notes.append(f"column {shown(text.name)} is read as sec.nanosec: its nanoseconds lack leading zeros")
+    return _Column(values, unit="s")
+
+
+def _at_the_end(columns: Mapping[str, _Column], notes: list[str]) -> int:
+    """Return how many rows at the end hold words where the others hold numbers; noted."""
+    words = [column.words for column in columns.values() if column.mixed]
+    rows = {row for cells in words for row in cells.index}
+    end = max((len(column.values) for column in columns.values()), default=0)
+    last = next(row for row in range(end, -1, -1) if row - 1 not in rows)
+    if not 0 < end - last <= MOST_AT_THE_END:
+        return 0
+    cell = next(str(cells[last]) for cells in words if last in cells.index)
+    notes.append(f"the last {end - last} rows hold words ({shown(cell, 40)}) and were cut")
+    return end - last
 
 
 def _is_number(cell: str) -> bool:

@@ -70,6 +70,8 @@ class ColumnMap(Table, frozen=True):
     detect: tuple[str, ...] = ()
     inherit: str = ""  # a shipped mapping whose columns are taken too
     euler: Literal["ZXY", "ZYX"] = "ZXY"
+    header: tuple[Annotated[int, Meta(ge=1, le=1000)], ...] = ()  # lines of a table that name its columns
+    where: dict[str, str | float] = field(default_factory=dict)  # the rows to take: value by column
     notes: tuple[str, ...] = ()
     attitude_pid: AttitudePid | None = None  # where roll and pitch were not logged
     mixer: Mixer | None = None  # where the requests of the motors were not logged
@@ -158,6 +160,17 @@ def patterns(column_map: ColumnMap | None) -> list[str]:
     return [column for source in sources for column in source.columns]
 
 
+def is_named(names: Sequence[str], column_map: ColumnMap) -> bool:
+    """Return whether a mapping asks for any of the column names at hand."""
+    return any(_any(names, pattern) for pattern in patterns(column_map))
+
+
+def means_time(name: str, column_map: ColumnMap | None) -> bool:
+    """Return whether a column is called like time, or is the time of a mapping."""
+    wanted = () if column_map is None else [c for source in column_map.sources("t") for c in source.columns]
+    return name in wanted or clocks.named([name]) is not None
+
+
 def _parse(where: str, data: dict) -> ColumnMap:
     read = schema.parse(data, ColumnMap, f"{where}: ")
     if read.inherit and read.inherit not in shipped():
@@ -169,6 +182,8 @@ def _parse(where: str, data: dict) -> ColumnMap:
             raise UserError(f"{where}: [columns] {canonical} names no column")
         for source in read.sources(canonical):
             _check_source(source, canonical, f"{where}: [columns] {canonical}")
+    if list(read.header) != sorted({*read.header}):
+        raise UserError(f"{where}: header must list line numbers in their order, each once")
     columns = (shipped()[read.inherit].columns if read.inherit else {}) | read.columns
     if not columns and read.refuse is None:
         raise UserError(f"{where}: no [columns]")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card
+from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card, vehicles
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.channels import Channel, channels_of
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
@@ -29,6 +29,7 @@ def read_log(
     *,
     mapping: str | Path | None = None,
     units: Mapping[str, str] | None = None,
+    where: Mapping[str, str | float] | None = None,
     name: str | None = None,
     check: bool = True,
 ) -> FlightLog:
@@ -38,29 +39,28 @@ def read_log(
         the names joined by `+`, as for the client's one file per log block.
     mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
     units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
+    where: the rows to take of a table of several vehicles, {"name": "cf1"}.
     check: refuse flights that `check_log` refuses, and add its limits to the notes.
 
     Raises UserError, naming file and column, when the flight cannot be used.
     """
     paths = _paths(path)
-    try:
-        stated = dict(units or {})
-    except (TypeError, ValueError) as error:
-        raise UserError(
-            f"units must be a dictionary of units by column, not {shown(repr(units), 40)}"
-        ) from error
-    where = "+".join(map(str, paths))
+    stated = _dictionary("units", units, "units by column")
+    chosen = _dictionary("where", where, "values by column")
+    files = "+".join(map(str, paths))
     for column, unit in stated.items():
         if column not in COLUMNS:
             raise UserError(f"unit given for the column {shown(column)}; {choices(COLUMNS, column)}")
-        factor(column, unit, where)
+        factor(column, unit, files)
     column_map = None if mapping is None else mappings.load(mapping)
-    records = [_record(path, column_map) for path in paths]
+    records = vehicles.choose(
+        [_record(path, column_map) for path in paths], (column_map.where if column_map else {}) | chosen
+    )
     if column_map is None:
         names = dict.fromkeys(
             column for record in records for column in (*record.columns, *record.unreadable)
         )
-        column_map = mappings.detect(list(names), where)
+        column_map = mappings.detect(list(names), files)
     channels: dict[str, Channel] = {}
     notes: list[str] = []
     for record in records:
@@ -69,8 +69,15 @@ def read_log(
         notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
         channels = found | channels
     name = name or shown(paths[0].name).removesuffix(".gz").removesuffix(".csv")
-    log = assemble.assemble(name, where, channels, column_map.euler, notes)
-    return checks.enforce(log, where) if check else log
+    log = assemble.assemble(name, files, channels, column_map.euler, notes)
+    return checks.enforce(log, files) if check else log
+
+
+def _dictionary(name: str, given: Any, what: str) -> dict:
+    try:
+        return dict(given or {})
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{name} must be a dictionary of {what}, not {shown(repr(given), 40)}") from error
 
 
 def write_log(path: str | Path, log: FlightLog) -> None:
@@ -110,7 +117,7 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
     if sd_card.is_sd_card_log(path):
         return sd_card.read(path)
     formats.check(path)
-    return csv_file.read(path)
+    return csv_file.read(path, column_map)
 
 
 def _paths(path: Any) -> list[Path]:

@@ -32,7 +32,7 @@ COLUMNS = {
 _DEGREE = math.pi / 180
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "angle": {"rad": 1.0, "deg": _DEGREE},
     "angular rate": {"rad/s": 1.0, "deg/s": _DEGREE},
@@ -47,6 +47,7 @@ _SPELLINGS = {
     **dict.fromkeys(("degree", "degrees"), "deg"),
     **dict.fromkeys(("radian", "radians"), "rad"),
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("foot", "feet"), "ft"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),
@@ -59,6 +60,7 @@ OF_A_FORCE = (
 )
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")  # x [mm], roll (deg)
 _AT_THE_END = re.compile(r"(.+?)[ _](deg|degrees|rad|[mc]?m|m?v|s|secs?|[mun]s|[mun]sec)", re.IGNORECASE)
+_TIMES = re.compile(r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")  # 0.01 s
 
 
 def split(name: str) -> tuple[str, str | None]:
@@ -73,12 +75,14 @@ def known(column: str, unit: str) -> bool:
 
 
 def factor(column: str, unit: str, where: str) -> float:
-    """Return the conversion factor from `unit` to the canonical unit of `column`.
+    """Return the conversion factor from `unit`, such as ms or 0.01 s, to the canonical unit of `column`.
 
     Raises UserError (starting with `where`) when the unit does not measure the column's quantity.
     """
-    if known(column, unit):
-        return UNITS[COLUMNS[column]][_spelled(column, unit)]
+    times = _TIMES.fullmatch(unit.strip().strip("[]()"))
+    number, single = (float(times[1]), times[2]) if times else (1.0, unit)
+    if known(column, single) and 0.0 < number < 1e9:
+        return number * UNITS[COLUMNS[column]][_spelled(column, single)]
     named = shown(unit.strip().strip("[]()"), 40)
     choices = ", ".join(name for name in UNITS[COLUMNS[column]] if name)
     sentence = f"{where}: unit '{named}' of column {column} is unknown; choose from {choices}"

@@ -18,10 +18,9 @@ from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Seed, Starts
+from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Reading, Seed, Starts
 from inclined_landing.eval.gap.answer.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
-from inclined_landing.eval.logs.command import parse_units
 from inclined_landing.eval.pictures.flights import check_random_starts, choose_starts, start_points
 from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
@@ -46,9 +45,8 @@ def command(
     drawn: Drawn = 0,
     seed: Seed = 0,
     restart: Annotated[float, Meta(ge=0.05, le=3600)] = HORIZON,
-    mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
-    unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = (),
     platform: Flag = False,
+    reading: Flat[Reading] = Reading(),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Show flights of policies and logs in 3D, on one page for the browser.
@@ -65,8 +63,6 @@ def command(
             the slope.
         seed: seed for the random starts.
         restart: seconds after which the simulation of a log restarts at the measured state.
-        mapping: shipped mapping or mapping file (TOML), if a log's column names do not identify its format.
-        unit: unit of a column that states none, for example roll=deg; repeatable.
         platform: the platform of the vehicle file stood in the arena (detected in logs with contacts).
     """
     if not sources:
@@ -76,12 +72,12 @@ def command(
     storage.check_file(out)
     check_random_starts(drawn, start)
     check_plant(flown.plant)
-    vehicle, units = _vehicle(flown), parse_units(unit)
+    vehicle, options = _vehicle(flown), reading.options()
     policies = [source for source in sources if _is_policy(source)]
     if (start or drawn) and not policies:
         raise UserError(f"--{'start' if start else 'drawn'} is for policies, but only logs were given")
     # Everything is read before anything flies.
-    logs = {s: read_log(s, mapping=mapping, units=units) for s in sources if s not in policies}
+    logs = {s: read_log(s, **options) for s in sources if s not in policies}
     ready: dict[str, tuple[Policy, Start]] = {}
     for source in policies:
         policy = flown.load(source)

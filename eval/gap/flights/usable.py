@@ -7,9 +7,9 @@ name.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from inclined_landing.eval.gap.flights.windows import IDLE, MeasuredFlight, prep
 from inclined_landing.eval.gap.result import SetAside
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.eval.logs.checks import check_fleet
-from inclined_landing.eval.logs.command import parse_units
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.values import failed_speed_sensors
 from inclined_landing.models import storage
@@ -44,25 +43,23 @@ def read_flights(
     heldout: Sequence[str] = (),
     reference: Sequence[str] = (),
     *,
-    mapping: str | None = None,
-    units: Sequence[str] = (),
     tick: Callable[[str], None] = lambda name: None,
+    **options: Any,
 ) -> ReadFlights:
     """Return the flights of some files.
 
-    units: as `roll=deg`. tick: called with the name of each file before it is read.
+    tick: called with the name of each file before it is read. options: of `read_log`.
     Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
     different vehicles.
     """
     check_apart(files, heldout, reference)
-    read = functools.partial(_read, mapping=mapping, units=parse_units(units), tick=tick)
-    before, before_notes = read(reference)
-    logs, notes = read([*files, *heldout])
+    before, before_notes = _read(reference, tick, options)
+    logs, notes = _read([*files, *heldout], tick, options)
     return ReadFlights(logs[: len(files)], logs[len(files) :], before, (*before_notes, *notes))
 
 
 def _read(
-    files: Sequence[str], *, mapping: str | None, units: Mapping[str, str], tick: Callable[[str], None]
+    files: Sequence[str], tick: Callable[[str], None], options: Mapping[str, Any]
 ) -> tuple[list[FlightLog], tuple[str, ...]]:
     """Return flights of one vehicle, and notes on their common limits; arguments as of `read_flights`."""
     logs = []
@@ -70,7 +67,7 @@ def _read(
     for file, stem in zip(files, stems):
         name = stem if stems.count(stem) == 1 else f"{shown(Path(file).parent.name)}/{stem}"
         tick(name)
-        logs.append(read_log(file, mapping=mapping, units=units, name=name))
+        logs.append(read_log(file, **options, name=name))
     together = check_fleet(logs) if logs else []
     for finding in together:
         if finding.decision == "refuse":

@@ -6,11 +6,13 @@ import gzip
 import lzma
 import os
 import re
+import shlex
 import sqlite3
 import zipfile
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +24,7 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
+from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
@@ -351,6 +354,41 @@ def test_what_cannot_be_read_and_is_not_needed_is_left_out(tmp_path):
     assert "vbat is left out: line 22, column vbat: 'flat' is not a number" in back.notes
 
 
+ENDS = {  # what follows the rows, and how many of the lines are no comments
+    "a word": ("END\n", 1),
+    "a sentence": ("landed, battery low\n", 1),
+    "a line that is cut": ("0.4,1.0,2.0,-", 0),
+    "sums": ("mean,0.1,0.2,0.3\nmax,1,1,1\n\n", 2),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_words_and_sums_below_a_log_are_cut(tmp_path, end):
+    log = a_log()
+    text, count = ENDS[end]
+    (tmp_path / "a.csv").write_text(written(tmp_path, log) + text)
+    back = read(tmp_path / "a.csv")
+    assert np.array_equal(back.t, log.t)
+    assert count == 0 or any(f"the last {count} rows hold words" in note for note in back.notes)
+    # More of them are no end, and a column of words is a column of words.
+    (tmp_path / "a.csv").write_text(written(tmp_path, log) + "END\n" * 11)
+    with pytest.raises(UserError, match="line 42, column t: 'END' is not a number"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("word", ["True", "false"])
+def test_a_word_among_numbers_is_none_and_of_a_flag_it_is_one(tmp_path, word):
+    log = a_log(contact=np.arange(40) % 3 == 0)
+    table = pandas.DataFrame(log_table(log))
+    table["contact"] = table["contact"].map({0: "False", 1: "True"}).where(np.arange(40) != 5, "")
+    table.to_csv(tmp_path / "a.csv", index=False)
+    assert np.array_equal(np.delete(read(tmp_path / "a.csv").contact, 5), np.delete(log.contact, 5))
+    table["roll"] = table["roll"].astype(object).where(np.arange(40) != 7, word)
+    table.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(UserError, match=f"line 9, column roll: '{word}' is not a number"):
+        read(tmp_path / "a.csv")
+
+
 CLOCKS = {  # name of the column, and its cells
     "time": lambda t: t,
     "Time [s]": lambda t: t,
@@ -363,6 +401,7 @@ CLOCKS = {  # name of the column, and its cells
     "tick of 32 bits": lambda t: np.round(1e6 * t - 2e5) % 2**32,
     "time of day": lambda t: [f"{h:02}:{m:02}:{s:09.6f}" for h, m, s in map(_of_day, t + 86399.8)],
     "date": lambda t: [f"2024-02-29T10:20:{s:09.6f}Z" for s in t],
+    "stamp": lambda t: [f"{int(s + 99.8)}.{round(1e9 * ((s + 99.8) % 1))}" for s in t],
     "header.stamp.secs,header.stamp.nsecs": lambda t: [
         f"{int(s + 99.8)},{round(1e9 * ((s + 99.8) % 1))}" for s in t
     ],
@@ -460,6 +499,88 @@ def test_files_of_other_kinds_are_refused_with_what_to_do(tmp_path, name, conten
         read(tmp_path / name)
 
 
+# --- several vehicles, instants, frames ---------------------------------------------------------------
+
+
+def two_vehicles(shift: float) -> pandas.DataFrame:
+    """The rows of two vehicles 1 m apart, the second `shift` seconds later."""
+    t = np.arange(400) / 100
+    log = a_log(400, position=np.stack([np.sin(t), np.cos(t), 1.0 + 0.1 * t], axis=1))
+    one = log_table(log)
+    other = one.assign(x=one["x"] + 1.0, t=one["t"] + shift)
+    return pandas.concat([one.assign(id=7, body="cf 7"), other.assign(id=9, body="cf 9")])
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.001])
+@pytest.mark.parametrize("column", ["id", "body"])
+def test_one_of_several_vehicles_in_a_table_must_be_chosen(tmp_path, shift, column):
+    table = two_vehicles(shift)[["t", "x", "y", "z", "roll", "pitch", "cmd_thrust_pwm", column]]
+    chosen = {"id": 7, "body": "cf 7"}[column]
+    for order in (["t"], [column]):  # row by row, and one after the other
+        table.sort_values(order, kind="stable").to_csv(tmp_path / "a.csv", index=False)
+        option = shlex.quote(f"{column}={chosen}")
+        with pytest.raises(
+            UserError, match=f"column {column} has 2 values .*; choose one with --where {option}"
+        ):
+            read(tmp_path / "a.csv")
+        assert main(["logs", str(tmp_path / "a.csv"), "--where", f"{column}={chosen}"]) == 0
+        (tmp_path / "m.toml").write_text(f"inherit = 'documented'\nwhere = {{ {column} = {chosen!r} }}\n")
+        by_file, by_option = (
+            read(tmp_path / "a.csv", mapping=tmp_path / "m.toml"),
+            read(tmp_path / "a.csv", where={column: str(chosen)}),
+        )
+        assert np.array_equal(by_file.position, by_option.position)
+        np.testing.assert_allclose(by_file.position[:, 0], np.sin(by_file.t), atol=1e-12)
+    with pytest.raises(UserError, match=f"column {column} is never 8; choose from {chosen}"):
+        read(tmp_path / "a.csv", where={column: "8"})
+    with pytest.raises(UserError, match="no column vehicle to choose rows by; choose from"):
+        read(tmp_path / "a.csv", where={"vehicle": "8"})
+
+
+def test_modes_and_counters_of_one_vehicle_choose_nothing(tmp_path):
+    t = np.arange(400) / 100
+    table = log_table(a_log(400, position=np.stack([np.sin(t), np.cos(t), 1.0 + 0.1 * t], axis=1)))
+    mode = np.where(np.sin(20.0 * t) > 0.0, "hover", "manual")
+    table.assign(mode=mode, tick=np.arange(400) % 4, id=np.arange(400) // 10).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    assert len(read(tmp_path / "a.csv")) == 400
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda table: table.assign(t=np.floor(table["t"])),
+            "396 of 400 rows .* a clock in steps of 1 s is too coarse",
+        ),
+        (lambda table: two_vehicles(0.0).drop(columns=["id", "body"]).sort_values("t"), "several vehicles"),
+        (
+            lambda table: table.assign(t=np.arange(400)),
+            r"t increases by exactly 1 per row.*--unit t='0\.01 s'",
+        ),
+        (
+            lambda table: table.rename(columns={"t": "time"}).assign(t=np.arange(400)),
+            "omit it for time",
+        ),
+    ],
+)
+def test_instants_that_repeat_and_frames_are_refused(tmp_path, change, words):
+    log = a_log(400)
+    change(log_table(log)).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(UserError, match=words):
+        read(tmp_path / "a.csv")
+
+
+def test_frames_are_read_with_their_unit_and_rows_that_stand_twice_once(tmp_path):
+    log = a_log(400)
+    log_table(log).assign(t=np.arange(400)).to_csv(tmp_path / "a.csv", index=False)
+    np.testing.assert_allclose(read(tmp_path / "a.csv", units={"t": "0.01 s"}).t, log.t)
+    table = log_table(log)
+    pandas.concat([table, table]).sort_values("t").to_csv(tmp_path / "a.csv", index=False)
+    assert np.array_equal(read(tmp_path / "a.csv").position, log.position)
+
+
 # --- mapping files ----------------------------------------------------------------------------------
 
 
@@ -500,9 +621,53 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
     assert any("dated 20 ms earlier" in note for note in log.notes)
 
 
+MOTIVE = (("Type", "Rigid Body"), ("Name", "cf1"), ("ID", "A1"))  # lines 3 to 5 of a take
+
+
+def test_names_in_other_lines_than_the_first(tmp_path):
+    """Tables of motion capture, y up, beside a file of commands, and of pandas with two rows of names."""
+    log = a_log()
+    roll, pitch, yaw = log.attitude.T
+    x, y, z = log.position.T
+    upper = ["Format Version,1.23,Take Name,a", "", *(f",{k}" + f",{v}" * 6 for k, v in MOTIVE)]
+    upper += [",,Rotation,Rotation,Rotation,Position,Position,Position", "Frame,Time (Seconds),X,Y,Z,X,Y,Z"]
+    rows = zip(range(40), log.t, roll, yaw, -pitch, x, z, -y)
+    take = "\n".join([*upper, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n"
+    (tmp_path / "take.csv").write_text(take)
+    table(tmp_path / "sent.csv", ",".join(["t", *HEADER.split(",")[7:]]), log.t, *log.command.T)
+    with pytest.raises(UserError, match=r"names are in lines 6, 7, .*: header = \[6, 7\]"):
+        read(tmp_path / "take.csv")
+    for lines, prefix, time in (([6, 7], "", ""), ([4, 6, 7], "cf1.", "t = 'Name.Time (Seconds)'\n")):
+        turned = {"roll": ("X", 1), "yaw": ("Y", 1), "pitch": ("Z", -1)}
+        named = {key: (f"{prefix}Rotation.{axis}", sign) for key, (axis, sign) in turned.items()}
+        named |= {
+            k: (f"{prefix}Position.{v}", s) for k, v, s in (("x", "X", 1), ("y", "Z", -1), ("z", "Y", 1))
+        }
+        columns = "".join(f"{k} = {{ column = '{v}', sign = {s} }}\n" for k, (v, s) in named.items())
+        (tmp_path / "m.toml").write_text(
+            f"inherit = 'documented'\nheader = {lines}\n[columns]\n{time}{columns}"
+        )
+        back = read(f"{tmp_path}/take.csv+{tmp_path}/sent.csv", mapping=tmp_path / "m.toml")
+        for key in ("t", "position", "attitude", "command"):
+            np.testing.assert_allclose(getattr(back, key), getattr(log, key), rtol=1e-12, atol=1e-12)
+    (tmp_path / "m.toml").write_text("inherit = 'documented'\nheader = [6, 7]\n")
+    with pytest.raises(UserError, match=r"header = \[6, 7\] names no column of the mapping, but Frame, Time"):
+        read(tmp_path / "take.csv", mapping=tmp_path / "m.toml")
+
+    head, _, rest = written(tmp_path, log).partition("\n")
+    groups = ",".join("command" if name.startswith("cmd") else "state" for name in head.split(","))
+    (tmp_path / "two.csv").write_text("\n".join([groups, head, rest]))
+    with pytest.raises(UserError, match=r"column state appears twice; .*: header = \[2\]"):
+        read(tmp_path / "two.csv")
+    (tmp_path / "m.toml").write_text("inherit = 'documented'\nheader = [2]\n")
+    assert np.array_equal(read(tmp_path / "two.csv", mapping=tmp_path / "m.toml").position, log.position)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("header = [2, 1]\n[columns]\nz = 'z'", "header must list line numbers in their order"),
+        ("header = [0]\n[columns]\nz = 'z'", "header"),
         ("x = 1", "unknown entry 'x' in the file"),
         ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
         ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
