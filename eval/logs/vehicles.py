@@ -1,4 +1,4 @@
-"""Tables with the rows of several vehicles: how one is chosen, and which column tells them apart."""
+"""Tables with the rows of several vehicles: how one is chosen, and which column distinguishes them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, choices, shown
 
 MOST_VEHICLES = 50
-# A column tells vehicles apart where it changes at least so often per value, as rows alternate, and where at
+# A column distinguishes vehicles where it changes so often per value, as rows alternate, and where at
 # most this share of the distance from row to row lies within its values: vehicles are further apart than each
 # moves from row to row. Of another column, such as a mode, the whole distance lies within its values.
 CHANGES, WITHIN = 4, 0.5
@@ -42,7 +42,7 @@ def choose(records: Sequence[Record], where: Mapping[str, str | float]) -> list[
 
 
 def check_one(record: Record, t: np.ndarray, position: Sequence[str]) -> None:
-    """Raise UserError where a column tells the rows of a table apart as those of several vehicles.
+    """Raise UserError where a column distinguishes the rows of several vehicles.
 
     t: time (m,) of the rows. position: columns with the position.
     """
