@@ -7,10 +7,9 @@ import functools
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta, Struct
 
 from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import as_floats
@@ -20,7 +19,6 @@ from inclined_landing.envs.policy_file import ACTIVATIONS, DEEPEST, METADATA
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.models import schema
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -35,7 +33,6 @@ SHIPPED = tuple(
 )
 LARGEST_WEIGHT = 1e6  # beyond, sums of products could overflow
 _WIDEST = 8192
-_Word = Annotated[str, Meta(max_length=99)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,26 +202,24 @@ def read_policy(path: str | Path) -> tuple[dict, dict[str, Any]]:
     path = locate(path)
     with policy_file.open_file(path) as archive:
         metadata, network = policy_file.read(archive, path)
-        _check(metadata, path)
         return metadata, network or sb3_file.read_network(archive, metadata, path)
 
 
 def trained_task(path: str | Path) -> str | None:
     """Return the task that a policy file, or a shipped policy, was trained for; None for a file without."""
-    return _metadata_of(path).get("task")
+    return read_metadata(path).get("task")
 
 
 def trained_options(path: str | Path) -> dict[str, Any]:
     """Return the task options that a policy file, or a shipped policy, was trained with."""
-    return _metadata_of(path).get("task_options", {})
+    return read_metadata(path).get("task_options", {})
 
 
-def _metadata_of(path: str | Path) -> dict:
+def read_metadata(path: str | Path) -> dict:
+    """Return the metadata of a policy file, or of a shipped policy; empty for Stable-Baselines3's alone."""
     path = locate(path)
     with policy_file.open_file(path) as archive:
-        metadata = policy_file.read_table(archive, METADATA, path)
-    _check(metadata, path)
-    return metadata
+        return policy_file.read(archive, path)[0]
 
 
 def action_map(options: dict) -> tuple[float | str, float]:
@@ -244,11 +239,8 @@ def _check_training_options(task: Task, metadata: dict, inclination, path) -> No
     The message lists all differences as arguments to type.
     """
     options = metadata.get("task_options", {})
-    trained: dict[str, Any] = {
-        "history": options.get("history", 0),
-        "observe_vehicle": bool(options.get("observe_vehicle", False)),
-    }
-    here: dict[str, Any] = {"history": task.history, "observe_vehicle": task.observe_vehicle}
+    trained: dict[str, Any] = {}
+    here: dict[str, Any] = {}
     for field in dataclasses.fields(task.options_type):
         if field.metadata.get("trained_with"):
             trained[field.name] = options.get(field.name, field.default)
@@ -294,18 +286,6 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
         return make_task(name, vehicle, **options)
     except UserError as error:
         raise UserError(f"policy {path}: {error}") from error
-
-
-class _Metadata(Struct):
-    """The metadata that is read; other entries record the origin of a policy."""
-
-    task: _Word | None = None
-    task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
-
-
-def _check(metadata: dict, path: Path) -> None:
-    """Raise UserError for the metadata of a policy file that are not what `_Metadata` says."""
-    schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ")
 
 
 def _unknown_task(metadata: dict, path: Path) -> UserError:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from inclined_landing.models import schema, storage
 from inclined_landing.models.errors import UserError, shown
@@ -32,6 +32,7 @@ _LARGEST_TABLE = 10_000_000  # bytes of a member in JSON
 _MEMBERS = 4096
 _NETWORK = "network"  # entry of the metadata, and folder of the arrays
 _Limit = Annotated[float, Meta(gt=0, le=1e300)]
+_Word = Annotated[str, Meta(max_length=99)]
 _DAMAGED = (
     *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, struct.error),
     *(OSError, EOFError, ValueError, RuntimeError, LookupError, OverflowError),
@@ -46,6 +47,14 @@ class _Network(schema.Table, frozen=True):
     squashed: bool
     limit: _Limit | None = None
     bound: _Limit | None = None
+
+
+class _Metadata(Struct):
+    """The metadata that are read; other entries record the origin of a policy."""
+
+    task: _Word | None = None
+    task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
+    network: _Network | None = None
 
 
 def write(path: Path, metadata: dict, network: dict[str, Any]) -> None:
@@ -77,10 +86,10 @@ def read(archive: zipfile.ZipFile, path: Path) -> tuple[dict, dict[str, Any] | N
     The network is None for a file of Stable-Baselines3 alone. Raises UserError for a damaged file.
     """
     metadata = read_table(archive, METADATA, path)
-    if _NETWORK not in metadata:
+    entry = schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ").network
+    metadata.pop(_NETWORK, None)
+    if entry is None:
         return metadata, None
-    where = f"policy {path}: its {METADATA}: "
-    entry = schema.parse(metadata.pop(_NETWORK), _Network, where, _NETWORK)
     centre, scale, *layers = (_read_array(archive, name, path) for name in _members(entry.layers))
     return metadata, {
         "centre": centre,

@@ -60,9 +60,9 @@ class TaskOptions(Record):
     flown vehicle) or paper (42 000)."""
     pwm_span: Annotated[float, Meta(ge=1, le=65_535)] | None = option(None, recorded=True)
     """PWM from action 0 to action 1 (default: the vehicle file's)."""
-    history: Annotated[int, Meta(ge=0, le=LONGEST_HISTORY)] = 0
+    history: Annotated[int, Meta(ge=0, le=LONGEST_HISTORY)] = option(0, trained_with=True)
     """Number of past steps, each an observation and an action, in the policy's input."""
-    observe_vehicle: bool = False
+    observe_vehicle: bool = option(False, trained_with=True)
     """Whether the policy observes six parameters of its vehicle."""
 
 
