@@ -18,7 +18,7 @@ from inclined_landing.envs.policy import (
 )
 from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import locate
-from inclined_landing.envs.shared.options import Seed, flag_of
+from inclined_landing.envs.shared.options import Only, Seed, flag_of
 from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
 from inclined_landing.envs.tasks.options import Many, Share, Training
 from inclined_landing.models import schema
@@ -88,6 +88,9 @@ Seconds = Annotated[float, Meta(gt=0, lt=10**9)]
 Discount = Annotated[float, Meta(gt=0, lt=1)]
 Width = Annotated[int, Meta(ge=1, le=8192)]  # as policy files may have
 Widths = Annotated[tuple[Width, ...], Meta(min_length=1, max_length=15)]
+
+
+_ENGINE = Only(lambda values: values["plant"] != "analytic", "with --plant analytic")
 
 
 @dataclasses.dataclass
@@ -173,7 +176,7 @@ class TrainConfig:
     """Train as in the paper: one vehicle, no history, actions around hover."""
     plant: Literal["mujoco", "hybrid", "analytic"] = "hybrid"
     """Simulated physics: mujoco, analytic (the equations), or hybrid (the engine only near surfaces)."""
-    integrator: Literal["RK4", "implicitfast", "Euler"] | None = None
+    integrator: Annotated[Literal["RK4", "implicitfast", "Euler"] | None, _ENGINE] = None
     """Integrator of the engine in training, with steps of 4 ms; evaluation uses RK4."""
     keep_out: float | None = None
     """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
@@ -284,6 +287,8 @@ def resolve(config: TrainConfig) -> TrainConfig:
     for name in config.task_options():
         if name not in kind.option_names():
             raise UserError(f"{flag_of(name)} does not apply to the task {kind.name}")
+    if config.keep_out and not kind.has_platform:
+        raise UserError(f"--keep-out does not apply to the task {kind.name}, which has no platform")
 
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
@@ -335,6 +340,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
         raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
     values |= {
         "dimensions": dimensions,
+        "keep_out": values["keep_out"] if kind.has_platform else 0.0,
         "out": Path(config.out or f"runs/{kind.name}-{config.seed}"),
         "vehicle": None if config.vehicle is None else Path(config.vehicle),
         "randomise": None if randomise is None else Path(randomise),

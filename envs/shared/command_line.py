@@ -6,6 +6,7 @@ Imports nothing heavy: the packages and tyro are imported when a command is run.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import functools
 import gc
@@ -23,7 +24,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import Any, TextIO
 
@@ -63,12 +64,48 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
     message, page = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            return tyro.cli(target, prog=prog, args=arguments, config=_config())
+            made = tyro.cli(target, prog=prog, args=arguments, config=_config())
     except SystemExit as end:
         if end.code:
             raise UserError(_sentence(message.getvalue(), prog)) from end
         print(_tidy(page.getvalue()))
         raise
+    check_given(getattr(made, "options", made), given(arguments))
+    return made
+
+
+def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> None:
+    """Raise UserError for an option without values, or without an effect, among those that are given.
+
+    options: a dataclass of options, or values with their annotations by name. flags: as `given` has them.
+    """
+    from inclined_landing.envs.shared.options import Only, flag_of
+
+    found = dict(_flat(options))
+    values = {name: value for name, (value, _) in found.items()}
+    for name, (value, marks) in found.items():
+        if (flag := flag_of(name)) not in flags:
+            continue
+        if isinstance(value, tuple) and (not value or () in value):
+            raise UserError(f"{flag} needs a value; is a shell variable unset?")
+        for mark in marks:
+            if isinstance(mark, Only) and not mark.holds(values):
+                raise UserError(f"{flag} has no effect {mark.otherwise}")
+
+
+def _flat(options: Any, outer: tuple = ()) -> Iterator[tuple[str, tuple[Any, tuple]]]:
+    """Yield name, value and marks of each option, those in groups included."""
+    from inclined_landing.models import schema
+
+    if not isinstance(options, Mapping):
+        kinds = schema.kinds_of(type(options))
+        options = {name: (value, kinds[name]) for name, value in vars(options).items()}
+    for name, (value, kind) in options.items():
+        marks = (*outer, *getattr(kind, "__metadata__", ()))
+        if dataclasses.is_dataclass(value):
+            yield from _flat(value, marks)
+        else:
+            yield name, (value, marks)
 
 
 def given(arguments: Sequence[str]) -> set[str]:
@@ -181,17 +218,16 @@ def bound(command: Callable) -> Callable:
             flag, must, rest = str(error).partition(" must be ")
             raise UserError(f"{flag.partition('[')[0]}{must}{rest}") from None
         given.apply_defaults()
-        folders = [given.arguments[name] for name, kind in kinds.items() if RUN_FOLDER in _metadata(kind)]
-        return functools.partial(_with_folders, filter(None, folders), command, *arguments, **options)
+        values = {name: (value, kinds[name]) for name, value in given.arguments.items()}
+        folders = [value for value, marks in dict(_flat(values)).values() if RUN_FOLDER in marks and value]
+        call: Any = functools.partial(_with_folders, folders, command, *arguments, **options)
+        call.options = values
+        return call
 
     return later
 
 
-def _metadata(kind: Any) -> tuple:
-    return getattr(kind, "__metadata__", ())
-
-
-def _with_folders(folders: Iterable[Any], command: Callable, /, *arguments: Any, **options: Any) -> Any:
+def _with_folders(folders: list, command: Callable, /, *arguments: Any, **options: Any) -> Any:
     from inclined_landing.envs.shared import runs
 
     with contextlib.ExitStack() as owned:

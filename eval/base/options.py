@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared.options import Flag, NewFolder, RunFolder, Seed  # noqa: F401
+from inclined_landing.envs.shared.options import (  # noqa: F401
+    Flag,
+    NewFolder,
+    Only,
+    RunFolder,
+    Seed,
+    only_with,
+    only_without,
+)
 from inclined_landing.models.errors import UserError, shown
 
 if TYPE_CHECKING:

@@ -37,12 +37,6 @@ def choose_starts(task: Task, where: Sequence[tuple[float, ...]], drawn: int, se
     return task.start(task.states_at(where))
 
 
-def check_random_starts(drawn: int, starts: Sequence[str]) -> None:
-    """Raise UserError where starts are both given and drawn."""
-    if drawn and starts:
-        raise UserError("give either --start or --drawn, not both")
-
-
 def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
     """Return the flights up to the end that --until names: "rest" or "goal"."""
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)

@@ -17,10 +17,22 @@ from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.mission import Mission
-from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Look, PolicyFile, Seed, Starts
+from inclined_landing.eval.base.options import (
+    Drawn,
+    File,
+    Flag,
+    Flat,
+    Flown,
+    Look,
+    Only,
+    PolicyFile,
+    Seed,
+    Starts,
+    only_with,
+    only_without,
+)
 from inclined_landing.eval.pictures.flights import (
     Until,
-    check_random_starts,
     choose_starts,
     continue_flights,
     fly_from,
@@ -42,6 +54,7 @@ from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
 Compare = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
+_GIF = Only(lambda values: values["out"].suffix.lower() != ".gif", "with a .gif file in --out")
 _REST = 1.0  # s that the last frame of a flight stays
 
 
@@ -51,13 +64,13 @@ def command(
     *,
     out: File,
     start: Starts = (),
-    drawn: Drawn = 0,
-    seed: Seed = 0,
+    drawn: Annotated[Drawn, only_without("start"), only_without("compare")] = 0,
+    seed: Annotated[Seed, only_with("drawn")] = 0,
     look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
-    gif: Flag = False,
+    gif: Annotated[Flag, _GIF] = False,
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
     forces: Flag = False,
-    until: Until = "rest",
+    until: Annotated[Until, only_without("forces")] = "rest",
     compare: Compare = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
@@ -78,9 +91,8 @@ def command(
             simulated in MuJoCo, until the vehicle is at rest.
         compare: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
-    check_random_starts(drawn, start)
     storage.check_file(out)
-    look = _checked(out, look, forces, until, flown)
+    look = _checked(out, look, forces, flown)
     if compare and (forces or flown.vehicle is not None):
         raise UserError("--compare cannot be combined with --forces or --vehicle")
     loaded = flown.load(policy)
@@ -114,7 +126,7 @@ def command(
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
 
 
-def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) -> Look:
+def _checked(out: Path, look: Look, forces: bool, flown: Flown) -> Look:
     """Return the look to film with; raise UserError for options that cannot be combined."""
     if out.suffix.lower() not in (".mp4", ".gif"):
         raise UserError(f"--out must be an .mp4 or .gif file, not {out.name!r}")
@@ -122,8 +134,6 @@ def _checked(out: Path, look: Look, forces: bool, until: Until, flown: Flown) ->
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     if forces and flown.plant == "analytic":
         raise UserError("--forces needs --plant mujoco; the analytic plant does not simulate contact")
-    if forces and until == "goal":
-        raise UserError("--forces films what follows the goal box and cannot be combined with --until goal")
     if look.camera != "touch":
         near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
         return checked_look(near)

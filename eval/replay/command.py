@@ -18,10 +18,22 @@ from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start
-from inclined_landing.eval.base.options import Drawn, File, Flag, Flat, Flown, Reading, Seed, Starts
+from inclined_landing.eval.base.options import (
+    Drawn,
+    File,
+    Flag,
+    Flat,
+    Flown,
+    Only,
+    Reading,
+    Seed,
+    Starts,
+    only_with,
+    only_without,
+)
 from inclined_landing.eval.gap.answer.rollout import HORIZON
 from inclined_landing.eval.logs import read_log
-from inclined_landing.eval.pictures.flights import check_random_starts, choose_starts, start_points
+from inclined_landing.eval.pictures.flights import choose_starts, start_points
 from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
 from inclined_landing.eval.replay.recording import Recording, from_flight
@@ -34,6 +46,8 @@ from inclined_landing.models.vehicle import Vehicle
 Sources = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY|LOG [POLICY|LOG ...]")
 ]
+_POLICY = Only(lambda values: any(map(_is_policy, values["sources"])), "without a policy")
+_LOG = Only(lambda values: not all(map(_is_policy, values["sources"])), "without a log")
 
 
 def command(
@@ -41,12 +55,12 @@ def command(
     /,
     *,
     out: File,
-    start: Starts = (),
-    drawn: Drawn = 0,
-    seed: Seed = 0,
-    restart: Annotated[float, Meta(ge=0.05, le=3600)] = HORIZON,
-    platform: Flag = False,
-    reading: Flat[Reading] = Reading(),
+    start: Annotated[Starts, _POLICY] = (),
+    drawn: Annotated[Drawn, _POLICY, only_without("start")] = 0,
+    seed: Annotated[Seed, only_with("drawn")] = 0,
+    restart: Annotated[float, Meta(ge=0.05, le=3600), _LOG] = HORIZON,
+    platform: Annotated[Flag, _LOG] = False,
+    reading: Annotated[Flat[Reading], _LOG] = Reading(),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Show flights of policies and logs in 3D, on one page for the browser.
@@ -70,12 +84,9 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"--out must be an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
-    check_random_starts(drawn, start)
     check_plant(flown.plant)
     vehicle, options = _vehicle(flown), reading.options()
     policies = [source for source in sources if _is_policy(source)]
-    if (start or drawn) and not policies:
-        raise UserError(f"--{'start' if start else 'drawn'} is for policies, but only logs were given")
     # Everything is read before anything flies.
     logs = {s: read_log(s, **options) for s in sources if s not in policies}
     ready: dict[str, tuple[Policy, Start]] = {}

@@ -34,6 +34,8 @@ from inclined_landing.eval.base.options import (
     PolicyName,
     Seed,
     VehicleFile,
+    only_with,
+    only_without,
 )
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import video
@@ -76,13 +78,15 @@ def command(
     landing: PolicyName = "landing",
     touchdown: PolicyName = "touchdown",
     start: Starts = (),
-    missions: Annotated[int, Meta(ge=1, le=2000)] | None = None,
-    seed: Seed = 0,
+    missions: Annotated[Annotated[int, Meta(ge=1, le=2000)] | None, only_without("start")] = None,
+    seed: Annotated[Seed, only_without("start")] = 0,
     hand_overs: Flat[HandOver] = HandOver(),
     inclination: Degrees = None,
     vehicle: VehicleFile = None,
-    look: Flat[Look] = Look(camera="arena", width=960, height=540),
-    no_film: Flag = False,
+    look: Annotated[Flat[Look], only_with("out"), only_without("no_film")] = Look(
+        camera="arena", width=960, height=540
+    ),
+    no_film: Annotated[Flag, only_with("out")] = False,
     json: Flag = False,
     out: NewFolder = None,
 ) -> None:
@@ -106,8 +110,6 @@ def command(
         out: new folder for mission.json, the figure mission.png and .pdf, and flight.mp4, flight.gif and
             flight.png of the first mission.
     """
-    if start and missions is not None:
-        raise UserError("--missions sets the number of random starts and cannot be combined with --start")
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     check_picture_options(**dataclasses.asdict(look))

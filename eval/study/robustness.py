@@ -12,7 +12,15 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
-from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, NewFolder, PlantName, Seed
+from inclined_landing.eval.base.options import (
+    MOST_COMPARED,
+    Flag,
+    Flat,
+    NewFolder,
+    PlantName,
+    Seed,
+    only_with,
+)
 from inclined_landing.eval.study import changes, moving, slopes, vehicles
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.flights import named_policies
@@ -39,6 +47,7 @@ Policies = Annotated[
     Meta(max_length=100),
 ]
 Over = Literal["thrust", "effects", "slopes", "vehicles", "moving"]
+_FROM_GRID = only_with("over", "thrust", "effects", "slopes", "vehicles")
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
 _VEHICLE = tyro.conf.arg(
     metavar="VEHICLE [...]",
@@ -55,8 +64,10 @@ class ChangeOptions:
         effect: effects of the library, at a plausible size; with --full in three sizes.
     """
 
-    thrust: Annotated[tuple[changes.ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]")] = changes.THRUSTS
-    effect: Annotated[tuple[str, ...], _EFFECTS] = tuple(LIBRARY)
+    thrust: Annotated[
+        tuple[changes.ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]"), only_with("over", "thrust")
+    ] = changes.THRUSTS
+    effect: Annotated[tuple[str, ...], _EFFECTS, only_with("over", "effects")] = tuple(LIBRARY)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,12 +107,12 @@ def command(
     over: tuple[Over, ...] = ("thrust", "effects"),
     full: Flag = False,
     out: NewFolder = None,
-    plant: PlantName = "hybrid",
-    every: Annotated[int, Meta(ge=1, le=250)] | None = None,
+    plant: Annotated[PlantName, _FROM_GRID] = "hybrid",
+    every: Annotated[Annotated[int, Meta(ge=1, le=250)] | None, _FROM_GRID] = None,
     vehicle: Annotated[tuple[str, ...], _VEHICLE] = (),
     thrust_and_effects: Flat[ChangeOptions] = ChangeOptions(),
-    drawn_vehicles: Flat[DrawOptions] = DrawOptions(),
-    moving_platforms: Flat[MovingOptions] = MovingOptions(),
+    drawn_vehicles: Annotated[Flat[DrawOptions], only_with("over", "vehicles")] = DrawOptions(),
+    moving_platforms: Annotated[Flat[MovingOptions], only_with("over", "moving")] = MovingOptions(),
     json: Flag = False,
 ) -> None:
     """Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.

@@ -27,7 +27,7 @@ from inclined_landing.envs.policy import SHIPPED, Policy
 from inclined_landing.envs.shared.measures import Measure, count_words
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
-from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed
+from inclined_landing.eval.base.options import MOST_COMPARED, Flag, Flat, Flown, NewFolder, Seed, only_without
 from inclined_landing.eval.study import changes
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, fact, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly, named_policies, policy_facts, slope_words
@@ -54,9 +54,9 @@ def command(
     /,
     *,
     flown: Flat[Flown] = Flown(),
-    thrust_scale: Scales = (),
+    thrust_scale: Annotated[Scales, only_without("effects")] = (),
     effects: Flag = False,
-    disturbance: Flag = False,
+    disturbance: Annotated[Flag, only_without("effects")] = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -76,8 +76,6 @@ def command(
     if not policies:
         raise UserError("name at least one policy")
     scales = tuple(dict.fromkeys(itertools.chain(*thrust_scale))) or (1.0,)
-    if effects and (scales != (1.0,) or disturbance):
-        raise UserError("--effects cannot be combined with --thrust-scale or --disturbance")
     loaded, facts = {}, [fact("flights", "plant", flown.plant), fact("flights", "seed", seed)]
     for name, path in named_policies(policies).items():
         vehicle = "" if name == Path(path).stem else name.partition("@")[2]

@@ -59,7 +59,9 @@ def find_all(names: Sequence[str]) -> list[Controller]:
 
 
 def of_policy(policy: Policy, vehicle: Vehicle, label: str | None = None) -> Controller:
-    """Return a policy as a controller; raises UserError for one that flies in a plane."""
+    """Return a policy as a controller; raises UserError for one that flies in a plane or does not land."""
+    if not policy.task.has_platform:
+        raise UserError(f"policy {policy.path} is for {policy.task.name}, which has no platform to land on")
     if "roll" not in policy.task.action_names:
         raise UserError(
             f"policy {policy.path} flies in a plane; the scenarios need one in three dimensions, such as "

@@ -71,7 +71,7 @@ def test_the_same_seed_gives_the_same_missions(capsys):
         (["--start", "1,2"], "--start must be X,Y,Z in metres, not '1,2'"),
         (["--start", "0,0,1.2"], "start 0,0,1.2 lies within 0.25 m of the platform, under it"),
         (["--start", "9,0,1"], "outside the set-point task's starts (x -2.5 to 2.5"),
-        (["--start=-1,0,1.5", "--missions", "5"], "cannot be combined with --start"),
+        (["--start=-1,0,1.5", "--missions", "5"], "--missions has no effect with --start"),
         (["--hand-over", "0,1"], "the hand-over point must lie above the platform"),
         (["--missions", "0"], "--missions must be a whole number from 1 to 2000"),
         (["--near", "0"], "--near must be a number from 0.005 to 0.5"),

@@ -1,0 +1,156 @@
+"""Every option of every command changes something, or is refused where it does not."""
+
+import ast
+import collections
+import dataclasses
+import inspect
+import textwrap
+import types
+import typing
+
+import pytest
+
+from inclined_landing.envs.shared import command_line
+from inclined_landing.envs.shared.options import Only, flag_of
+from inclined_landing.eval import cli
+from inclined_landing.models.errors import UserError
+from inclined_landing.train.sweep.command import command as sweep
+
+COMMANDS = {name: cli.find(name) for name in cli.COMMANDS} | {"sweep": sweep}
+# Lines with an option that has no effect there: the option is the last one.
+REFUSED = [
+    "benchmark --peers --policy landing",
+    "flights nanobench --out o",
+    "mission --start 0,0,2 --missions 5",
+    "mission --start 0,0,2 --seed 3",
+    "mission --no-film",
+    *(f"mission {given} --{option}" for given in ("", "--out o --no-film")
+      for option in ("camera side", "width 64", "height 64", "backend ray")),
+    "replay log.csv --out a.html --start 0,2",
+    "replay log.csv --out a.html --drawn 2",
+    "replay landing --out a.html --start 0,2 --drawn 2",
+    "replay landing --out a.html --seed 3",
+    *(f"replay landing --out a.html --{option}"
+      for option in ("restart 2", "mapping a", "unit a=deg", "platform")),
+    "robustness landing --over slopes --thrust 0.9",
+    "robustness landing --over thrust --effect drag",
+    *(f"robustness landing --over moving --{option}" for option in ("plant analytic", "every 3")),
+    *(f"robustness landing --over slopes --{option}"
+      for option in ("ranges a", "draws 3", "starts 3", "seed 3", "scenario a", "flights 3")),
+    "success landing --effects --thrust-scale 1",
+    "success landing --effects --disturbance",
+    "video landing --out a.gif --gif",
+    "video landing --out a.mp4 --seed 3",
+    "video landing --out a.mp4 --compare a --drawn 3",
+    "video landing --out a.mp4 --start 0,2 --drawn 3",
+    "video landing --out a.mp4 --forces --until goal",
+]  # fmt: skip
+
+
+def options_of(command) -> dict[str, tuple[tuple, bool]]:
+    """Marks of each option of a command, those of its group included, and whether it has several values."""
+    found = {}
+    for name, kind in typing.get_type_hints(command, include_extras=True).items():
+        marks, plain = getattr(kind, "__metadata__", ()), getattr(kind, "__origin__", kind)
+        if dataclasses.is_dataclass(plain):
+            found |= {inner: (marks + more, many) for inner, (more, many) in options_of(plain).items()}
+        elif name != "return":
+            found[name] = marks, typing.get_origin(plain) is tuple and "Positional" not in repr(kind)
+    return found
+
+
+def parsed(line: str):
+    name, *words = line.split()
+    target = COMMANDS[name]
+    return command_line.parse(command_line.bound(target), name, words)
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_an_option_without_an_effect_is_refused(line):
+    option = line.split(" --")[-1].split()[0]
+    with pytest.raises(UserError, match=f"^--{option} has no effect with"):
+        parsed(line)
+    parsed(line[: line.rindex(" --")])
+
+
+def test_every_mark_has_its_line():
+    """As many lines as the option has marks."""
+    lines = collections.Counter((line.split()[0], line.split(" --")[-1].split()[0]) for line in REFUSED)
+    for name, command in COMMANDS.items():
+        for option, (marks, _) in options_of(command).items():
+            count = sum(isinstance(mark, Only) for mark in marks)
+            assert lines[name, flag_of(option)[2:]] == count, (name, option)
+
+
+MANY = [(name, o) for name in COMMANDS for o, (_, many) in options_of(COMMANDS[name]).items() if many]
+ENOUGH = {
+    **{"gap": "a.csv --out o", "identify": "a.csv --out o", "logs": "a.csv", "replay": "a.csv --out a.html"},
+    **{"video": "landing --out a.mp4", "robustness": "landing --over thrust effects vehicles moving"},
+    **{"success": "landing", "touchdown": "touchdown", "view": "landing", "figure": "landing --out o"},
+}
+
+
+@pytest.mark.parametrize(("name", "option"), MANY)
+def test_an_option_of_several_values_needs_one(name, option):
+    """As where a shell variable is unset."""
+    for end in ("", " --"):
+        with pytest.raises(
+            UserError, match=r"needs a value; is a shell variable unset|[Mm]issing|[Ee]xpected"
+        ):
+            parsed(f"{name} {ENOUGH.get(name, '')} {flag_of(option)}{end}")
+
+
+# ---- what a command does with its options, by its code
+
+
+def used(body: list[ast.stmt], options: set[str]) -> set[str]:
+    """Names, and attributes of names, that a block of code reads whatever the values of the options are."""
+    found: set[str] = set()
+    for k, statement in enumerate(body):
+        heads: list[ast.AST] = []
+        if isinstance(statement, ast.If):
+            test, last = read(statement.test), statement.body[-1]
+            blocks = [used(statement.body, options), used(statement.orelse, options)]
+            if isinstance(last, ast.Raise):  # a refusal is no use of an option
+                found |= blocks[1]
+            elif options.isdisjoint(name.partition(".")[0] for name in test):  # of what was found out
+                found |= test | blocks[0] | blocks[1]
+            elif isinstance(last, ast.Return):
+                return found | test | (blocks[0] & used(statement.orelse + body[k + 1 :], options))
+            else:
+                found |= test | (blocks[0] & blocks[1])
+        elif isinstance(statement, ast.With | ast.For | ast.Try):
+            heads = [item.context_expr for item in getattr(statement, "items", [])]
+            heads += [statement.iter] if isinstance(statement, ast.For) else []
+            found |= used(statement.body + getattr(statement, "finalbody", []), options)
+            found |= set().union(*map(read, heads))
+        else:
+            found |= read(statement)
+    return found
+
+
+def read(node: ast.AST) -> set[str]:
+    if isinstance(node, ast.IfExp):
+        return read(node.test) | (read(node.body) & read(node.orelse))
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+        return {node.value.id if node.attr in METHODS else f"{node.value.id}.{node.attr}"}
+    if isinstance(node, ast.Name):
+        return {node.id} if isinstance(node.ctx, ast.Load) else set()
+    return set().union(*map(read, ast.iter_child_nodes(node)))
+
+
+METHODS = {"load", "check", "connection"}  # of groups of options, which use all of them
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_is_used_only_in_some_cases_is_marked(name):
+    """An option that a command reads only with certain values of others is refused elsewhere, see `Only`."""
+    command = COMMANDS[name]
+    (function,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
+    found = used(function.body, set(inspect.signature(command).parameters))
+    for group, kind in typing.get_type_hints(command, include_extras=True).items():
+        is_group = dataclasses.is_dataclass(getattr(kind, "__origin__", kind))
+        for option, (marks, _) in options_of(types.SimpleNamespace(__annotations__={group: kind})).items():
+            sure = {group, f"{group}.{option}"} if is_group else {option}
+            marked = any(isinstance(mark, Only) for mark in marks)
+            assert option == "return" or marked or sure & found, f"{name} reads {option} only in some cases"
