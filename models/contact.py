@@ -98,7 +98,7 @@ def spring(restitution, contact_time, gravity: float) -> np.ndarray:
     e, time = np.broadcast_arrays(np.asarray(restitution, float), np.asarray(contact_time, float))
     out = np.empty((*e.shape, 2))
     of_spring = np.interp(e.ravel(), _MEASURED, _OF_SPRING)
-    _solve(of_spring, time.ravel(), gravity, out.reshape(-1, 2))
+    _solve(of_spring, time.flatten(), gravity, out.reshape(-1, 2))  # a copy: numba warns of broadcast arrays
     # Effective: damping * EFFECTIVE / d_w and stiffness * d EFFECTIVE / d_w^2, with d = d_w.
     return -out * _IMPEDANCE / _EFFECTIVE
 

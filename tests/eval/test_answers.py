@@ -21,7 +21,7 @@ QUICK = {
     "gap-example --out {place}/out": r".*out contains twenty flights with hidden effects.*\.",
     "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",
     "success setpoint --plant analytic": rf"cm off after 3 s, within 5 cm in \d+ of 200 flights {SHARE}\.",
-    "mission --missions 2 --no-film": rf"At rest on the feet after 2 of 2 missions {SHARE}\.",
+    "mission --missions 2": rf"At rest on the feet after 2 of 2 missions {SHARE}\.",
     "plan {place}/report --out {place}/out": r"No flight is needed: body drag has .* over 99 %\.",
     "replay landing --out {place}/a.html": r"a.html shows 3 flights; open it in a browser\.",
     f"{FLOWN} --every 60 --thrust 1 0.9 --effect wind": (

@@ -177,7 +177,7 @@ WRONG = [
     (["nowhere.csv"], "nowhere.csv"),
     (["nowhere.zip"], "policy nowhere.zip does not exist"),
     (["."], "."),
-    (["log.csv", "--start", "1,2"], "only logs were given"),
+    (["log.csv", "--start", "1,2"], "--start has no effect without a policy"),
     (["log.csv", "--plant", "gazebo"], "unknown plant"),
     (["landing", "--start", "9,9"], "outside the arena"),
     (["log.csv", "--restart", "nan"], "--restart"),
