@@ -19,8 +19,6 @@ from inclined_landing.train.sweep.command import command as sweep
 COMMANDS = {name: cli.find(name) for name in cli.COMMANDS} | {"sweep": sweep}
 # Lines with an option that has no effect there: the option is the last one.
 REFUSED = [
-    "benchmark --peers --policy landing",
-    "flights nanobench --out o",
     "mission --start 0,0,2 --missions 5",
     "mission --start 0,0,2 --seed 3",
     "mission --no-film",
@@ -31,7 +29,7 @@ REFUSED = [
     "replay landing --out a.html --start 0,2 --drawn 2",
     "replay landing --out a.html --seed 3",
     *(f"replay landing --out a.html --{option}"
-      for option in ("restart 2", "mapping a", "unit a=deg", "platform")),
+      for option in ("restart 2", "mapping a", "unit a=deg", "where a=b", "platform")),
     "robustness landing --over slopes --thrust 0.9",
     "robustness landing --over thrust --effect drag",
     *(f"robustness landing --over moving --{option}" for option in ("plant analytic", "every 3")),
@@ -139,7 +137,7 @@ def read(node: ast.AST) -> set[str]:
     return set().union(*map(read, ast.iter_child_nodes(node)))
 
 
-METHODS = {"load", "check", "connection"}  # of groups of options, which use all of them
+METHODS = {"load", "check", "connection", "options"}  # of groups of options, which use all of them
 
 
 @pytest.mark.parametrize("name", COMMANDS)
