@@ -20,11 +20,12 @@ from inclined_landing.eval.logs.log import (
 )
 from inclined_landing.eval.logs.repeats import percent, without_repeats
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.errors import UserError, shown
 
 _POSITION = ("x", "y", "z")
 _VELOCITY = ("vx", "vy", "vz")
 _EULER = ("roll", "pitch", "yaw")
+_COMMANDED_TILT = ("cmd_roll", "cmd_pitch")
 # What no flight exceeds, in SI units. A column beyond that throughout has another unit, which the checks say;
 # a few values that are beyond alone were not measured.
 _PLAUSIBLE = {
@@ -53,6 +54,9 @@ def assemble(
     Raises UserError when position, attitude or thrust command are missing.
     """
     notes = list(notes)
+    for key in _EULER[:2] + _COMMANDED_TILT:
+        if key in channels:
+            channels = {**channels, key: _without_turns(key, channels[key], notes)}
     channels = {key: _clean(path, key, channel, notes) for key, channel in channels.items()}
     quaternion = all(key in channels for key in QUATERNION)
     if quaternion:
@@ -237,8 +241,23 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
         t = channel.t[np.argmax(np.abs(channel.value))]
         raise UserError(
             f"{path}: column {channel.column} ({key}) reaches {largest:.3g} rad at t = {t:.6g} s: "
-            "these look like degrees; state the unit in a row of units, a mapping or --unit"
+            + (
+                f"is its unit, {shown(channel.unit, 40)}, right?"
+                if channel.unit
+                else "these look like degrees; state the unit in a row of units, a mapping or --unit"
+            )
         )
+
+
+def _without_turns(key: str, channel: Channel, notes: list[str]) -> Channel:
+    """Return angles that are logged from 0 to a whole turn as those from -pi to pi; noted."""
+    value = channel.value[np.isfinite(channel.value)]
+    low, high = value.min(initial=0.0), value.max(initial=0.0)
+    jumps = np.abs(np.diff(value)) > np.pi
+    if low < 0.0 or not np.pi < high < 2.0 * np.pi + 0.01 or not jumps.any():
+        return channel
+    notes.append(f"column {channel.column} ({key}) runs from 0 to 360 deg; read as -180 to 180 deg")
+    return dataclasses.replace(channel, value=(channel.value + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _clean(path: str, key: str, channel: Channel, notes: list[str]) -> Channel:

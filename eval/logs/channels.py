@@ -37,6 +37,7 @@ class Channel:
     column: str  # its name in the file, for messages
     measured: bool = False  # of a thrust command: whether it is that of measured rotor speeds
     wraps: bool = False  # whether it is an angle that may jump by a turn
+    unit: str | None = None  # the unit in the file, if stated
 
 
 def channels_of(
@@ -141,13 +142,13 @@ def _channel(
             if (rows := clock.order(time, [value])) is not None:
                 time, value = time[rows], value[rows]
                 notes.append(f"values of {found[0]} are out of order; sorted by time")
-            clock.check(record.path, time, f"the time of {found[0]}")
+            clock.check(record.path, time, f"the time of {found[0]}", is_table=False)
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
+        unit = stated.get(canonical) or record.units.get(found[0]) or source.unit
         if source.full is not None:
             scale = FULL_COMMAND / source.full ** (2 if source.mean_square else 1)
         else:
-            unit = stated.get(canonical) or record.units.get(found[0]) or source.unit
             scale = 1.0 if unit is None else units.factor(canonical, unit, record.path)
         value = source.sign * scale * value + source.add
         if source.full is not None:
@@ -162,7 +163,7 @@ def _channel(
             problems.append((f"column {'+'.join(found)} ({canonical}) contains no usable number", False))
             continue
         measured = source.measured or source.mean_square is not None
-        return Channel(time - source.late, value, "+".join(found), measured)
+        return Channel(time - source.late, value, "+".join(found), measured, unit=unit)
     if problems:
         problem, is_text = problems[0]
         if canonical in _NEEDED or not (is_text or canonical in _OPTIONAL):

@@ -139,7 +139,7 @@ def _in_order(t: np.ndarray) -> bool:
     return bool((between <= 1.5 * behind / step + 3).all())
 
 
-def check(where: str, t: np.ndarray, column: str) -> None:
+def check(where: str, t: np.ndarray, column: str, is_table: bool = True) -> None:
     """Raise UserError, with a remedy, for times that cannot be those of a flight."""
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
@@ -148,10 +148,13 @@ def check(where: str, t: np.ndarray, column: str) -> None:
     if back.size:
         k = back[0] + 1
         more = f", and in {back.size - 1} more" if back.size > 1 else ""
-        raise UserError(
-            f"{where}: {column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data{more}: "
+        remedy = (
             "correct that row, sort the rows by it, or cut the file where the next flight begins"
+            if is_table
+            else "the clock was reset; extract the flight before or after it"
         )
+        back_to = f"{column} goes back from {t[k - 1]:g} to {t[k]:g} s in row {k + 1} of the data"
+        raise UserError(f"{where}: {back_to}{more}: {remedy}")
     if t[-1] - t[0] > limits.LONGEST:
         row = int(np.argmax(np.diff(t)))
         raise UserError(

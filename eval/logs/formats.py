@@ -25,11 +25,21 @@ _KINDS = (
     (".xlsx .xlsm .xls .ods", rb"\xd0\xcf\x11\xe0", "a spreadsheet: save it as CSV"),
     (".parquet", rb"PAR1", "a Parquet table: pandas.read_parquet('{name}')" + _TO_CSV),
     (".feather .arrow", rb"ARROW1|FEA1", "a Feather table: pandas.read_feather('{name}')" + _TO_CSV),
-    (".jsonl .ndjson .json", rb"\{|\[[{[]", "JSON, not a table: pandas.read_json('{name}')" + _TO_CSV),
     (
-        ".npy .npz",
+        ".jsonl .ndjson",
+        rb"\{[^\n]*\}\s*\n\s*\{",
+        "JSON in lines, not a table: pandas.read_json('{name}', lines=True)" + _TO_CSV,
+    ),
+    (".json", rb"\{|\[\s*[{[]", "JSON, not a table: pandas.read_json('{name}')" + _TO_CSV),
+    (
+        ".npz",
+        rb"PK\x03\x04.{26}[^/]*\.npy",
+        "arrays of numpy: pandas.DataFrame({{**numpy.load('{name}')}})" + _TO_CSV,
+    ),
+    (
+        ".npy",
         rb"\x93NUMPY",
-        "arrays of numpy: pandas.DataFrame(numpy.load('{name}'), columns=['t', 'x', ...])" + _TO_CSV,
+        "an array of numpy: pandas.DataFrame(numpy.load('{name}'), columns=['t', 'x', ...])" + _TO_CSV,
     ),
     (".mat", rb"MATLAB", "a MATLAB file: write the table as CSV with writetable"),
     (".h5 .hdf5 .hdf", rb"\x89HDF", "an HDF5 file: pandas.read_hdf('{name}')" + _TO_CSV),
@@ -57,8 +67,8 @@ _KINDS = (
 def check(path: Path) -> None:
     """Raise UserError, with a remedy, for a file of a known kind that is not supported."""
     with path.open("rb") as file:
-        start = file.read(64).removeprefix(b"\xef\xbb\xbf")
+        start = file.read(4096).removeprefix(b"\xef\xbb\xbf")
     called = [remedy for ends, _, remedy in _KINDS if path.name.lower().endswith(tuple(ends.split()))]
-    begun = [remedy for _, begins, remedy in _KINDS if re.match(begins, start)]
-    for remedy in (called + begun)[:1]:
+    begun = [remedy for _, begins, remedy in _KINDS if re.match(begins, start, re.DOTALL)]
+    for remedy in (begun + called)[:1]:
         raise UserError(f"{path}: {remedy.format(name=shown(path.name, 60))}")

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.eval.logs.clock import LATEST_ROW
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError
 
@@ -31,6 +32,7 @@ _TYPES = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", 
 _FIXED_FREQUENCY = "fixedFrequency"
 _OLD = b"tick(I),"
 _COARSEST_TICK = 500  # between rows: more are microseconds, as firmware of 2020 and 2019 has them, not ms
+_LONGEST_PAUSE = 60.0  # s that a recording in which the checksum is wrong may pause
 _COMPRESSED = ".quat"  # how the names of quaternions in 32 bits end
 
 
@@ -68,6 +70,7 @@ def read(path: Path) -> Record:
         else:
             notes.append("the checksum is wrong: the recording was cut short or the file is damaged")
             rows, rest = _offsets(data, start, written, sizes)
+            rows = _of_one_recording(data, rows, version, notes)
         if written < len(data):
             notes.append(f"the file ends in {len(data) - written} zero bytes and is read up to there")
     if rest:
@@ -75,7 +78,7 @@ def read(path: Path) -> Record:
     columns, times = {}, {}
     # Fixed frequency first: its variables keep their plain names.
     for key, (event, dtype) in sorted(events.items(), key=lambda item: item[1][0] != _FIXED_FREQUENCY):
-        if key not in rows:
+        if not rows.get(key):
             continue
         offsets = np.asarray(rows[key])
         packed = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(dtype.itemsize)]
@@ -88,6 +91,25 @@ def read(path: Path) -> Record:
         raise UserError(f"{path}: this micro-SD log contains no events")
     _decompress(columns, times)
     return Record(str(path), columns, times=times, notes=tuple(notes))
+
+
+def _of_one_recording(
+    data: bytes, rows: dict[int, list[int]], version: int, notes: list[str]
+) -> dict[int, list[int]]:
+    """Return the events before the clock jumps, as where an earlier recording lies behind a shorter one."""
+    offsets = np.sort(np.concatenate([[], *rows.values()]).astype(int))
+    kind, seconds = np.dtype(_TIME[version][0]), _TIME[version][1]
+    packed = np.frombuffer(data, np.uint8)[offsets[:, None] + 2 + np.arange(kind.itemsize)]
+    t = np.ascontiguousarray(packed).view(kind)[:, 0] * seconds
+    jumps = np.flatnonzero((np.diff(t) < -LATEST_ROW) | (np.diff(t) > _LONGEST_PAUSE))
+    if not len(jumps):
+        return rows
+    last = jumps[0]
+    notes.append(
+        f"the clock jumps from {t[last]:.6g} to {t[last + 1]:.6g} s: what follows is damaged or another "
+        "recording, and was left out"
+    )
+    return {key: [k for k in found if k <= offsets[last]] for key, found in rows.items()}
 
 
 def _header(path: Path, data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype]], int]:

@@ -581,6 +581,76 @@ def test_frames_are_read_with_their_unit_and_rows_that_stand_twice_once(tmp_path
     assert np.array_equal(read(tmp_path / "a.csv").position, log.position)
 
 
+# --- remedies ---------------------------------------------------------------------------------------
+
+REMEDIES = {  # how a table is written, and how a program names its columns
+    "a.jsonl": lambda table, path: table.to_json(path, orient="records", lines=True),
+    "lines.json": lambda table, path: table.to_json(path, orient="records", lines=True),
+    "a.json": lambda table, path: table.to_json(path, orient="records"),
+    "of columns.json": lambda table, path: table.to_json(path),
+    "a.npz": lambda table, path: np.savez(path, **{name: table[name] for name in table}),
+    "a.npy": lambda table, path: np.save(path, table.to_numpy()),
+    "a.parquet": lambda table, path: table.to_parquet(path),
+    "a.feather": lambda table, path: table.to_feather(path),
+}
+
+
+@pytest.mark.parametrize("name", REMEDIES)
+def test_what_a_refusal_says_about_another_format_makes_a_csv_file(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    log = a_log(100)
+    table = log_table(log)
+    REMEDIES[name](table, tmp_path / name)
+    with pytest.raises(UserError) as caught:
+        read(Path(name))
+    code = re.search(r"pandas\.\w+\(.*index=False\)", str(caught.value))[0]
+    exec(code.replace("['t', 'x', ...]", repr([*table])), {"pandas": pandas, "numpy": np})
+    # JSON has ten decimals.
+    np.testing.assert_allclose(read(tmp_path / "flight.csv").position, log.position, atol=1e-9)
+
+
+def test_each_remedy_for_a_clock_that_goes_back_works(tmp_path):
+    log = a_log(200)
+    head, *rows = written(tmp_path, log).splitlines()
+    wrong = rows[120].replace(repr(float(log.t[120])), "0.25", 1)
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows[:120], wrong, *rows[121:], *rows[:60]]) + "\n")
+    with pytest.raises(UserError, match="correct that row, sort the rows by it, or cut the file"):
+        read(tmp_path / "a.csv")
+    corrected = [head, *rows[:121], *rows[121:]]
+    ordered = [head, *sorted([*rows[:120], wrong, *rows[121:]], key=lambda row: float(row.partition(",")[0]))]
+    for remedy, count in ((corrected, 200), (ordered, 199)):  # of two rows for 0.25 s one remains
+        (tmp_path / "a.csv").write_text("\n".join(remedy) + "\n")
+        assert len(read(tmp_path / "a.csv")) == count
+
+
+@pytest.mark.parametrize("column", ["roll", "cmd_pitch"])
+def test_angles_from_0_to_360_degrees_are_read_once_their_unit_is_stated(tmp_path, column):
+    log = a_log()
+    table = log_table(log)
+    table[column] = np.degrees(table[column]) % 360.0
+    table.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(UserError, match="these look like degrees; state the unit"):
+        read(tmp_path / "a.csv")
+    back = read(tmp_path / "a.csv", units={column: "deg"})
+    np.testing.assert_allclose(log_table(back)[column], log_table(log)[column], atol=1e-9)
+    table[column] += 360.0
+    table.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(UserError, match=f"column {column} .* is its unit, deg, right?"):
+        read(tmp_path / "a.csv", units={column: "deg"})
+
+
+def test_events_of_another_recording_at_the_end_of_a_card_are_left_out(tmp_path):
+    log = a_log()
+    data = sd_card(firmware_values(log), log.t, 2, {"pm.state": 1.0})
+    start = data.index(b"slow") + len(b"slow\0") + 2 + len(b"pm.state(f)\0")
+    for shift in (-3.0, 200.0):  # s, of an earlier recording of 0.2 s
+        other = sd_card(firmware_values(log), log.t[:20] + shift, 2, {"pm.state": 1.0})
+        (tmp_path / "log").write_bytes(data[:-4] + other[start:-4] + bytes(4))
+        back = read(tmp_path / "log")
+        assert len(back) == 40 and np.allclose(back.position, log.position, atol=1e-5)
+        assert any("the clock jumps from" in note for note in back.notes)
+
+
 # --- mapping files ----------------------------------------------------------------------------------
 
 
