@@ -93,9 +93,11 @@ def _table(header: dict, name: str) -> dict:
 
 def _foreign(header: dict, metadata: dict) -> str | None:
     """Return what in a header neither the tensors nor the task hold, as in "policy X was ..."; or None."""
+    if not header:
+        return "is damaged, or not a policy file"
     module = _table(header, "policy_class").get("__module__")
     if module != _POLICIES or "clip_range" not in header:
-        return "is not a file of this package, nor one of Stable-Baselines3's PPO with its own policy class"
+        return "is neither a file of this package nor one of Stable-Baselines3's PPO with a standard policy"
     if header.get("_last_original_obs") is not None or metadata.get("normalisation"):
         return "was trained with VecNormalize, whose statistics it does not hold"
     extractor = _table(header, "policy_kwargs").get("features_extractor_class")
