@@ -273,11 +273,11 @@ class PlantGap:
 
 
 def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
-    """Return whether the flights repeat too much that named effects leave for these to be sure.
+    """Return whether the named effects leave too much for one of them to be sure.
 
-    It is most of what they leave, or they leave much more than the reference's flights.
+    Most of it repeats from flight to flight, or they leave much more than the reference's flights.
     """
-    if not residual.unexplained or gap is None:
+    if gap is None:
         return residual.unexplained
     much = reference is not None and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
     return much or residual.repeats**2 > thresholds.MOSTLY * gap.after**2
@@ -325,16 +325,17 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Return the verdict.
 
-        `unknown` where the flights repeat more than the named effects explain or may leave; else `effects`
-        where some are named; else `undecided` where effects of sizes that matter are probable, or could be
-        what the error exceeds that of the reference by; `nothing` where it does not.
+        `unknown` where the flights repeat more than the named effects explain, or these leave too much; else
+        `effects` where some are named; else `undecided` where effects of sizes that matter are probable, or
+        could be what the error exceeds that of the reference by; `nothing` where it does not.
         """
         landed = self.touchdowns is not None and self.touchdowns.unexplained
         repeats = self.residual.unexplained and self.residual.repeats > self.explained
-        if landed or repeats or leaves_doubt(self.residual, self.gap.get("analytic"), self.reference):
+        if landed or repeats:
             return "unknown"
         if self.effects:
-            return "effects"
+            doubt = leaves_doubt(self.residual, self.gap.get("analytic"), self.reference)
+            return "unknown" if doubt else "effects"
         if self.undecided:
             return "undecided"
         return "unknown" if self.exceeds_reference else "nothing"

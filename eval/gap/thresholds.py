@@ -104,7 +104,7 @@ LANDING_RESIDUAL = 0.05  # rate of the chi-squared test: landings have a common 
 # larger: more found, more false ones. measured: fresh, false in 1 of 3 sets of landings
 MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name beside it is sure
 # larger: fewer names doubted, more wrong ones sure. measured: -
-MUCH_LARGER = 2.0  # error left over that of the reference's flights, where some of it repeats: the same
+MUCH_LARGER = 1.75  # error that names leave over that of the reference's flights, above: none of them is sure
 # larger: fewer names doubted, more wrong ones sure. measured: -
 MAKES_UP = 0.5  # share of the squared error beyond the reference's that a possible effect makes up: undecided
 # larger: more verdicts `unknown` beside the right possible name. measured: -

@@ -52,7 +52,7 @@ def named_effects(
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does. doubtful: the flights repeat too much that these do not explain.
+    ahead: what each does. doubtful: these leave too much.
     """
     problem, pieces = found.problem, loop_pieces(found.problem, values)
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
@@ -88,7 +88,7 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
         which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})"
         return f"{which} cannot separate lags: log at 50 Hz or more."
     if doubtful:
-        return "In doubt, because the flights repeat an error that the named effects do not explain."
+        return "In doubt, because the named effects leave more than noise and disturbances would."
     # Does it move the vehicle by less than the reference is wrong where it was right before?
     worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
     most = max(along, key=lambda axis: along[axis], default="")
