@@ -102,7 +102,7 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
     top, span = np.percentile(speed, 90), np.ptp(np.percentile(log.position, (10, 90), axis=0), axis=0).max()
     if top > LARGEST_SPEED or span > LARGEST_DISTANCE:
         moves = f"move at {top:.3g} m/s" if top > LARGEST_SPEED else f"span {span:.3g} m"
-        yield refuse("x, y, z", f"columns x, y, z {moves}: wrong unit (millimetres?)")
+        yield refuse("x, y, z", f"columns x, y, z {moves}: wrong unit (millimetres?), or of time")
         return
     yield from _check_axes(log)
     spikes, jumps = _discontinuities(log)

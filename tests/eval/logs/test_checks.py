@@ -1,6 +1,7 @@
 """Checks of flight logs: each mistake people make is found, named and decided upon."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pandas
@@ -522,3 +523,39 @@ def test_the_command_names_two_vehicles(tmp_path, capsys):
     assert "flights of different vehicles are mixed" in captured.err
     assert '"decision": "refuse"' in captured.out
     assert read_log(files[0]).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"x": 1 / 0.3048}, "3.* times along x and 1.* times along y .* another unit"),
+        ({"y": 1 / 0.3048}, "1.* times along x and 3.* times along y .* another unit"),
+        ({"pitch": 1 / 5}, "5.* times along pitch and .* along roll|times along x"),
+    ],
+)
+@pytest.mark.parametrize("heading", [0.0, 0.2])
+def test_one_axis_in_another_unit_is_refused(columns, words, heading):
+    log = flight(heading=heading)
+    table = log_table(log)
+    changed = change(log, **{name: factor * table[name].to_numpy() for name, factor in columns.items()})
+    changed = dataclasses.replace(changed, velocity=None)
+    assert any(f.decision == "refuse" and re.search(words, f.text) for f in check_log(changed))
+
+
+def test_a_height_in_feet_is_said():
+    """Thrust goes with the 1.25th power of the command in these flights: 1.25/0.3048 = 4.1."""
+    log = flight()
+    changed = change(log, z=log.position[:, 2] / 0.3048)
+    assert any(
+        "z accelerates 4." in finding.text and "feet" in finding.text for finding in check_log(changed)
+    )
+    assert not any("feet" in finding.text for finding in check_log(log))
+
+
+@pytest.mark.parametrize("factor", [50.0, 20.0, 0.1])
+def test_a_clock_that_attitude_and_acceleration_contradict_is_refused(factor):
+    """Rows that are 0.01 s apart, read in another unit; 5 % of the step for noise and smoothing."""
+    log = dataclasses.replace(flight(seconds=20.0), velocity=None)
+    (finding,) = [f for f in check_log(dataclasses.replace(log, t=factor * log.t)) if f.decision == "refuse"]
+    step = float(re.search(r"if rows are ([\d.]+) s apart", finding.text)[1])
+    assert step == pytest.approx(0.01, rel=0.05) and "state the unit of time" in finding.text
