@@ -82,6 +82,11 @@ def _on_its_clock(
         raise UserError(f'{where}: no time column ({called}); a mapping file can name it with t = "NAME"')
     names = list(record.columns)
     asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
+    dated = int(np.flatnonzero(~np.isnan(time.value))[-1]) + 1
+    if dated > 1 and 0 < len(time.value) - dated <= limits.MOST_AT_THE_END:
+        note = f"the last {len(time.value) - dated} rows have no time and were cut"
+        record = dataclasses.replace(record.rows(np.arange(dated)), notes=(*record.notes, note))
+        time = dataclasses.replace(time, value=time.value[:dated])
     axes = [c for key in ("x", "y", "z") for s in column_map.sources(key) for c in s.columns]
     vehicles.check_one(record, time.value, [n for c in axes if (n := find(names, c, where)) is not None])
     t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs.limits import MOST_COLUMNS, read_table
+from inclined_landing.eval.logs.limits import MOST_AT_THE_END, MOST_COLUMNS, read_table
 from inclined_landing.eval.logs.mapping import ColumnMap, is_named, means_time
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.errors import UserError, shown
 
-MOST_AT_THE_END = 10  # rows of words or sums below a log, which are cut
 MOST_LABELS = 50  # values of a column that names something
 _COMMENT = ("#", "%", "//")
 # Cells without a value, in lower case, besides those that pandas knows.

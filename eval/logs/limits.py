@@ -24,6 +24,7 @@ LARGEST = 2**30  # bytes, unpacked
 LONGEST_LINE = 2**20  # bytes
 MOST_ROWS = 10_000_000
 MOST_COLUMNS = 5_000
+MOST_AT_THE_END = 10  # rows of words or sums below a log, which are cut
 LONGEST = 12 * 3600.0  # s from the first row to the last
 FEWEST_PER_SECOND, MOST_PER_SECOND = 1.0, 1e5  # rows
 LARGEST_VALUE = 1e9  # in SI units: beyond, no quantity of a flight

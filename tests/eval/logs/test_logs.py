@@ -358,6 +358,7 @@ ENDS = {  # what follows the rows, and how many of the lines are no comments
     "a word": ("END\n", 1),
     "a sentence": ("landed, battery low\n", 1),
     "a line that is cut": ("0.4,1.0,2.0,-", 0),
+    "sums without a name": (",0.1,0.2,0.3\n", 0),
     "sums": ("mean,0.1,0.2,0.3\nmax,1,1,1\n\n", 2),
 }
 
