@@ -73,7 +73,9 @@ def test_all_the_way(path, own, tmp_path, capsys):
     flown = ["--plant", "analytic", "--task", path]
     assert evaluate(["success", "whole/final.zip", "--json", *flown]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert report["task"] == "hop" and report["trained"]["task_from"] == path
+    (task,) = [fact["value"] for fact in report["facts"] if fact["name"] == "task"]
+    assert task == "hop" and {row["study"] for row in report["rows"]} == {"success_hop"}
+    assert load_policy("whole/final.zip", tasks.make_task("hop")).metadata["task_from"] == path
     small = ["--width", "96", "--height", "64", "--backend", "ray", "--start", "0.5,0,1"]
     assert evaluate(["picture", "whole/final.zip", "--out", "hop.png", *small, *flown]) == 0
     assert load_policy("whole/final.zip", tasks.make_task("hop")).task.name == "hop"
