@@ -23,6 +23,7 @@ from inclined_landing.eval.gap.answer.named import (
 )
 from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
+from inclined_landing.eval.gap.flights.distinct import check_unused
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
@@ -63,6 +64,8 @@ def diagnose(
 
     # Which flights can be used, and which effects can they show?
     use = usable_flights(flights, heldout, vehicle, platform)
+    if reference is not None:
+        check_unused(use.heldout, reference.flights, "by which the vehicle was identified")
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
     problem = Problem.of(use.fitted, vehicle, candidates, reference)
     notes = [*use.notes, *_data_notes(problem), *unidentifiable]

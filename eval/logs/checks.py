@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.logs import motion, repeats, values
+from inclined_landing.eval.logs import copies, motion, repeats, values
 from inclined_landing.eval.logs.channels import FULL_COMMAND, Channel
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
@@ -31,7 +31,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
     findings = list(_check_repeats(log))
     measured = without_bad_data(log, findings)
     rows = np.searchsorted(log.t, measured.t)
-    for finding in values.check(measured):
+    for finding in (*values.check(measured), *copies.check(measured)):
         findings.append(dataclasses.replace(finding, rows=tuple(rows[list(finding.rows)])))
     if not any(finding.decision == "refuse" for finding in findings):
         good = without_bad_data(log, findings)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, checks, csv_file, formats, limits, sd_card, vehicles
+from inclined_landing.eval.logs import assemble, checks, copies, csv_file, formats, limits, sd_card, vehicles
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.channels import Channel, channels_of
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
@@ -65,6 +65,7 @@ def read_log(
     notes: list[str] = []
     for record in records:
         found, new_notes = channels_of(column_map, record, stated)
+        copies.check_columns(record, found)
         notes += new_notes
         notes += [f"{key} is in several files; the first is used" for key in found if key in channels]
         channels = found | channels

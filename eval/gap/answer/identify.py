@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import disturbances
+from inclined_landing.eval.gap.flights.distinct import fingerprint
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
@@ -187,7 +188,9 @@ def identify(
     ) | field_half_widths(fitted.vehicle, result, moved)
     return Identification(
         vehicle=result,
-        reference=dataclasses.replace(reference, landings=landings),
+        reference=dataclasses.replace(
+            reference, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
+        ),
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=fitted.fit,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
+from inclined_landing.eval.gap.flights.distinct import DIFFERENT, check_unused, distinct, fingerprint
 from inclined_landing.eval.gap.flights.windows import IDLE, MeasuredFlight, prepare_all
 from inclined_landing.eval.gap.result import SetAside
 from inclined_landing.eval.logs import FlightLog, read_log
@@ -49,12 +50,13 @@ def read_flights(
     """Return the flights of some files.
 
     tick: called with the name of each file before it is read. options: of `read_log`.
-    Raises UserError, naming the file, for a log that cannot be used, one given twice, and flights of
-    different vehicles.
+    Raises UserError, naming the file, for a log that cannot be used, a file given twice, a flight of the
+    reference among the others, and flights of different vehicles.
     """
     check_apart(files, heldout, reference)
     before, before_notes = _read(reference, tick, options)
     logs, notes = _read([*files, *heldout], tick, options)
+    check_unused(logs, {log.name: fingerprint(log) for log in before}, "of the reference")
     return ReadFlights(logs[: len(files)], logs[len(files) :], before, (*before_notes, *notes))
 
 
@@ -81,7 +83,7 @@ def check_apart(*groups: Sequence[str]) -> None:
     where = [storage.real(file) for file in every]
     for file, path in zip(every, where):
         if where.count(path) > 1:
-            raise UserError(f"{file} is given more than once; fitting and evaluation need different flights")
+            raise UserError(f"{file} is given more than once; {DIFFERENT}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,15 +116,18 @@ def usable_flights(
     """Return the flights that can be used, and the others, each with the reason why not.
 
     platform: the slab of the vehicle file stands in the arena; None: where a log has contacts.
-    Raises UserError when none can be used, of those to fit or of those held out.
+    Copies and parts of a flight count once. Raises UserError when none can be used, of those to fit or of
+    those held out, and when a held-out flight is fitted.
     """
     if platform is None:
         platform = any(log.contact is not None and log.contact.any() for log in as_logs(flights))
     logs, aside = set_aside(as_logs(flights), vehicle, platform)
     kept, kept_aside = set_aside(as_logs(heldout), vehicle, platform)
+    logs, kept, copies, shared = distinct(logs, kept)
     fitted, notes = prepare_all(logs, vehicle, platform)
     judged, kept_notes = prepare_all(kept, vehicle, platform) if kept else ([], ())
-    return UsableFlights(logs, kept, fitted, judged, (*aside, *kept_aside), (*notes, *kept_notes), platform)
+    notes, left_out = (*notes, *kept_notes, *shared), (*aside, *kept_aside, *copies)
+    return UsableFlights(logs, kept, fitted, judged, left_out, notes, platform)
 
 
 def set_aside(

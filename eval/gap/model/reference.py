@@ -104,6 +104,8 @@ class VehiclePosterior:
     from_flights: bool = True  # or from the uncertainties in a vehicle file
     errors: ReferenceErrors | None = None  # None: not known
     landings: LandingReference | None = None  # None: too few
+    # Fingerprints of the flights that it comes from, by their names.
+    flights: Mapping[str, tuple[int, ...]] = dataclasses.field(default_factory=dict)
 
     def along(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Return the marginal mean (Q,) and covariance (Q, Q) along some columns; 0 where they met none."""
@@ -166,6 +168,7 @@ class VehiclePosterior:
             "functions": [[*key, w.tolist()] for key, w in functions.weights.items()],
             "errors": dataclasses.asdict(self.errors) if self.errors else None,
             "landings": self.landings.to_json() if self.landings else None,
+            "flights": {name: list(numbers) for name, numbers in self.flights.items()},
         }
 
     @staticmethod
@@ -201,6 +204,7 @@ class VehiclePosterior:
             *(columns, mean, covariance, ReferenceResidual(bases, weights), library),
             errors=_errors(table),
             landings=LandingReference.from_json(landings) if landings else None,
+            flights={str(name): tuple(map(int, seen)) for name, seen in table.get("flights", {}).items()},
         )
 
 

@@ -502,13 +502,14 @@ def test_a_shipped_vehicle_that_was_identified_has_its_posterior(name):
         {"errors": {"error": 0.1, "floor": 0.0, "disturbance": {"z": {"size": 0.1}}}},
         {"functions": [["z", "velocity"]]},
         {"functions": [["z", "velocity", ["one"]]]},
+        {"flights": {"a": ["one"]}},
     ],
 )
 def test_a_damaged_posterior_is_refused(reference, change):
     table = json.loads(storage.to_json(reference.to_json(VEHICLE)))
     with pytest.raises((ValueError, KeyError, TypeError)):
         VehiclePosterior.from_json(table | change)
-    for key in set(table) - {"vehicle", "library"}:
+    for key in set(table) - {"vehicle", "library", "flights"}:
         with pytest.raises(KeyError):
             VehiclePosterior.from_json({k: v for k, v in table.items() if k != key})
 

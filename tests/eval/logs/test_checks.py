@@ -237,7 +237,7 @@ def test_a_stretch_far_away_was_not_measured_and_says_nothing_about_the_unit():
 def with_rotor_speeds(log: FlightLog) -> FlightLog:
     """The flight with four rotors that turn 1000 rad/s at the mean thrust command, M2 by 8 % faster."""
     speed = 1000.0 * np.sqrt(log.command[:, 0] / log.command[:, 0].mean())
-    return dataclasses.replace(log, rotor_speed=speed[:, None] * [1.0, 1.08, 1.0, 1.0])
+    return dataclasses.replace(log, rotor_speed=speed[:, None] * [1.0, 1.08, 1.001, 0.999])
 
 
 @pytest.mark.parametrize(("rotor", "factor", "since"), [(2, 0.54, 0.0), (0, 0.0, 9.0), (3, 2.0, 5.0)])
@@ -559,3 +559,51 @@ def test_a_clock_that_attitude_and_acceleration_contradict_is_refused(factor):
     (finding,) = [f for f in check_log(dataclasses.replace(log, t=factor * log.t)) if f.decision == "refuse"]
     step = float(re.search(r"if rows are ([\d.]+) s apart", finding.text)[1])
     assert step == pytest.approx(0.01, rel=0.05) and "state the unit of time" in finding.text
+
+
+TWICE = {
+    "roll": ("roll", "cmd_roll"),
+    "both angles": ("pitch", "cmd_pitch"),
+    "with the wrong sign": ("roll", "-cmd_roll"),
+    "swapped": ("pitch", "cmd_roll"),
+    "heading": ("yaw", "cmd_yaw"),
+    "velocity": ("vx", "des_vx"),
+    "position": ("y", "setpoint.y"),
+    "requests": ("m2_cmd", "m1_cmd"),
+    "rotor speeds": ("m4_speed", "m3_speed"),
+}
+
+
+@pytest.mark.parametrize("kind", TWICE)
+def test_two_columns_that_are_one_signal_are_refused_with_both_names(tmp_path, kind):
+    one, other = TWICE[kind]
+    log = flight()
+    speeds = 1000.0 + np.random.default_rng(5).normal(0.0, 10.0, (len(log), 4))
+    log = dataclasses.replace(log, requests=40 * speeds, rotor_speed=speeds)
+    table = log_table(log).assign(cmd_yaw=0.5 + 0.1 * np.sin(log.t), des_vx=log.velocity[:, 0] + 0.1)
+    table["setpoint.y"] = table.y + 0.1
+    assert written(tmp_path / "a.csv", table).notes == ()
+    table[one] = -table[other[1:]] if other.startswith("-") else table[other]
+    table.loc[::30, one] += 0.01 * table[one].abs().max()  # nearly every row
+    with pytest.raises(UserError, match=r"hold the same numbers in 9\d % of the rows") as refused:
+        written(tmp_path / "a.csv", table)
+    assert one in str(refused.value) and other.lstrip("-") in str(refused.value)
+
+
+def test_columns_that_are_alike_for_a_reason_are_used(tmp_path):
+    """Motors of a flight of one axis, a measurement under two names, and a heading that is kept."""
+    log = flight()
+    speeds = 1000.0 + np.random.default_rng(5).normal(0.0, 10.0, (len(log), 2))
+    log = dataclasses.replace(log, requests=40 * speeds[:, [0, 1, 1, 0]])
+    table = log_table(log).assign(x_measured=log.position[:, 0], heading_ref=0.5)
+    assert written(tmp_path / "a.csv", table).requests is not None
+
+
+def test_a_column_is_no_measurement_and_a_command(tmp_path):
+    table = log_table(flight()).rename(columns={"cmd_roll": "controller.roll"}).drop(columns="roll")
+    table.to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "m.toml").write_text(
+        'inherit = "documented"\n[columns]\nroll = "controller.roll"\ncmd_roll = "controller.roll"\n'
+    )
+    with pytest.raises(UserError, match=r"controller\.roll is read as roll and as a command"):
+        read_log(tmp_path / "a.csv", mapping=tmp_path / "m.toml")

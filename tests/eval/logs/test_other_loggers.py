@@ -90,7 +90,7 @@ def test_newtons_and_repeated_positions_of_the_lee_controller(tmp_path):
     tilt = np.arctan(-9.0 * x / 9.81)
     columns = {f"stateEstimateZ.{a}": 1000.0 * v for a, v in zip("xyz", (held, 0 * t, 0 * t + 1.0))}
     columns |= {f"ctrlLee.rpy{a}": v for a, v in zip("xyz", (0 * t + 1e-3 * x, tilt, 0 * t))}
-    columns |= {f"ctrlLee.rpyd{a}": v for a, v in zip("xyz", (1e-3 * x, tilt, 0 * t))}
+    columns |= {f"ctrlLee.rpyd{a}": 1.1 * v for a, v in zip("xyz", (1e-3 * x, tilt, 0 * t))}
     columns["ctrlLee.thrustSi"] = 0.311 / np.cos(tilt)
     path = tmp_path / "log158"
     path.write_bytes(sd_log(columns))
@@ -110,7 +110,7 @@ def test_a_vehicle_that_stands_was_measured_and_a_frozen_position_was_not(tmp_pa
     millimetres = np.round(1000.0 * np.repeat(x[::2], 2))  # as the firmware logs it
     columns = {f"stateEstimateZ.{a}": v for a, v in zip("xyz", (millimetres, 0 * t, 0 * t + 1000.0))}
     columns |= {f"ctrlLee.rpy{a}": v for a, v in zip("xyz", (0 * t, tilt, 0 * t))}
-    columns |= {f"ctrlLee.rpyd{a}": v for a, v in zip("xy", (0 * t, tilt))}
+    columns |= {f"ctrlLee.rpyd{a}": 1.1 * v for a, v in zip("xy", (0 * t, tilt))}
     columns["ctrlLee.thrustSi"] = 0.311 / np.cos(tilt)
     path = tmp_path / "log158"
     path.write_bytes(sd_log(columns))
@@ -255,14 +255,16 @@ def test_columns_of_lists(tmp_path):
     for k in range(len(t)):
         half = 0.5 * tilt[k]
         q = f'"[0.0, {np.sin(half):.6f}, 0.0, {np.cos(half):.6f}]"'
+        q_sp = f'"[0.0, {np.sin(1.1 * half):.6f}, 0.0, {np.cos(1.1 * half):.6f}]"'
         thrust = 0.48 / np.cos(tilt[k])
         rows.append(
-            f'{k},{t[k]:.3f},"[{x[k]:.5f}, {1e-4 * x[k]:.7f}, 2.0]","[0, 0, 0]",{q},[{thrust:.5f}],{q},[0.48]'
+            f'{k},{t[k]:.3f},"[{x[k]:.5f}, {1e-4 * x[k]:.7f}, 2.0]","[0, 0, 0]",{q},'
+            f"[{thrust:.5f}],{q_sp},[0.48]"
         )
     path.write_text("\n".join(rows) + "\n")
     log = read_log(path, check=False)
     np.testing.assert_allclose(log.command[:, 0], 65535 * 0.48 / np.cos(tilt), rtol=1e-4)
-    np.testing.assert_allclose(log.command[:, 2], tilt, atol=1e-5)
+    np.testing.assert_allclose(log.command[:, 2], 1.1 * tilt, atol=1e-5)
     np.testing.assert_allclose(log.position[:, 0], x, atol=1e-5)
     path.write_text(path.read_text().replace('"[0, 0, 0]"', '"[0, 0]"', 1))
     with pytest.raises(UserError, match="the lists in column v differ in length"):
