@@ -60,7 +60,8 @@ def flight() -> str:
     x, y, z = 0.3 * np.cos(2 * t), 0.3 * np.sin(2 * t), 1 + 0.1 * np.sin(3 * t)
     pitch, roll = -1.2 * np.cos(2 * t) / 9.81, 1.2 * np.sin(2 * t) / 9.81
     pwm = 38000 * (1 - 0.9 * np.sin(3 * t) / 9.81)
-    values = [t, x, y, z, roll, pitch, 0 * t, pwm, roll, pitch, 0 * t]
+    sent = 1.2 * np.sin(2 * (t + 0.05)) / 9.81, -1.2 * np.cos(2 * (t + 0.05)) / 9.81  # 50 ms ahead
+    values = [t, x, y, z, roll, pitch, 0 * t, pwm, *sent, 0 * t]
     values += [np.gradient(p, t) for p in (x, y, z)] + [4.1 - 0.01 * t, 0 * t]
     head = ("t", *MEASURED, *COMMANDS, "vx", "vy", "vz", "vbat", "contact")
     return (
