@@ -1,4 +1,4 @@
-"""Evidence that is given several times: copies and cut-outs of one flight, told by the measured poses.
+"""Evidence that is given several times: copies and cut-outs of one flight, recognised by the measured poses.
 
 Two flights never agree in a measured pose to the last digit while they move: what does is the same row.
 """
