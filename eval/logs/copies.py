@@ -42,8 +42,8 @@ def same_share(a: np.ndarray, b: np.ndarray) -> float:
 def check_columns(record: Record, channels: Mapping[str, Channel]) -> None:
     """Raise UserError for a measurement that equals another column of its file which is a set-point.
 
-    channels: those of the record, by canonical name. A column is a set-point if a command is read from it, or if it
-    is called one.
+    channels: those of the record, by canonical name. A column is a set-point if a command is read from it, or
+    if it is called one.
     """
     commands = {channels[key].column for key in _COMMANDED if key in channels}
     set_points = commands | {name for name in record.columns if _SET_POINT.search(name.lower())}
