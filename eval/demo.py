@@ -71,7 +71,9 @@ def command(
     seconds = time.monotonic() - began
     print(f"{out}: {', '.join(names)}, written in {seconds:.0f} s\n\n{_NEXT}\n")
     landed = proportion(sum(flight.strict for flight in flights), len(flights))
-    say(f"The policy landed in {count_words(landed)}; open {out / 'landing.html'} in a browser.")
+    say(
+        f"The policy reached the goal box in {count_words(landed)}; open {out / 'landing.html'} in a browser."
+    )
 
 
 def _show(groups: dict[str, list[Flight]]) -> None:

@@ -116,6 +116,6 @@ def _remarks(results: Results) -> list[str]:
     """Return a sentence on each policy: its first slopes are all that it knows."""
     first = {policy: results.all(STRICT, policy=policy)[0] for policy in results.labels("policy")}
     return [
-        f"{policy} {STRICT.said} in {count_words(row)}, slopes: {row['slopes']}."
+        f"{policy} {STRICT.said} in {count_words(row)} on slopes of {row['slopes']}."
         for policy, row in first.items()
     ]
