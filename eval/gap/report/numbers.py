@@ -1,4 +1,4 @@
-"""Numbers with their units as a person reads them: degrees, ms, mm; with the digits of their intervals."""
+"""Numbers with their units as a person reads them: degrees, ms, mm, g; with the digits of their intervals."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ SHOWN = {
     "s": (1e3, "ms"),
     "m": (1e3, "mm"),
     "N": (1e3, "mN"),
+    "kg": (1e3, "g"),
     "1/s": (100.0, "%/s"),
     "rad/(rad s)": (1.0, "per s"),
     "1/V": (100.0, "%/V"),
