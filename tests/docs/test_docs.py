@@ -25,7 +25,7 @@ def _flights(folder):
     command = np.c_[
         np.full_like(t, 36_000.0) + 2_000 * np.sin(3 * t), -tilt[:, 1], tilt[:, 0], np.zeros_like(t)
     ]
-    log = a_log(len(t), t=t, position=position, attitude=command[:, 1:] * 1.0, command=command)
+    log = a_log(len(t), t=t, position=position, attitude=0.9 * command[:, 1:], command=command)
     for name in ("flight1.csv", "flight2.csv.gz", "flights/fit/fit_01.csv"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_log(folder / name, log)
@@ -92,7 +92,8 @@ def test_the_navigation_has_every_page_once():
 def test_pages_for_users_are_short():
     """Tables of results are in docs/evidence."""
     names = set(documents.documents()) - {"CONTRIBUTING.md", "CHANGELOG.md", "THIRD_PARTY_NOTICES.md"}
-    words = " ".join((ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name).split()
+    texts = ((ROOT / name).read_text("utf-8") for name in names if "/evidence/" not in name)
+    words = re.sub(r"<!--.*?-->", "", " ".join(texts), flags=re.DOTALL).split()
     assert len(words) < 30_000
     assert sum(any(letter.isdigit() for letter in word) for word in words) < 0.05 * len(words)
 

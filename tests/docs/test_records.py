@@ -1,0 +1,86 @@
+"""Figures on pages for users stand in the records that the pages name.
+
+After a paragraph or table an HTML comment, which readers do not see, has one line for each record:
+
+    <!-- records
+    99.1 %, 28.2 %: docs/evidence/landing.md 0.5 28.2 % [25.1, 31.5] 99.1 %
+    -->
+
+The line has the figures of the text above it, the file that records them, where needed `#` and the heading
+of the section, and the words of the record, without the bars and stars of Markdown; `...` is a gap.
+"""
+
+import re
+
+import pytest
+
+from tests import ROOT, documents
+
+PAGES = ("README.md", "docs/results.md", "docs/trust.md")
+COMMENT = re.compile(r"<!-- records\n(.*?)-->", re.DOTALL)
+LINE = re.compile(r"(?P<figures>[^:]+): (?P<file>[\w/.-]+)(?:#(?P<section>\S+))? (?P<words>.+)")
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\d)")
+SHARE = re.compile(r"\d[\d.]* %|\d+ of \d+")
+
+
+def plain(text: str) -> str:
+    return " ".join(re.sub(r"[|*]", " ", text).split())
+
+
+def section(text: str, heading: str | None) -> str:
+    if not heading:
+        return text
+    _, begins, rest = text.partition(f"\n## {heading}\n")
+    assert begins, f"no heading {heading}"
+    return rest.partition("\n## ")[0]
+
+
+def pieces(text: str) -> list[tuple[str, str]]:
+    """The texts of a page, each with the records after it; the last has none."""
+    parts = COMMENT.split(documents.FENCE.sub("", text))
+    return list(zip(parts[::2], [*parts[1::2], ""], strict=True))
+
+
+def faults(text: str) -> list[str]:
+    """What is wrong with the figures of a page."""
+    found = []
+    for words, comment in pieces(text):
+        words, named = plain(words), set()
+        for line in comment.splitlines():
+            match = LINE.fullmatch(line)
+            assert match, f"not a record: {line}"
+            wanted = plain(match["words"])
+            recorded = plain(section((ROOT / match["file"]).read_text("utf-8"), match["section"]))
+            if not re.search(".*".join(map(re.escape, wanted.split(" ... "))), recorded):
+                found.append(f"not in {match['file']}: {wanted}")
+            for figure in match["figures"].split(", "):
+                named.add(figure)
+                if not re.search(rf"(?<![\w.]){re.escape(figure)}(?![\w.]*\d)", words):
+                    found.append(f"not on the page: {figure}")
+                if missing := set(NUMBER.findall(figure)) - set(NUMBER.findall(wanted)):
+                    found.append(f"{match['file']} says something else: {line}, {missing}")
+        found += [f"without a record: {share}" for share in SHARE.findall(words) if share not in named]
+    return found
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_share_has_a_record_that_says_the_same(name):
+    text = (ROOT / name).read_text("utf-8")
+    assert not faults(text)
+    assert sum(comment.count("\n") for _, comment in pieces(text)) > 5
+
+
+def test_a_figure_that_its_record_does_not_have_is_found():
+    record = "docs/evidence/landing.md 223, 250, 251"
+    page = "From {} starts.\n\n<!-- records\n{}: " + record + "\n-->\n"
+    assert not faults(page.format("223 of 251", "223 of 251"))
+    assert any("something else" in fault for fault in faults(page.format("224 of 251", "224 of 251")))
+    assert any("not on the page" in fault for fault in faults(page.format("224 of 251", "223 of 251")))
+    assert faults("In 82 % of the flights.") == ["without a record: 82 %"]
+    assert faults("12\n<!-- records\n12: docs/evidence/landing.md no such words 12\n-->\n")
+
+
+def test_the_first_page_is_short():
+    """Comments are not read."""
+    text = re.sub(r"<!--.*?-->", "", (ROOT / "README.md").read_text("utf-8"), flags=re.DOTALL)
+    assert len(text.split()) <= 900 and len(text.partition("```sh")[0].split()) <= 90
