@@ -6,17 +6,14 @@ import tomllib
 from fnmatch import fnmatch
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
-from tests.proof import trust
-from tests.proof.causes import baselines, page, rows
+from tests.proof import causes, trust
 
-ROW = rows.Row(
+ROW = causes.Row(
     *("lab", "a weight", "cause", "development", ("before/*.csv",), ("after/*.csv",), "crazyflie-2.1"),
     right=("mass", "thrust_scale"),
     beside=("attitude_trim",),
@@ -37,7 +34,7 @@ def made(**changed):
 
 
 def test_rows_are_well_formed():
-    known = rows.known_rows()
+    known = causes.known_rows()
     assert len({r.key for r in known}) == len(known)  # one file each
     for r in known:
         assert r.kind in ("cause", "nothing", "unknown", "dose"), r
@@ -45,7 +42,7 @@ def test_rows_are_well_formed():
         assert set(r.right) | set(r.beside) <= set(LIBRARY) and not set(r.right) & set(r.beside), r
         assert bool(r.right) or r.kind != "cause", r
         assert not r.right or r.kind != "nothing", r
-        assert rows.base_vehicle(r).body_mass == (r.mass or load_vehicle(r.vehicle).body_mass)
+        assert causes.base_vehicle(r).body_mass == (r.mass or load_vehicle(r.vehicle).body_mass)
         assert not r.size or (r.size["of"] in ("thrust", "wind") and r.size["value"] > 0), r
         assert (r.kind == "dose") == (r.dose is not None and hasattr(load_vehicle(), r.parameter or "-")), r
 
@@ -54,14 +51,14 @@ def test_halves_are_kept_apart():
     """No development row reads a flight that another half judges, and no row its own reference."""
 
     def flights(r, patterns):
-        return {(r.set, one) for pattern in patterns for one in rows._expanded(pattern)}
+        return {(r.set, one) for pattern in patterns for one in causes._expanded(pattern)}
 
     def meet(some, others):
         return any(
             a[0] == b[0] and (fnmatch(a[1], b[1]) or fnmatch(b[1], a[1])) for a in some for b in others
         )
 
-    known = rows.known_rows()
+    known = causes.known_rows()
     held_out = set().union(*(flights(r, r.flights) for r in known if r.half == "heldout"))
     assert len(held_out) > 20
     for r in known:
@@ -101,33 +98,33 @@ def diagnosis(*effects, possible=(), verdict="effects", inconsistent=()):
     ],
 )
 def test_judgement(answer, expected):
-    got = rows.judged(ROW, answer)
+    got = causes.judged(ROW, answer)
     assert (got["right sure"], got["right possible"], got["wrong"]) == expected
     assert got["sure names"] == sum(e.sure for e in answer.effects)
 
 
 def test_flagged_is_unknown_or_flights_that_must_be_inconsistent():
     sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b", "c"))
-    assert not rows.judged(ROW, diagnosis())["flagged"]
-    assert rows.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
-    assert rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
-    assert not rows.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
-    assert not rows.judged(sensor, diagnosis())["flagged"]
-    assert not rows.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
+    assert not causes.judged(ROW, diagnosis())["flagged"]
+    assert causes.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
+    assert causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
+    assert not causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
+    assert not causes.judged(sensor, diagnosis())["flagged"]
+    assert not causes.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
 
 
 def test_found_thrust_is_that_over_mass():
     vehicle = load_vehicle("crazyflie-2.1")
     told = dataclasses.replace(ROW, size={"of": "thrust", "value": 0.9, "tolerance": 0.02})
     scaled = effect("mass", ["mass"], scale=(1.25, 1.0, 1.6))
-    got = rows._found(told, diagnosis(scaled), vehicle, vehicle.hover_pwm)
+    got = causes._found(told, diagnosis(scaled), vehicle, vehicle.hover_pwm)
     # Specific thrust goes with 1/mass.
     assert got["value"] == pytest.approx(1 / 1.25)
     assert got["ci95"] == pytest.approx([1 / 1.6, 1.0])
     both = diagnosis(scaled, effect("thrust_scale", ["thrust_scale"], scale=(1.25, 1.2, 1.3)))
-    assert rows._found(told, both, vehicle, vehicle.hover_pwm)["value"] == pytest.approx(1.0)
-    assert rows._found(told, diagnosis(effect("wind", ["wind"])), vehicle, vehicle.hover_pwm) is None
-    assert rows._found(ROW, diagnosis(scaled), vehicle, vehicle.hover_pwm) is None  # no size was told
+    assert causes._found(told, both, vehicle, vehicle.hover_pwm)["value"] == pytest.approx(1.0)
+    assert causes._found(told, diagnosis(effect("wind", ["wind"])), vehicle, vehicle.hover_pwm) is None
+    assert causes._found(ROW, diagnosis(scaled), vehicle, vehicle.hover_pwm) is None  # no size was told
 
 
 def test_summary_counts_each_bar_by_hand():
@@ -137,7 +134,7 @@ def test_summary_counts_each_bar_by_hand():
     same = made(kind="nothing", told=None, found=None) | {"sure names": 0}
     narrow = made(found={"value": 0.8, "ci95": [0.7, 0.879]})  # with the tolerance of 0.02 short of 0.9
     touching = made(found={"value": 0.8, "ci95": [0.7, 0.881]})
-    got = page.summary([RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE])
+    got = causes.summary([RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE])
     assert got == {
         "sure": (3, 4),  # the weak one does not count
         "possible": (4, 4),
@@ -146,36 +143,10 @@ def test_summary_counts_each_bar_by_hand():
         "nothing": (0, 1),
         "unknown": (1, 1),
     }
-    text = page.summary_text([RESULT, weak, made(kind="nothing", told=None), ERROR, DOSE])
+    text = causes.summary_text([RESULT, weak, made(kind="nothing", told=None), ERROR, DOSE])
     assert "called unknown as well: 0/2 known causes, 0/1 rows with nothing changed" in text
     assert "where a right name is sure, median: 61 to 15 cm" in text
     assert "parameter tuning: right among its names 1/1; 3 of its 6 names are wrong" in text
-
-
-def flight(thrust=1.0, wind=0.0, m3=1.0, height=0.0):
-    """Twenty seconds along x in closed form: thrust over mass, wind along -x, request of M3, all exact."""
-    t = np.arange(2000) * 0.01
-    still = 0.0 * t
-    x, v, a = 3.0 * np.sin(t), 3.0 * np.cos(t), -3.0 * np.sin(t)
-    through = v + wind
-    # g tan(pitch) = a + (k1 + k2 |v - w|) (v - w), with the level 0.05 m/s2 off
-    pitch = np.arctan((a + (0.2 + 0.02 * abs(through)) * through - 0.05) / 9.81)
-    pwm = 40000.0 * np.hypot(a, 9.81) / 9.81 / thrust
-    requests = np.stack([pwm, pwm, m3 * pwm, pwm], axis=1)
-    return FlightLog(
-        *("made", t, np.stack([x, still, 1.0 + height * np.sin(0.5 * t)], axis=1)),
-        np.stack([still, pitch, still], axis=1),
-        np.stack([pwm, still, pitch, still], axis=1),
-        requests=requests,
-    )
-
-
-def test_rough_regressions_have_back_what_was_put_in():
-    # Smoothing over 0.25 s takes 0.1 % of a sine of 1 rad/s, and 0.5 % of the speed's square.
-    assert baselines.thrust([flight()], [flight(0.8)]) == pytest.approx(0.8, rel=2e-3)
-    assert baselines.wind([flight()], [flight(wind=4.0)]) == pytest.approx(4.0, rel=0.02)
-    assert baselines.wind([flight()], [flight()]) == pytest.approx(0.0, abs=0.02)
-    assert baselines.request([flight(m3=1.03)], [flight(m3=1.2)], 2) == pytest.approx(1.2 / 1.03 - 1.0)
 
 
 def test_the_recorded_counts_are_those_of_the_page():

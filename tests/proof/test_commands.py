@@ -13,8 +13,8 @@ from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
 from tests.proof import __main__ as proof
 from tests.proof import from_logs, gap_example
-from tests.proof.causes.rows import _expanded
-from tests.proof.identified.command import vehicles
+from tests.proof.causes import _expanded
+from tests.proof.identified import vehicles
 from tests.proof.simulator import World
 from tests.validation.convert import public_sets
 

@@ -3,13 +3,10 @@
 import dataclasses
 import math
 
-import hypothesis
-import hypothesis.strategies as st
 import numpy as np
 import pytest
 
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.eval.flying.estimate import TIME_CONSTANT, ConsistencyMonitor
 from inclined_landing.eval.flying.fly import FlightOptions
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.simulated import firmware
@@ -17,10 +14,8 @@ from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, VX, X, Z
 from inclined_landing.models.plants import make_plant
-from tests.proof.flight_table import faults
-from tests.proof.flight_table.chain import Flown, fly_once, truth_of
-
-G = 9.81
+from tests.proof import flight_table as faults
+from tests.proof.flight_table import Flown, fly_once, truth_of
 
 
 @pytest.fixture(scope="module")
@@ -111,35 +106,6 @@ def test_the_limit_of_a_vehicle_left_alone_is_what_commands_can_do(plan):
         farthest = max(farthest, np.abs(plant.state[:, X]).max() - v.arena_x[1])
     assert plant.contacts.touch[:, 2].any(axis=1).all(), "all are down"
     assert 0.95 * faults.ALONE < farthest < faults.ALONE
-
-
-# --- positions that do not fit the accelerometer -----------------------------------------------------
-
-unit = st.tuples(*[st.floats(-0.5, 0.5)] * 2)
-
-
-@hypothesis.given(unit, st.floats(0.3, 1.8))
-def test_motion_that_fits_the_forces_leaves_nothing(lean, lift):
-    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
-    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
-    for k in range(200):
-        coherence.update(0.02 * k, acceleration * 0.02 * k, up, lift)
-    assert coherence.velocity_mismatch < 1e-9
-
-
-@hypothesis.given(unit, st.floats(0.3, 1.8))
-def test_forces_that_lead_nowhere_add_up(lean, lift):
-    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
-    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
-    for k in range(201):
-        coherence.update(0.02 * k, np.zeros(3), up, lift)
-    expected = np.linalg.norm(acceleration) * TIME_CONSTANT * (1.0 - math.exp(-4.0 / TIME_CONSTANT))
-    assert coherence.velocity_mismatch == pytest.approx(expected, rel=0.01)  # steps of 0.02 s in 2.5 s: 0.4 %
-    coherence.update(5.0, np.full(3, np.nan), up, lift)
-    coherence.update(5.0, np.zeros(3), up, math.nan)
-    assert math.isfinite(coherence.velocity_mismatch)
-    coherence.reset()
-    assert coherence.velocity_mismatch == 0.0
 
 
 # --- flights -----------------------------------------------------------------------------------------

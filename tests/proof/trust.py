@@ -1,4 +1,4 @@
-"""`trust`: the figure of docs/trust.md, from the counts recorded in causes/recorded.toml."""
+"""`trust`: the figure of docs/trust.md, from the counts recorded in recorded.toml."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from inclined_landing.eval.base import style
 
-RECORDED = Path(__file__).parent / "causes" / "recorded.toml"
+RECORDED = Path(__file__).parent / "recorded.toml"
 BARS = {
     "right sure": ("right cause named, sure", style.GREEN),
     "right": ("right cause named, sure or possible", "#7fceb8"),

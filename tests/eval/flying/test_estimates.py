@@ -1,6 +1,7 @@
 """What the pilot believes, against known truth, by the filter's own word, through holes and jumps."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from scipy.stats import chi2
 from inclined_landing.envs import load_policy, record_flights
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.estimate import (
+    TIME_CONSTANT,
     Attitude,
     ClockOffset,
+    ConsistencyMonitor,
     Estimator,
     FilterNoise,
     KalmanFilter,
@@ -26,6 +29,7 @@ from inclined_landing.models.parameters import load_vehicle
 
 NOISE = FilterNoise.of(load_vehicle())
 STEP = 1 / 120
+G = 9.81
 
 
 @settings(max_examples=25, deadline=None)
@@ -186,3 +190,30 @@ def test_commands_are_saturated_and_never_nan():
         command[bad[1]] = bad[0]
         with pytest.raises(ValueError, match="NaN or infinite"):
             frames.radio_setpoint(command, 0.5)
+
+
+leans = st.tuples(*[st.floats(-0.5, 0.5)] * 2)
+
+
+@given(leans, st.floats(0.3, 1.8))
+def test_motion_that_fits_the_forces_leaves_nothing(lean, lift):
+    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
+    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
+    for k in range(200):
+        coherence.update(0.02 * k, acceleration * 0.02 * k, up, lift)
+    assert coherence.velocity_mismatch < 1e-9
+
+
+@given(leans, st.floats(0.3, 1.8))
+def test_forces_that_lead_nowhere_add_up(lean, lift):
+    up = np.array([*lean, math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)])
+    coherence, acceleration = ConsistencyMonitor(G), G * (lift * up - [0.0, 0.0, 1.0])
+    for k in range(201):
+        coherence.update(0.02 * k, np.zeros(3), up, lift)
+    expected = np.linalg.norm(acceleration) * TIME_CONSTANT * (1.0 - math.exp(-4.0 / TIME_CONSTANT))
+    assert coherence.velocity_mismatch == pytest.approx(expected, rel=0.01)  # steps of 0.02 s in 2.5 s: 0.4 %
+    coherence.update(5.0, np.full(3, np.nan), up, lift)
+    coherence.update(5.0, np.zeros(3), up, math.nan)
+    assert math.isfinite(coherence.velocity_mismatch)
+    coherence.reset()
+    assert coherence.velocity_mismatch == 0.0

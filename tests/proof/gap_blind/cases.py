@@ -10,7 +10,6 @@ The first are flown without the cause: `landing-eval identify` has them. The oth
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import math
 from collections.abc import Sequence
 
@@ -27,26 +26,17 @@ from .causes import DISTURBANCE, FREE_FLIGHT, LANDINGS, SIZES, TOUCHDOWN, UNKNOW
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
-# Sets, and families, whose flights are simulated by others. RotorPy's loops have no integral: with a centre
-# of mass that is off it would stand 10 deg askew and fly away in steps.
-OTHERS = ("rotorpy", "crazyflow")
-_NONE_HAS = {
+# The set, and family, whose flights RotorPy simulates, and the causes that it cannot have. Its loops have no
+# integral: with a centre of mass that is off it would stand 10 deg askew and fly away in steps.
+ROTORPY = "rotorpy"
+LACKS = {
     *("ground_effect", "second_order_attitude", "slung_load", "yaw_loss", "wall", "burst"),
-    *TOUCHDOWN,
+    *("spin_down", "axial_inflow", "com_offset", *TOUCHDOWN),
 }
-_NO_DRAG = {"rotor_drag", "lateral_drag", "wind", "updraft", "gust", "slow_gust"}
 # Sets, and families, of landings alone, after an identification by others: on the feet of the simulator's
 # reference, and on Bullet's contact.
 ENGINES = ("landings", "bullet")
-# The causes that a family cannot have.
-LACKS = {
-    "rotorpy": _NONE_HAS | {"spin_down", "axial_inflow", "com_offset"},
-    "crazyflow": _NONE_HAS,
-    "crazyflow first_principles": _NONE_HAS,
-    "crazyflow so_rpy_rotor_drag": _NONE_HAS | {"spin_down"},
-    "crazyflow so_rpy_rotor": _NONE_HAS | _NO_DRAG | {"spin_down"},
-    "crazyflow so_rpy": _NONE_HAS | _NO_DRAG | {"spin_down", "motor_lag"},
-}
+_SEEDS = (*SETS, ROTORPY, "", *ENGINES)  # the place of a set is part of its seed
 STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
     *("unknown", "disturbance", "touchdown"),
@@ -158,10 +148,8 @@ class Case:
             spread = {} if "battery_sag" in self.causes else charge | drawn.spread
             hidden, usual = dataclasses.replace(drawn, spread=spread), Drawn({}, {}, spread=charge)
             groups = ((usual, IDENTIFY * self.identified), (hidden, count))
-            if other := _other(self.family):
-                from .batch import fly_groups
-
-                flown = fly_groups(other.Flights, groups, rng, self.reality, seconds)
+            if self.family == ROTORPY:
+                flown = _rotorpy().fly_groups(groups, rng, self.reality, seconds)
             else:
                 flown = [
                     generate.fly_all(one, rng, self.reality, count=n, seconds=seconds) for one, n in groups
@@ -178,7 +166,7 @@ def draw(
     seed: int | Sequence[int] = 0,
     name: str = "case",
 ) -> Case:
-    """A case of a stratum, in a reality of a family of the simulator, of one of SETS, or of OTHERS.
+    """A case of a stratum, in a reality of a family of the simulator, of one of SETS, or of ROTORPY.
 
     Causes and size are drawn from the seed where they are not given. Raises ValueError for a cause that the
     family cannot have.
@@ -200,7 +188,7 @@ def draw(
         raise ValueError(f"the family {family} cannot have {', '.join(lacking)}")
     size = None if not hidden else size or str(rng.choice(SIZES if stratum == "single" else SIZES[1:]))
     drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
-    while not _can_have(reality, drawn):
+    while not _can_fly(reality, drawn):
         reality = _fitted(_reality(chosen, rng), stratum, rng)
         drawn = {one: causes.draw(one, size, rng, reality) for one in hidden}
     # Many vehicles log their battery, whether or not it matters.
@@ -245,18 +233,18 @@ def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tupl
         result += [(stratum, (str(one),), SIZES[1 + k % 2]) for k, one in enumerate(some)]
     for stratum, table in (("unknown", UNKNOWN), ("disturbance", DISTURBANCE)):
         result += [(stratum, (name,), size) for name in table if _has(family, name) for size in SIZES[1:]]
-    if family not in OTHERS:
+    if family != ROTORPY:
         result += [("touchdown", (name,), SIZES[1 + k % 2]) for k, name in enumerate(TOUCHDOWN)]
         result += [("touchdown", (), None)]
     return result
 
 
 def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
-    """The cases of a set of SETS, or of OTHERS, in an order and with names that tell nothing.
+    """The cases of a set of SETS, ROTORPY or ENGINES, in an order and with names that tell nothing.
 
     limit: at most so many, the strata keeping their shares.
     """
-    entropy = ([*SETS, *OTHERS, *ENGINES].index(name) + 1, seed)
+    entropy = (_SEEDS.index(name) + 1, seed)
     rng = np.random.default_rng(entropy)
     chosen = plans(rng, name)
     if limit is not None and limit < len(chosen):
@@ -270,28 +258,25 @@ def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
     return result
 
 
-def _other(family: str):
-    """The module that simulates the flights of one of OTHERS; None for ours."""
-    name = family.partition(" ")[0]
-    return importlib.import_module(f"{__package__}.{name}_reality") if name in OTHERS else None
+def _rotorpy():
+    from . import rotorpy_reality
+
+    return rotorpy_reality
 
 
 def _reality(family: str, rng) -> Reality:
-    other = _other(family)
-    return other.draw(rng) if other else simulator.draw(family, rng)
+    return _rotorpy().draw(rng) if family == ROTORPY else simulator.draw(family, rng)
 
 
-def _can_have(reality: Reality, drawn: dict[str, Drawn]) -> bool:
-    """Does the reality have these causes, and fly with them? Some cannot with much more lag."""
-    other = _other(reality.family)
-    if other is None:
+def _can_fly(reality: Reality, drawn: dict[str, Drawn]) -> bool:
+    """Does the reality fly with these causes? RotorPy's does not with much more lag."""
+    if reality.family != ROTORPY:
         return True
-    world = World(**causes.combined(*drawn.values()).world)
-    return all(_has(reality.family, one) for one in drawn) and other.flies(reality, world)
+    return _rotorpy().flies(reality, World(**causes.combined(*drawn.values()).world))
 
 
 def _has(family: str, cause: str) -> bool:
-    return cause not in LACKS.get(family, ())
+    return family != ROTORPY or cause not in LACKS
 
 
 def _candidates(stratum: str) -> list[str]:

@@ -20,12 +20,11 @@ from inclined_landing.models.errors import UserError
 
 from ..shared import check_known, in_processes
 from . import score
-from .cases import ENGINES, OTHERS, SETS, Case, of_set
+from .cases import ENGINES, ROTORPY, SETS, Case, of_set
 from .tables import markdown, results_of
 
 _NEEDED = {
     "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
-    "crazyflow": ("crazyflow", "jax", "casadi"),
     "bullet": ("pybullet",),
 }
 _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
@@ -33,7 +32,7 @@ _SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,crazyflow,landings,bullet}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,landings,bullet}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int, Meta(ge=1, le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
@@ -43,13 +42,13 @@ def command(
     Args:
         out: folder for results.json and table.md; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure; or flights of a simulator by others (needs rotorpy or crazyflow). Landings after
+            structure; or flights of RotorPy (needs rotorpy). Landings after
             other landings: on the simulator's feet, or on Bullet's contact (needs pybullet).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         processes: cases diagnosed at a time.
     """
-    check_known("set", [set], (*SETS, *OTHERS, *ENGINES))
+    check_known("set", [set], (*SETS, ROTORPY, *ENGINES))
     if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
         raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = of_set(set, seed, cases)

@@ -24,7 +24,7 @@ from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.validation.convert import public_sets
 
-from ..causes.rows import paths_of, read
+from .causes import paths_of, read
 
 DIGITS = 5  # of a value in the file: fewer than any interval allows, and readable
 DRAWS = 2000  # of the bootstrap over flights

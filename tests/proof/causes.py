@@ -1,0 +1,465 @@
+"""`causes`: known causes in measured flights of five laboratories against what the gap workflow names.
+
+Someone changed something on purpose and recorded it: is it named, and how large? `causes.toml` lists the
+flights and what was told. Beside the workflow stands parameter tuning: all parameters that the model already
+has, fitted together on the workflow's own windows and whitening.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import re
+import sys
+import time
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from scipy import stats
+
+from inclined_landing.eval.base import style
+from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.answer.identify import Identification, identify
+from inclined_landing.eval.gap.flights.windows import prepare_all
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
+from inclined_landing.eval.gap.model.problem import Problem
+from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.logs import FlightLog, read_log
+from inclined_landing.models import storage
+from inclined_landing.models.effects import LIBRARY
+from inclined_landing.models.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.models.vehicle import Vehicle
+
+from .shared import in_processes, table
+
+HALVES = ("development", "heldout", "fresh")
+_RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
+# Effects that rescale a constant of the paper's equations.
+TUNED = tuple(
+    name
+    for name, effect in LIBRARY.items()
+    if any(p.constant and not p.constant.field.startswith("effects_") for p in effect.parameters)
+)
+BARS = {
+    "sure": ("known causes of medium size or more, named sure", 0.80),
+    "possible": ("the same, among the possible", 0.95),
+    "wrong": ("sure names that are wrong", 0.05),
+    "interval": ("told sizes within the 95 % interval", 0.85),
+    "nothing": ("nothing changed, but a sure name", 0.10),
+    "unknown": ("causes outside the library that are flagged", 1.0),
+}
+HEADER = (
+    *("set", "told", "flights", "verdict", "sure", "possible", "told size", "found"),
+    *("error after 1 s, cm", "tuning"),
+)
+
+
+def command(
+    data: tyro.conf.Positional[Path],
+    /,
+    out: Path,
+    *,
+    half: Literal["development", "heldout", "fresh", "all"] = "development",
+    only: tuple[str, ...] = (),
+    processes: Annotated[int, tyro.conf.arg(metavar="INT")] = 2,
+) -> None:
+    """Known causes in real flights of five laboratories: is the right one named, and how large (minutes)?
+
+    Args:
+        data: folder with the clones of the five repositories (`tests.validation.flights` says which).
+        out: folder for table.md and causes.json; rows that are in it are kept.
+        half: flights that the workflow was looked at with, those that were held out, or those that came last.
+        only: names of repositories.
+        processes: rows at a time.
+    """
+    rows = [r for r in known_rows() if half in (r.half, "all") and (not only or r.set in only)]
+    if not rows:
+        known = sorted({r.set for r in known_rows()})
+        raise UserError(f"no rows; --only takes {', '.join(known)}, and not all have every half")
+    if not 1 <= processes <= 64:
+        raise UserError(f"--processes must lie from 1 to 64, not {processes}")
+    if not data.is_dir():
+        raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
+    folder = out / "rows"
+    style.make_folder(folder)
+    missing = [r for r in rows if not (folder / f"{r.key}.json").exists()]
+    for (_, row), result in in_processes(_answered, [(data, row) for row in missing], processes):
+        storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
+        print(line(result), file=sys.stderr, flush=True)
+    results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
+    storage.write_text(out / "table.md", summary_text(results) + "\n\n" + table(HEADER, map(cells, results)))
+    found = {"rows": results, "summary": summary(results)}
+    storage.write_text(out / "causes.json", storage.to_json(found))
+    print(summary_text(results))
+
+
+def _answered(data: Path, row: Row) -> dict:
+    """Return the answer to a row, or why there is none."""
+    common = {key: getattr(row, key) for key in ("set", "name", "kind", "half", "dose")}
+    try:
+        return common | (dose_answer if row.kind == "dose" else answer)(data, row)
+    except UserError as error:
+        return common | {"error": str(error)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """Flights of a reference and flights with a cause that is told."""
+
+    set: str  # folder of the repository
+    name: str
+    kind: str  # cause, nothing, unknown, or dose: the flights are identified, and nothing is diagnosed
+    half: str  # of HALVES
+    reference: tuple[str, ...]  # patterns of paths
+    flights: tuple[str, ...]
+    vehicle: str
+    mass: float | None = None  # kg, in place of the vehicle file's
+    right: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+    strength: str = "medium"
+    size: Mapping[str, Any] | None = None
+    dose: float | None = None
+    parameter: str = ""  # of a dose: the field of `Vehicle` that is identified
+    above: float | None = None  # m: only rows of all flights above this height
+    reference_above: float | None = None
+    inconsistent: tuple[str, ...] = ()  # flights that must be found inconsistent
+
+    @property
+    def key(self) -> str:
+        """Return a name for a file."""
+        plain = re.sub(r"[^a-z0-9]+", "-", f"{self.set} {self.name}".lower()).strip("-")
+        return f"{self.half}-{plain}"
+
+
+def known_rows() -> list[Row]:
+    """Return the rows of causes.toml, one for every half and dose."""
+    table = tomllib.loads((Path(__file__).parent / "causes.toml").read_text("utf-8"))
+    return [row for entry in table["rows"] for row in _rows_of(entry, table["sets"][entry["set"]])]
+
+
+def _rows_of(entry: Mapping, common: Mapping) -> Iterator[Row]:
+    given = {k: tuple(v) if isinstance(v, list) else v for k, v in (common | entry).items()}
+    doses = given.pop("doses", ({},))
+    halves = {half: given.pop(half) for half in HALVES if half in given}
+    for half, paths in halves.items():
+        for dose in doses:
+            folder = dose.get("folder", "")
+            flights = tuple(p.replace("{folder}", folder) for p in paths["flights"])
+            more = {k: v for k, v in dose.items() if k != "folder"}
+            yield Row(
+                **{**given, **more, "name": given["name"].format(**dose)},
+                half=half,
+                reference=tuple(paths.get("reference", ())),
+                flights=flights,
+            )
+
+
+def paths_of(folder: Path, patterns: Sequence[str]) -> list[Path]:
+    """Return the files of a repository that match some patterns. Raises UserError where there are none."""
+    found: list[Path] = []
+    for pattern in patterns:
+        for one in _expanded(pattern):
+            found += sorted(folder.glob(one))
+    found = [p for p in dict.fromkeys(found) if p.is_file() and p.stat().st_size]
+    if not found:
+        raise UserError(f"{folder}: no file like {patterns[0]}")
+    return found
+
+
+def _expanded(pattern: str) -> list[str]:
+    """Return a pattern with {from..to..step} written out, zeros kept."""
+    match = _RANGE.search(pattern)
+    if not match:
+        return [pattern]
+    first, last, step = match.groups()
+    numbers = range(int(first), int(last) + 1, int(step))
+    return [_RANGE.sub(str(n).zfill(len(first)), pattern) for n in numbers]
+
+
+def read(paths: Sequence[Path], above: float | None) -> tuple[list[FlightLog], list[str]]:
+    """Return the flights that can be used, and why others cannot."""
+    logs, refused = [], []
+    for path in paths:
+        try:
+            log = read_log(path, name=f"{path.parent.name}/{path.name}")
+            if above is not None:
+                log = log.rows(log.position[:, 2] > above)
+            logs.append(log)
+        except UserError as error:
+            refused.append(str(error))
+    return logs, refused
+
+
+def base_vehicle(row: Row) -> Vehicle:
+    """Return the vehicle whose constants are identified."""
+    vehicle = load_vehicle(row.vehicle)
+    return vehicle if row.mass is None else vehicle.changed(body_mass=row.mass)
+
+
+@functools.lru_cache(maxsize=2)
+def _identified(
+    folder: Path, patterns: tuple[str, ...], above: float | None, vehicle: Vehicle
+) -> tuple[list[FlightLog], list[str], Identification]:
+    """Return reference flights, why others cannot be used, and what they identify; rows of a set share it."""
+    logs, refused = read(paths_of(folder, patterns), above)
+    if not logs:
+        raise UserError(refused[0])
+    return logs, refused, identify(logs, vehicle)
+
+
+def answer(data: Path, row: Row) -> dict:
+    """Identify the reference, diagnose the flights; returns what the table needs.
+
+    Raises UserError where flights are missing or none can be used.
+    """
+    began = time.perf_counter()
+    above = row.reference_above or row.above
+    reference, refused, known = _identified(data / row.set, row.reference, above, base_vehicle(row))
+    flights, more = read(paths_of(data / row.set, row.flights), row.above)
+    if not flights:
+        raise UserError(more[0])
+    d = diagnose(flights, known.vehicle, reference=known.reference)
+    mean_pwm = float(np.mean([np.median(f.command[:, 0]) for f in flights]))
+    gap = d.gap.get("analytic")
+    return {
+        "strength": row.strength,
+        "told": dict(row.size) if row.size else None,
+        "right": list(row.right),
+        "flights": [len(reference), len(flights)],
+        "refused": refused + more,
+        "verdict": d.verdict,
+        "named": [
+            {"name": e.name, "class": list(e.members), "probability": e.probability, "sure": e.sure}
+            | {"parameters": {k: [p.value, *p.ci95] for k, p in e.parameters.items()}}
+            for e in d.effects
+        ],
+        "possible": d.possible,
+        "inconsistent": _inconsistent(d),
+        "found": _found(row, d, known.vehicle, mean_pwm),
+        "before": gap.before if gap else None,
+        "after": gap.after if gap else None,
+        "tuning": _tuning(row, flights, known.vehicle),
+        "seconds": time.perf_counter() - began,
+        **judged(row, d),
+    }
+
+
+def dose_answer(data: Path, row: Row) -> dict:
+    """Return what is identified of one parameter, against what was told; raises UserError as `answer`."""
+    flights, refused = read(paths_of(data / row.set, row.flights), row.above)
+    if not flights:
+        raise UserError(refused[0])
+    found = identify(flights, base_vehicle(row))
+    (p,) = [p for p in found.parameters if p.field == row.parameter]
+    return {
+        "parameter": p.name,
+        "flights": [len(found.flights)],
+        "refused": refused,
+        "found": {"value": p.value, "ci95": list(p.ci95)},
+    }
+
+
+def _tuning(row: Row, flights: Sequence[FlightLog], vehicle: Vehicle) -> dict | None:
+    """Return what parameter tuning names on the same flights."""
+    right, allowed = set(row.right), set(row.right) | set(row.beside)
+    try:
+        names = tune(flights, vehicle)
+    except UserError:
+        return None
+    return {"right": bool(names & right), "wrong": len(names - allowed), "names": sorted(names)}
+
+
+def tune(flights: Sequence[FlightLog], vehicle: Vehicle) -> set[str]:
+    """Return which of TUNED are off: the 95 % interval leaves out nominal, by more than is negligible."""
+    problem = Problem.of(prepare_all(flights, vehicle, False)[0], vehicle, LIBRARY)
+    names = [name for name in TUNED if name in problem.library]
+    fit = fit_least_squares(problem, {name: {} for name in names}, iterations=15)
+    error = _standard_errors(fit.linear.a, fit.linear.b)
+    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    found = set()
+    for column, e in zip(fit.linear.columns, error):
+        p = problem.parameter(column)
+        name, parameter = column.key
+        value = fit.values[name][parameter]
+        if abs(value - p.neutral) > max(quantile * e, p.negligible):
+            found.add(column.effect)
+    return found
+
+
+def _standard_errors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cluster-robust standard errors (P,) of a fit (sandwich estimator), a (g, P, P), b (g, P)."""
+    # A^-1 [n/(n-1) sum_g s_g s_g'] A^-1,  s_g = b_g - a_g x the score of group g at the solution x (Liang and
+    # Zeger 1986), in units of the diagonal of A; at least by the windows' noise, A^-1.
+    total, n = a.sum(axis=0), len(a)
+    unit = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    inverse = np.linalg.inv(total / np.outer(unit, unit) + 1e-9 * np.eye(len(unit)))
+    scores = b / unit - a / np.outer(unit, unit) @ (inverse @ (b.sum(axis=0) / unit))
+    clustered = inverse @ (scores.T @ scores * n / max(1, n - 1)) @ inverse
+    error = np.sqrt(np.maximum(np.diag(clustered), np.diag(inverse))) / unit
+    return np.where(np.diag(total) > 0.0, error, np.inf)
+
+
+def _inconsistent(d: Diagnosis) -> list[str]:
+    return [name for one in d.inconsistent_flights for name in one.flights]
+
+
+def judged(row: Row, d: Diagnosis) -> dict:
+    """Return whether the right name is there, and which sure names are wrong."""
+    right, allowed = set(row.right), set(row.right) | set(row.beside)
+    hits = [e for e in d.effects if set(e.members) & right]
+    told, found = set(row.inconsistent), {Path(name).name for name in _inconsistent(d)}
+    return {
+        "right sure": any(e.sure for e in hits),
+        "right possible": bool(hits) or bool(right & set(d.possible)),
+        "sure names": sum(e.sure for e in d.effects),
+        "wrong": [e.name for e in d.effects if e.sure and not set(e.members) & allowed],
+        "flagged": d.verdict == "unknown" or bool(row.inconsistent and told <= found),
+    }
+
+
+def specific_thrust(vehicle: Vehicle, pwm: float) -> float:
+    """Return the steady thrust over the mass [m/s2] at a command, bias and sag included."""
+    # (c PWM + bias) (1 - sag (PWM/reference - 1)) / m
+    sag = 1.0 - vehicle.effects_battery_sag * (pwm / vehicle.effects_battery_reference - 1.0)
+    mass = vehicle.body_mass + vehicle.effects_load_mass
+    return (vehicle.thrust_per_pwm * pwm + vehicle.effects_thrust_bias) * sag / mass
+
+
+def _found(row: Row, d: Diagnosis, vehicle: Vehicle, pwm: float) -> dict | None:
+    """Return value and interval of what was told, or of a dose, from the named effects."""
+    hits = [e for e in d.effects if e.name in row.right]
+    if not hits or not (row.size or row.dose is not None):
+        return None
+    if row.size is None or row.size["of"] == "wind":
+        parameter = "x" if row.size else next(iter(hits[0].parameters))
+        p, sign = hits[0].parameters[parameter], -1.0 if row.size else 1.0
+        low, high = sorted(sign * x for x in p.ci95)
+        return {"value": sign * p.value, "ci95": [low, high]}
+    values = {name: values for e in hits for name, values in e.fitted.items()}
+    before = specific_thrust(vehicle, pwm)
+
+    def ratio(changed: Mapping[str, Mapping[str, float]]) -> float:
+        corrected = vehicle
+        for name, numbers in changed.items():
+            corrected = LIBRARY[name].apply(corrected, numbers)
+        return specific_thrust(corrected, pwm) / before
+
+    main = hits[0]
+    name, p = next(iter(main.parameters.items()))
+    ends = [ratio({**values, main.name: {**values[main.name], name: x}}) for x in p.ci95]
+    return {"value": ratio(values), "ci95": sorted(ends)}
+
+
+def summary(results: Sequence[dict]) -> dict[str, tuple[int, int]]:
+    """Return the counts of `BARS`: how many, and of how many."""
+    answered = [r for r in results if "error" not in r and r["kind"] != "dose"]
+    causes = [r for r in answered if r["kind"] == "cause"]
+    clear = [r for r in causes if r["strength"] != "weak"]
+    told = [r for r in causes if r["told"]]
+    nothing = [r for r in answered if r["kind"] == "nothing"]
+    outside = [r for r in answered if r["kind"] == "unknown"]
+    return {
+        "sure": (sum(r["right sure"] for r in clear), len(clear)),
+        "possible": (sum(r["right possible"] for r in clear), len(clear)),
+        "wrong": (sum(len(r["wrong"]) for r in answered), sum(r["sure names"] for r in answered)),
+        "interval": (sum(_holds(r) for r in told), len(told)),
+        "nothing": (sum(bool(r["sure names"]) for r in nothing), len(nothing)),
+        "unknown": (sum(r["flagged"] for r in outside), len(outside)),
+    }
+
+
+def _holds(r: dict) -> bool:
+    """Return whether interval and told size, with what it is uncertain by, overlap."""
+    if r["found"] is None:
+        return False
+    low, high = r["found"]["ci95"]
+    return low - r["told"]["tolerance"] <= r["told"]["value"] <= high + r["told"]["tolerance"]
+
+
+def summary_text(results: Sequence[dict]) -> str:
+    """Return the counts beside their bars, a line each."""
+    lines = []
+    for key, (count, of) in summary(results).items():
+        words, bar = BARS[key]
+        sign = "at most" if key in ("wrong", "nothing") else "at least"
+        share = f"{100 * count / of:.0f} %" if of else "none"
+        lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
+    lines += [_unknown_counts(results), _errors(results), _tuning_counts(results)]
+    return "\n".join(lines)
+
+
+def _unknown_counts(results: Sequence[dict]) -> str:
+    """Return how often the verdict is `unknown` where the library has the cause, or nothing was changed."""
+    known = [r for r in results if "error" not in r and r["kind"] in ("cause", "nothing")]
+    counts = [
+        f"{sum(r['verdict'] == 'unknown' for r in rows)}/{len(rows)} {words}"
+        for words, rows in (
+            ("known causes", [r for r in known if r["kind"] == "cause"]),
+            ("rows with nothing changed", [r for r in known if r["kind"] == "nothing"]),
+        )
+    ]
+    return f"called unknown as well: {', '.join(counts)}"
+
+
+def _errors(results: Sequence[dict]) -> str:
+    """Return the median error one second ahead, before and after, where a right name is sure."""
+    rows = [r for r in results if "error" not in r and r["kind"] == "cause" and r["right sure"]]
+    ends = [[r[when] for r in rows if r[when] is not None] for when in ("before", "after")]
+    before, after = (f"{100 * np.median(one):.0f}" if one else "-" for one in ends)
+    return f"error one second ahead where a right name is sure, median: {before} to {after} cm"
+
+
+def _tuning_counts(results: Sequence[dict]) -> str:
+    """Return on how many causes of medium size or more tuning has a right name, and its wrong names."""
+    rows = [(r, r["tuning"]) for r in results if r.get("tuning")]
+    clear = [one for r, one in rows if r["kind"] == "cause" and r["strength"] != "weak"]
+    right, names = sum(one["right"] for one in clear), sum(len(one["names"]) for _, one in rows)
+    wrong = sum(one["wrong"] for _, one in rows)
+    counted = f"right among its names {right}/{len(clear)}; {wrong} of its {names} names are wrong"
+    return f"parameter tuning: {counted}"
+
+
+def line(r: dict) -> str:
+    """Return a row as a line of progress."""
+    if "error" in r:
+        return f"{r['set']}: {r['name']}: {r['error']}"
+    if r["kind"] == "dose":
+        return f"{r['set']}: {r['name']}: {r['parameter']} {_interval(r['found'])}"
+    return f"{r['set']}: {r['name']}: {'; '.join(_names(r, True)) or r['verdict']} ({r['seconds']:.0f} s)"
+
+
+def cells(r: dict) -> list[str]:
+    """Return a row as a line of the table."""
+    if "error" in r:
+        return [r["set"], r["name"], "", f"not read: {r['error']}", *[""] * 6]
+    flights, found = " and ".join(map(str, r["flights"])), _interval(r["found"])
+    if r["kind"] == "dose":
+        told = f"{r['parameter']} at {r['dose']:g}"
+        return [r["set"], r["name"], flights, "", "", "", told, found, "", ""]
+    odd = f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
+    sure, possible = "; ".join(_names(r, True)), ", ".join([*_names(r, False), *r["possible"]])
+    told = f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else ""
+    error = "" if r["before"] is None else f"{100 * r['before']:.0f} to {100 * r['after']:.0f}"
+    one = r["tuning"]
+    tuning = f"{'right' if one['right'] else 'missed'}, {one['wrong']} wrong" if one else ""
+    return [r["set"], r["name"], flights, r["verdict"] + odd, sure, possible, told, found, error, tuning]
+
+
+def _interval(found: dict | None) -> str:
+    """Return what was found of a told size or dose, with its interval."""
+    return _sized(found["value"], *found["ci95"]) if found else ""
+
+
+def _names(r: dict, sure: bool) -> list[str]:
+    named = [e for e in r["named"] if e["sure"] == sure]
+    return [f"{e['name']} {', '.join(_sized(*p) for p in e['parameters'].values())}" for e in named]
+
+
+def _sized(value: float, low: float, high: float) -> str:
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
