@@ -56,6 +56,11 @@ class Estimate:
         """Return whether the interval excludes neutral."""
         return not self.ci95[0] <= self.neutral <= self.ci95[1]
 
+    @property
+    def firm(self) -> bool:
+        """Return whether it differs from neutral, and not by as much as there can be."""
+        return self.differs and not self.at_bound
+
 
 @dataclasses.dataclass(frozen=True)
 class NamedEffect:
@@ -82,7 +87,7 @@ class NamedEffect:
         One of its sizes must differ from neutral by its interval, and not end at a bound: the flights ask
         for more of it than there can be. No doubted name is sure.
         """
-        firm = any(p.differs and not p.at_bound for p in self.sizes)
+        firm = any(p.firm for p in self.sizes)
         return self.probability >= thresholds.SURE and firm and not self.doubt
 
     @property

@@ -209,12 +209,12 @@ def useful_values(
 def distinct_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
 
-    An effect whose every interval holds neutral is not named: others explain what it does.
+    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it.
     """
     pieces = loop_pieces(found.problem, values)
     while True:
         sizes = estimates(found, values)
-        vague = [n for n in values if n not in pieces and not any(p.differs for p in sizes[n].values())]
+        vague = [n for n in values if n not in pieces and not any(p.firm for p in sizes[n].values())]
         least = next((n for n in vague if not _shows_ahead(found, values, n)), "")
         if not least:
             return values

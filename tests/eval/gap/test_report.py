@@ -11,6 +11,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from inclined_landing.eval.gap.answer import named as names
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identify import worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
@@ -304,6 +305,23 @@ def test_a_size_that_may_be_zero_is_not_sure():
     for ends, sure in (((0.85, 0.95), True), ((0.85, 1.02), False)):
         parameters = {"scale": dataclasses.replace(effect.parameters["scale"], ci95=ends)}
         assert dataclasses.replace(effect, parameters=parameters).sure is sure
+
+
+def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
+    """Neither an interval that holds neutral nor a size at its bound is enough."""
+    firm, vague, bound = (named("thrust_scale", {"scale": 0.9}).parameters["scale"] for _ in range(3))
+    sizes = {
+        "thrust_scale": {"scale": firm},
+        "wind": {"x": dataclasses.replace(vague, ci95=(0.8, 1.1))},
+        "motor_lag": {"scale": dataclasses.replace(bound, at_bound=True)},
+    }
+    monkeypatch.setattr(names, "estimates", lambda found, values: {n: sizes[n] for n in values})
+    monkeypatch.setattr(names, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
+    monkeypatch.setattr(names, "loop_pieces", lambda problem, values: ())
+    found = SimpleNamespace(problem=None)
+    for needed, kept in (((), {"thrust_scale"}), (("motor_lag",), {"thrust_scale", "motor_lag"})):
+        monkeypatch.setattr(names, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
+        assert names.distinct_values(found, {n: {} for n in sizes}).keys() == kept
 
 
 def test_a_product_is_said_where_only_it_is_seen():
