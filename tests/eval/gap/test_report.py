@@ -11,7 +11,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap.answer import named as names
+from inclined_landing.eval.gap.answer import named as naming
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identify import worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
@@ -315,13 +315,13 @@ def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
         "wind": {"x": dataclasses.replace(vague, ci95=(0.8, 1.1))},
         "motor_lag": {"scale": dataclasses.replace(bound, at_bound=True)},
     }
-    monkeypatch.setattr(names, "estimates", lambda found, values: {n: sizes[n] for n in values})
-    monkeypatch.setattr(names, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
-    monkeypatch.setattr(names, "loop_pieces", lambda problem, values: ())
+    monkeypatch.setattr(naming, "estimates", lambda found, values: {n: sizes[n] for n in values})
+    monkeypatch.setattr(naming, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
+    monkeypatch.setattr(naming, "loop_pieces", lambda problem, values: ())
     found = SimpleNamespace(problem=None)
     for needed, kept in (((), {"thrust_scale"}), (("motor_lag",), {"thrust_scale", "motor_lag"})):
-        monkeypatch.setattr(names, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
-        assert names.distinct_values(found, {n: {} for n in sizes}).keys() == kept
+        monkeypatch.setattr(naming, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
+        assert naming.distinct_values(found, {n: {} for n in sizes}).keys() == kept
 
 
 def test_a_product_is_said_where_only_it_is_seen():
