@@ -65,8 +65,18 @@ bench: $(INSTALLED)
 diagram: .venv/.installed-test
 	$(BIN)/python docs/diagram.py
 
-docs: .venv/.installed-docs
+docs: .venv/.installed-docs build/demo/replay.html build/demo/report/report.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Pages of the site that are answers of commands.
+build/demo/replay.html: | .venv/.installed-docs
+	mkdir -p $(@D)
+	$(BIN)/landing-eval replay landing --out $@
+
+build/demo/report/report.html: | .venv/.installed-docs
+	rm -rf $(@D) build/demo/flights
+	$(BIN)/landing-eval gap-example --out build/demo/flights
+	$(BIN)/landing-eval gap build/demo/flights/fit/*.csv --heldout build/demo/flights/heldout/*.csv --out $(@D)
 
 # What is pinned stays as long as it goes together; `rm constraints.txt` before, and all is the newest. A line with a
 # condition is for some Pythons or systems only. pip reads the file as it is.

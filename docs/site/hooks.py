@@ -56,13 +56,20 @@ def on_files(files: Files, config) -> Files:
                 files.append(_shown(path, config))
     for uri, text in generated.pages().items():
         files.append(File.generated(config, uri, content=text))
+    for path, uri in config.extra["live"].items():
+        if (ROOT / path).is_file():
+            files.append(File.generated(config, uri, abs_src_path=str(ROOT / path)))
     return files
 
 
 def on_page_markdown(markdown: str, page, config, files: Files) -> str:
     """Turn links of the repository into links of the site; code blocks stay unchanged."""
+    if page.file.src_uri in config.extra["unsearched"]:
+        page.meta["search"] = {"exclude": True}
     if not page.file.abs_src_path:
         return markdown
+    if page.file.src_uri == "index.md":
+        markdown = _with_live_pages(markdown, _uris(files))
     uris = _uris(files) | config.extra["instead"]
 
     def in_site(match: re.Match) -> str:
@@ -87,6 +94,17 @@ def on_post_build(config) -> None:
     """Write the external links into a list next to the site, because mkdocs does not check them."""
     listed = Path(config.site_dir) / "external_links.txt"
     listed.write_text("".join(f"{address}\n" for address in sorted(_elsewhere)), "utf-8")
+
+
+def _with_live_pages(markdown: str, uris: dict[str, str]) -> str:
+    """Return the first page with the replay instead of its picture, and a link to a gap report."""
+    if "build/demo/replay.html" in uris:
+        frame = '<iframe src="build/demo/replay.html" title="Replay" class="live" loading="lazy"></iframe>'
+        markdown = re.sub(r'<img src="docs/replay_page\.png"[^>]*>', frame, markdown)
+    if "build/demo/report/report.html" in uris:
+        link = "[The report of this example](build/demo/report/report.html)."
+        markdown = re.sub(r"(\*The bundled example, .*?\*)", rf"\1 {link}", markdown)
+    return markdown
 
 
 def _targets(markdown: str) -> Iterator[str]:
