@@ -50,17 +50,6 @@ def test_actions_are_clipped():
     np.testing.assert_array_equal(env.commands[0], env.commands[1])
 
 
-@pytest.mark.parametrize("state, sentence", [
-    (np.zeros(13), r"reset of 2 vehicles needs states of shape \(2, 13\), not \(13,\)"),
-    (np.zeros((3, 13)), r"not \(3, 13\)"),
-    (np.zeros((2, 12)), r"not \(2, 12\)"),
-    (np.full((2, 13), np.nan), "a start state contains NaN or a number beyond 10000"),
-])  # fmt: skip
-def test_wrong_start_states_are_refused(state, sentence):
-    with pytest.raises(UserError, match=sentence):
-        build(2).reset(state=state)
-
-
 def trajectory(env, steps=60, seed=1):
     """Observations, rewards and ends of an episode with random actions and automatic resets."""
     rng = np.random.default_rng(seed)

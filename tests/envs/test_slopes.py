@@ -3,10 +3,8 @@
 import hashlib
 import math
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -96,17 +94,6 @@ def test_attitude_limit_is_that_of_task_plant_and_actions():
     batch = make_batch("landing", 1, plant="analytic", angle_limit=math.radians(55))
     assert batch.plant.vehicle.command_angle_limit == pytest.approx(math.radians(55))
     assert batch.task.commands(np.array([[0.0, 1.0]]))[0, 2] == pytest.approx(math.radians(55))
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"steepest": 0.45, "dimensions": 3}, {"steepest": 0.8, "angle_limit": 0.96}, {"dimensions": 3}],
-    ids=str,
-)
-def test_gymnasium_checks_it(options):
-    env = gymnasium.make("InclinedLanding-v0", plant="analytic", **options)
-    check_env(env.unwrapped, skip_render_check=True)
-    env.close()
 
 
 @pytest.mark.parametrize(

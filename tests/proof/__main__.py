@@ -18,7 +18,7 @@ from inclined_landing.models.errors import UserError
 PROGRAM = "python -m tests.proof"
 COMMANDS = (
     *("gap-blind", "gap-agreement", "gap-real", "plan-loop", "flight-table"),
-    *("from-logs", "gap-example", "causes", "trust", "identified", "touchdowns"),
+    *("from-logs", "gap-example", "causes", "trust", "identified"),
 )
 
 

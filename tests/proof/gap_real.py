@@ -26,17 +26,17 @@ from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.base.style import GREEN, INK, MUTED, save_figure, styled
 from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs import FlightLog, csv_file
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.proof.columns import read_columns
 from tests.proof.shared import cell, table_of
 
 SETS = ("utias_fmpc", "nanobench", "crazypad", "arp_sysid")
 SMOOTHING = 0.1  # s to either side
 RESTING = 0.0015  # m, height above the first row
+FEWEST_ROWS = 100  # of a flight
 NORMAL = "normal_flight"
 NAME = re.compile(r"pad_(E\d)_(.+)_log(\d+)")
 # Hover and slow cruise at the height flown.
@@ -91,6 +91,20 @@ def flights(folder: Path, pattern: str) -> list[FlightLog]:
     if not files:
         raise UserError(f"{folder} holds no {pattern}")
     return read_flights(files).logs
+
+
+def read_columns(path: Path, names: Sequence[str]) -> pd.DataFrame:
+    """Return the columns `names` of a CSV file; raise UserError for one missing, cut or not finite."""
+    record = csv_file.read(path)
+    for name in names:
+        if name in record.unreadable:
+            raise UserError(f"{path}: {record.unreadable[name]}")
+        if name not in record.columns:
+            raise UserError(f"{path} lacks the column {name}")
+    table = pd.DataFrame({name: record.columns[name] for name in names})
+    if len(table) < FEWEST_ROWS or not np.isfinite(table).all(axis=None):
+        raise UserError(f"{path} has {len(table)} rows, or columns that are no numbers throughout")
+    return table
 
 
 # --- attitude ----------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from inclined_landing.train import cli
 from inclined_landing.train.sweep import command, jobs
 from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped
 from inclined_landing.train.sweep.result import sum_up, take
-from tests.campaign import damage
 from tests.training import assert_same_policy
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
@@ -248,31 +247,6 @@ def test_a_recipe_that_is_not_there_and_ray_that_is_not_installed(place, capsys,
     monkeypatch.setitem(sys.modules, "ray", None)
     assert sweep("--on", "ray") == 2
     assert "--on ray needs Ray, which is not installed; pip install" in capsys.readouterr().err
-
-
-@damage.examples(10)
-@given(data=st.data())
-def test_whatever_stands_in_a_recipe_is_read_or_refused_in_one_sentence(data, tmp_path_factory):
-    odd = st.recursive(
-        st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
-        | st.integers(-(2**63), 2**63 - 1)
-        | st.floats()
-        | st.booleans()
-        | st.sampled_from(["{out}", "{seed", "}", "{nobody}", "landing-train '"]),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab.-_ "), inner, max_size=2),
-        max_leaves=4,
-    )
-    recipe = copy.deepcopy(RECIPE)
-    table = data.draw(st.sampled_from([recipe, recipe["variants"], recipe["numbers"]["steps"]]))
-    table[data.draw(st.sampled_from([*sorted(table), "new"]))] = data.draw(odd)
-    path = tmp_path_factory.mktemp("odd", numbered=True) / "odd.toml"
-    path.write_text(tomlkit.dumps(recipe), "utf-8")
-    try:
-        read = read_recipe(path)
-        for job in jobs.jobs_of(read, path.parent).values():
-            assert all(job.words(line) for line in job.lines)
-    except UserError as error:
-        assert str(error).isprintable() and len(str(error)) < 500 + len(str(path))
 
 
 @pytest.mark.parametrize("name", shipped())

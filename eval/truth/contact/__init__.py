@@ -1,5 +1,4 @@
 """Contact at touchdown compared with the laws of mechanics: `landing-eval contact`.
 
-`drops` simulates unpowered vehicles that are set down or dropped, `laws` measures, `figures` draws. Measured
-touchdowns are simulated by `python -m tests.proof touchdowns`, from a clone.
+`drops` simulates unpowered vehicles that are set down or dropped, `laws` measures, `figures` draws.
 """

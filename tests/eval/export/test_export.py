@@ -432,14 +432,6 @@ def test_networks_of_any_size_and_kind(policy, tmp_path_factory):
 
 
 @NO_COMPILER
-@pytest.mark.slow
-@hypothesis.settings(max_examples=300)
-@hypothesis.given(policy=policies(hidden=(0, 4)))
-def test_many_networks_of_any_size_and_kind(policy, tmp_path_factory):
-    any_network_is_exported(policy, tmp_path_factory.mktemp("fuzz"))
-
-
-@NO_COMPILER
 def test_tanh_of_the_c_code_is_tanh(tmp_path):
     """Of x = max(x, 0) - max(-x, 0): actions are tanh of the observation, and nothing else rounds."""
     split, both = np.array([[1.0, -1.0]]), np.eye(2)

@@ -129,19 +129,6 @@ def test_hooks_of_thrust(build):
     assert moving(build, model).actuator_force[0] == pytest.approx(0.88 * before - 0.01, rel=ROUNDING)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_hook_lag_scale_slows_the_lag_and_keeps_the_steady_thrust(build, integrator):
-    rate = build.vehicle.thrust_lag_rate
-    model = build(integrator=integrator, timestep=1 / rate / 16)
-    model.actuator_dynprm[0, 0] = 2.0
-    data = build.data(model, [20000, 0, 0, 0])
-    mujoco.mj_step(model, data, 32)
-    tolerance = 1.3e-7 if integrator == "RK4" else ROUNDING
-    assert data.act[0] * rate / 20000 == pytest.approx(1 - math.exp(-1), abs=tolerance)
-    mujoco.mj_step(model, data, 32 * 40)
-    assert data.act[0] * rate / 20000 == pytest.approx(1, rel=ROUNDING)
-
-
 def test_hook_drag_change(build):
     model = build()
     before = moving(build, model).qfrc_passive.copy()
