@@ -407,8 +407,13 @@ class Diagnosis:
 
     @property
     def exceeds_reference(self) -> bool:
-        """Return whether error left or disturbances exceed those of the reference's flights."""
-        return self.larger_error or bool(self.disturbed)
+        """Return whether the error left exceeds that of the reference's flights.
+
+        By much, or at all where disturbances are larger: one that does not show in the position is of no
+        matter.
+        """
+        larger = self.reference is not None and self.residual.error > self.reference.error
+        return self.larger_error or bool(self.disturbed and larger)
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""
