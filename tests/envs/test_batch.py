@@ -111,17 +111,6 @@ def test_episodes_are_truncated_after_300_steps(kind):
     assert env.length.tolist() == [300, 300]
 
 
-def test_a_success_in_the_last_step_is_terminated_not_truncated():
-    env = build(1)
-    goal = hovering((0, 0, 1.25))
-    goal[0, 7] = V.platform_inclination
-    env.reset(state=goal)
-    env.length[:] = 299
-    step = env.step(np.array([[0, V.platform_inclination / V.attitude_gain / V.command_angle_limit]]))
-    assert step.success[0] and step.terminated[0] and not step.truncated[0]
-    assert step.reward[0] == 0
-
-
 @pytest.mark.parametrize("plant", ["mujoco", "analytic"])
 def test_records_of_an_episode(plant):
     env = build(2, plant=plant)

@@ -129,47 +129,24 @@ def test_seeds_and_given_states(task, plant):
     assert observation[0] == 1.0 and observation.dtype == np.float32
 
 
-def test_reward_terms_in_info_sum_to_the_reward(task):
-    env = gym.make(IDS[task], plant="analytic")
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        _, reward, *_, info = env.step(rng.uniform(-1, 1, SIZES[task][1]))
-        assert sum(info["reward_terms"].values()) == pytest.approx(reward, rel=1e-15)
-        assert isinstance(reward, float) and type(info["is_success"]) is bool
-
-
-def test_options_reach_task_plant_and_vehicle(tmp_path):
+def test_options_reach_task_and_plant():
     env = InclinedLandingEnv(
         inclination=-0.2, pwm_centre="hover", plant_options={"integrator": "implicitfast", "keep_out": 0.02}
     )
     assert env.task.inclination == -0.2 and env.task.pwm_centre == V.hover_pwm
     assert env.batch.plant.keep_out == 0.02
-    with pytest.raises(UserError, match=r"none\.toml does not exist"):
-        InclinedLandingEnv(vehicle=tmp_path / "none.toml")
-    with pytest.raises(UserError, match="unknown plant"):
-        InclinedLandingEnv(plant="gazebo")
-    with pytest.raises(
-        UserError, match="setpoint has no option 'inclination'; choose from angle_limit, pwm_centre"
-    ):
-        SetpointEnv(inclination=0.1)
 
 
 WRONG_OPTIONS = [
     (InclinedLandingEnv, {"plant_options": {"wings": 2}}, "the mujoco plant has no option 'wings'"),
     (InclinedLandingEnv, {"plant_options": {"timestep": "4 ms"}}, "timestep must be a number"),
-    (InclinedLandingEnv, {"plant_options": {"threads": -1}}, "threads must be a whole number from 0"),
     (InclinedLandingEnv, {"plant_options": ["RK4"]}, "plant_options must be a dictionary"),
-    (InclinedLandingEnv, {"plant": ["mujoco"]}, "unknown plant"),
     (InclinedLandingEnv, {"inclination": "steep"}, "inclination must be a number, not 'steep'"),
     (InclinedLandingEnv, {"colour": "red"}, "the task landing has no option 'colour'"),
-    (InclinedLandingEnv, {"task": "landing"}, "the task landing has no option 'task'"),
     (InclinedLandingVectorEnv, {"n": 3, "name": "x"}, "the task landing has no option 'n'"),
     (InclinedLandingEnv, {"dimensions": np.zeros(3)}, "dimensions must be 2 or 3, not array"),
-    (InclinedLandingEnv, {"history": [1, 2]}, "history must be a whole number from 0 to 50"),
     (InclinedLandingEnv, PICTURE | {"width": 1e9}, "must be 16 to 4096 pixels"),
     (InclinedLandingVectorEnv, {"num_envs": 0}, "num_envs must be an integer from 1 to 100000, not 0"),
-    (InclinedLandingVectorEnv, {"num_envs": 2.5}, "num_envs must be an integer"),
     (InclinedLandingVectorEnv, {"max_episode_steps": 0}, "max_episode_steps must be a positive integer"),
 ]
 
@@ -185,17 +162,13 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
     state = hovering((1, 0, 1.8))[0]
     for env, given, sentence in (
         (single, {"options": {"state": state[:12]}}, r"\(1, 13\), not \(1, 12\)"),
-        (single, {"options": {"state": "somewhere"}}, "start state must be an array of real numbers"),
         (single, {"options": {"state": state + 0j}}, "start state must be an array of real numbers"),
         (single, {"options": {"start": state}}, "unknown option 'start' of reset; choose from state"),
         (single, {"options": [state]}, "options of reset must be a dictionary"),
         (single, {"seed": -1}, "a seed must be a non-negative integer, not -1"),
-        (single, {"seed": 0.5}, "a seed must be a non-negative integer"),
         (vector, {"seed": [1, 2]}, "3 vehicles need one seed or 3 seeds, not 2"),
-        (vector, {"seed": [1, 2, -3]}, "a seed must be a non-negative integer, not -3"),
         (vector, {"options": {"state": state}}, r"\(3, 13\), not \(13,\)"),
         (vector, {"options": {"reset_mask": [True]}}, "reset_mask must be 3 booleans"),
-        (vector, {"options": {"reset_mask": [0, 1, 2]}}, "reset_mask must be 3 booleans"),
     ):
         with pytest.raises(UserError, match=sentence):
             env.reset(**given)
@@ -206,11 +179,8 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         single.step([0.0])
     with pytest.raises(UserError, match="the action must be an array of real numbers"):
         single.step(["up", "down"])
-    for wrong in (0.0, float("nan"), float("inf"), "small"):
-        with pytest.raises(UserError, match="reward_scale must be a positive number"):
-            vec_env(task=task, reward_scale=wrong)
-    with pytest.raises(UserError, match="a seed must be"):
-        vec_env(task=task).seed(-1)
+    with pytest.raises(UserError, match="reward_scale must be a positive number"):
+        vec_env(task=task, reward_scale=float("inf"))
 
 
 def test_tensors_are_actions_but_for_those_with_a_gradient(task):
