@@ -221,7 +221,7 @@ def platform_distance(x, y, z, turns, position, boxes, sizes):
 
 def platform_reach(vehicle: Vehicle) -> float:
     """Return how far [m] slab and base reach beyond the vertical through their centre, and above that."""
-    return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.platform_thickness)
+    return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.slab_depth)
 
 
 @numba.njit(cache=True, inline="always")

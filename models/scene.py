@@ -23,7 +23,7 @@ from inclined_landing.models.delays import attitude_age
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
-from inclined_landing.models.vehicle import Vehicle
+from inclined_landing.models.vehicle import SOLID_BELOW, Vehicle
 
 INTEGRATORS = {
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -35,7 +35,7 @@ Period = Annotated[float, Meta(ge=1e-5, le=1)]  # s
 _VISUAL_GROUPS = (1, 2)
 _AT_A_MOTOR = re.compile(r"(?P<kind>[a-z]+)_(?P<x>front|rear)_(?P<y>left|right)(_\d)?")
 _WALL_HALF_HEIGHT = 0.8  # m; reaches below the floor at every inclination
-_WALL_HALF_THICKNESS = 0.01  # m
+_WALL_HALF_THICKNESS = 0.045  # m; out of a touch that is less deep, the engine pushes to the outside
 # Of a moving platform's joints [kg, kg m2]: a touchdown of 0.1 N s changes its speed by 1e-6 m/s, for one
 # control period. The contact solver's tolerance is relative to the scene's inertia, and so as much smaller.
 _JOINT_INERTIA = 1e5
@@ -272,19 +272,24 @@ def _samples(delay: float, spec: mujoco.MjSpec) -> int:
 def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
     """Sizes of slab, walls and core, posed at the vehicle file's inclination.
 
-    In the frames of their mocap bodies the slab's top surface, the walls' outer upper edges and the
+    In the frames of their mocap bodies the slab's top surface, the drawn base's upper edges and the
     core's top pass through the origin, which is what `geometry.platform_poses` poses.
     """
-    half_depth, thickness = 0.5 * v.platform_depth, _WALL_HALF_THICKNESS
-    slab = spec.geom("slab")
-    slab.size = [v.slab_half_length, half_depth, 0.5 * v.platform_thickness]
-    slab.pos = [0, 0, -slab.size[2]]
+    half_depth = 0.5 * v.platform_depth
+    narrowest = v.slab_half_length * math.cos(v.platform_max_inclination)
+    # From an upper edge the slab falls by 2 t tan(a) over a wall, whose top is T/cos(a) + SOLID_BELOW lower.
+    steepest = max(v.platform_max_inclination, 0.01)
+    hidden = (v.platform_thickness + SOLID_BELOW * math.cos(steepest)) / math.sin(steepest)
+    thickness = min(_WALL_HALF_THICKNESS, 0.5 * hidden, 0.4 * narrowest)
+    for name, depth in {"slab": v.slab_depth, "slab_drawn": v.platform_thickness}.items():
+        if slab := spec.geom(name):  # the drawn one may have been left out
+            slab.size = [v.slab_half_length, half_depth, 0.5 * depth]
+            slab.pos = [0, 0, -slab.size[2]]
     for name, side in (("wall_left", 1), ("wall_right", -1)):
         wall = spec.geom(name)
         wall.size = [thickness, half_depth, _WALL_HALF_HEIGHT]
-        wall.pos = [side * thickness, 0, -_WALL_HALF_HEIGHT]
+        wall.pos = [side * thickness, 0, -_WALL_HALF_HEIGHT - SOLID_BELOW]
     core = spec.geom("core")
-    narrowest = v.slab_half_length * math.cos(v.platform_max_inclination)
     core.size = [narrowest - 2 * thickness, half_depth, _WALL_HALF_HEIGHT]
     core.pos = [0, 0, -_WALL_HALF_HEIGHT]
     for skin in spec.skins:  # its corners in the frames of the walls' bodies

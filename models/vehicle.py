@@ -7,6 +7,8 @@ import math
 
 from inclined_landing.models.errors import UserError
 
+SOLID_BELOW = 0.08  # m, of the platform under the slab
+
 
 @dataclasses.dataclass(frozen=True)
 class Vehicle:
@@ -142,6 +144,13 @@ class Vehicle:
     def slab_half_length(self) -> float:
         """Return half the slab's length along the slope [m]: `width` is horizontal at the default angle."""
         return 0.5 * self.platform_width / math.cos(self.platform_inclination)
+
+    @property
+    def slab_depth(self) -> float:
+        """Return how deep the slab is solid [m], more than it is drawn: a fast vehicle sinks in by
+        centimetres, and up to half of the depth the engine pushes it out at the upper side.
+        """
+        return self.platform_thickness + SOLID_BELOW
 
     def check_inclination(self, inclination: float) -> float:
         """Return `inclination` [rad] if the platform supports it, else raise UserError."""

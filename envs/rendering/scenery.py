@@ -115,8 +115,7 @@ def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:
     Its eight corners are the slab's lower corners and their projections on the floor, for any pose
     of the slab.
     """
-    slab = spec.geom("slab")
-    half = np.asarray(slab.size) * [1.0, 1.0, 2.0] - [0.002, 0.002, 0.0]
+    half = np.asarray(spec.geom("slab_drawn").size) * [1.0, 1.0, 2.0] - [0.002, 0.002, 0.0]
     frame = np.zeros(9)
     mujoco.mju_quat2Mat(frame, np.asarray(quaternion, float))
     signs = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)], float)

@@ -67,16 +67,12 @@ class LandingConstants(NamedTuple):
 
     surface: np.ndarray  # (n,) rad, inclination of the platform
     reach: np.ndarray  # (n,) m, of the feet below the centre of mass
-    mass: np.ndarray  # (n,) kg
     sensors: np.ndarray  # (5, 3) addresses of the contact sensors
     half_length: float  # m, of the slab
     half_depth: float  # m
     height: float  # m, of the slab's middle
     foot: float  # m, half the distance of the feet
     radius: float  # m, of a foot
-    gravity: float  # m/s2
-    state_gain: float  # of the thrust
-    direct_gain: float
     dt: float  # s
 
 
@@ -150,7 +146,7 @@ def simulate(
         cut[powered] = now + plant.control_period
         commands[:, 0] = np.where(powered, pwm, 0.0)
         commands[:, 2] = np.where(powered, hold, 0.0)
-        _update_period(recorder.advance(commands, active), active, commands[:, 0], constants, running)
+        _update_period(recorder.advance(commands, active), active, constants, running)
         # Over the edge, or something else touched before the slab: nothing later counts.
         ended = (running.over_edge >= 0.0) | running.touched_elsewhere
         ended |= _stays(running, now + plant.control_period, cut)
@@ -164,10 +160,10 @@ def _constants(plant: MujocoPlant, p: dict[str, np.ndarray]) -> LandingConstants
     v, shapes = plant.vehicle, plant.shapes
     feet = shapes.parts == 0
     return LandingConstants(
-        *(-p["inclination"], p["foot_height"], p["mass"], plant.contact_sensors),
+        *(-p["inclination"], p["foot_height"], plant.contact_sensors),
         *(v.slab_half_length, 0.5 * v.platform_depth, v.platform_surface_height),
         *(float(shapes.centres[feet, 0].max()), float(shapes.radii[feet][0])),
-        *(v.environment_gravity, v.thrust_state_gain, v.thrust_direct_gain, plant.model.opt.timestep),
+        plant.model.opt.timestep,
     )
 
 
@@ -179,7 +175,7 @@ def _initial_values(n: int) -> RunningValues:
 
 
 @numba.njit(cache=True)
-def _update_period(steps, active, pwm, constants, running):
+def _update_period(steps, active, constants, running):
     """Fold one control period of the active landings into their running values."""
     for i in range(len(active)):
         row = active[i]
@@ -192,10 +188,7 @@ def _update_period(steps, active, pwm, constants, running):
             over = abs(s) <= constants.half_length and abs(q[1]) <= constants.half_depth and out > -0.01
             feet, other, elsewhere, force = _contact(steps.sensors[i, k], constants.sensors, sin, cos)
             ahead, across, up = _body_axes_along_normal(q, sin, cos)
-            lag = 0.5 * (steps.act[i, k, 0] + steps.act[i, k + 1, 0])
-            thrust = (constants.state_gain * lag + constants.direct_gain * pwm[row]) * up  # along the normal
-            v, w = steps.qvel[i, k], steps.qvel[i, k + 1]
-            mean = _mean_force(v, w, thrust, constants.mass[row], sin, cos, constants)
+            mean = sin * steps.force[i, k, 0] + cos * steps.force[i, k, 2]
             before, running.before[row] = running.before[row], mean
             if not running.touch[row] >= 0.0:
                 if elsewhere or ((feet or other) and not over):
@@ -221,7 +214,7 @@ def _update_period(steps, active, pwm, constants, running):
             running.tilt[row] = max(running.tilt[row], math.acos(min(1.0, max(-1.0, up))))
             running.distance[row] = math.sqrt((s - running.s0[row]) ** 2 + (q[1] - running.y0[row]) ** 2)
             running.room[row] = min(constants.half_length - abs(s), constants.half_depth - abs(q[1]))
-            _update_rest(running, row, s, q[1], v, feet, other or elsewhere, now, constants.dt)
+            _update_rest(running, row, s, q[1], steps.qvel[i, k], feet, other or elsewhere, now, constants.dt)
 
 
 @numba.njit(cache=True)
@@ -250,18 +243,6 @@ def _body_axes_along_normal(q, sin, cos):
     across = sin * 2.0 * (q[4] * q[5] - q[3] * q[6]) + cos * 2.0 * (q[5] * q[6] + q[3] * q[4])
     up = sin * 2.0 * (q[4] * q[6] + q[3] * q[5]) + cos * (1.0 - 2.0 * (q[4] ** 2 + q[5] ** 2))
     return ahead, across, up
-
-
-@numba.njit(cache=True)
-def _mean_force(v, w, thrust, mass, sin, cos, constants):
-    """Return the mean normal contact force [N] over a step from velocity v to w (6,).
-
-    thrust [N]: its part along the surface's normal.
-    """
-    # F = m ((w_n - v_n)/dt + g cos(alpha)) - F_t,n
-    into = -(sin * v[0] + cos * v[2])
-    gained = (sin * w[0] + cos * w[2] + into) / constants.dt + constants.gravity * cos
-    return mass * gained - thrust
 
 
 @numba.njit(cache=True)

@@ -145,7 +145,6 @@ class HybridPlant(MujocoPlant):
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
         self.in_engine = np.ones(self.n, bool)
-        self._acting = np.empty((self.substeps, self.n, 4))
         c, model = self.contacts, self.model
         for_engine = np.empty(self.n, int)
         self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, for_engine)
@@ -172,15 +171,8 @@ class HybridPlant(MujocoPlant):
             self.in_engine[chosen] = True
             return super().advance(commands, ids, record)
         push = self._give(np.asarray(commands, float), chosen)
-        acting, step = self._acting[:1], self.control_period / self.substeps
-        if self.delays.of_commands:
-            acting = self._acting
-            for k in range(self.substeps):
-                acting[k] = self.delays.acting(k * step, step)
-        else:
-            acting[0] = self._ctrl
         moving = self.platforms.moving if self.platforms else STILL
-        near = self._fly(chosen, _Period(acting, push, self.torque_needs_motors, moving))
+        near = self._fly(chosen, _Period(self.acting_commands(), push, self.torque_needs_motors, moving))
         if len(near):
             self._roll(None if len(near) == self.n else near)
             if self.platforms:

@@ -297,6 +297,29 @@ class MujocoPlant(Plant):
         self.advance(commands, np.flatnonzero(wanted) if some else None)
         self.check()
 
+    @property
+    def constants(self) -> np.ndarray:
+        """The vehicles' constants as of `forces.pack`, (n,) or (1,) for all of them."""
+        return self._constants
+
+    @property
+    def masses(self) -> np.ndarray:
+        """The vehicles' masses (n,) [kg] in the engine."""
+        body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
+        return np.full(self.n, self.model.body_mass[body]) if masses is None else masses[:, body]
+
+    @property
+    def pushes(self) -> np.ndarray:
+        """Force [N] and torque [N m] (n, 6) of the disturbance in the last control period."""
+        return self._applied
+
+    def acting_commands(self) -> np.ndarray:
+        """The last commands as they act, late where they are delayed: (1, n, 4), or (substeps, n, 4)."""
+        if not self.delays.of_commands:
+            return self._ctrl[None].copy()  # in C order, as kernels are compiled for
+        step = self.control_period / self.substeps
+        return np.array([self.delays.acting(k * step, step) for k in range(self.substeps)])
+
     def check(self) -> None:
         """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""
         diverged = np.flatnonzero(self.diverged)
@@ -372,10 +395,8 @@ class MujocoPlant(Plant):
 
     def _disturb(self, disturbance: Disturbance, ids) -> np.ndarray:
         """Apply force and torque of the disturbance to the vehicles `ids`, and advance it by one period."""
-        body, masses = self.model.body("crazyflie").id, self.batch.expanded("body_mass")
-        mass = self.model.body_mass[body] if masses is None else masses[:, body, None]
         push = disturbance.push(self.state, self.attitude == "rate_loop")
-        self._applied[ids, :3] = (push[:, :3] * mass)[ids]
+        self._applied[ids, :3] = (push[:, :3] * self.masses[:, None])[ids]
         self._applied[ids, 3:] = push[ids, 3:]
         disturbance.step(ids)
         return push

@@ -4,9 +4,13 @@ A `Recorder` flies a `MujocoPlant` and keeps of every vehicle its first touch of
 force on its feet; `Steps` holds what happened within the last control period, for what else a study asks
 of it. `contact_forces` and `impulses` ask the engine for the single contacts.
 
-The sensors of an engine step belong to the state at its beginning. A touch is seen there, but the stages
-of the step before may have met the surface already: the last state that is free of contact is one step
-older, and speeds and attitudes of a touch are taken from it.
+The force sensors of an engine step see the first of its four stages alone, and a touch lasts a few steps:
+their sum misses its impulse by up to a fifth. `Steps.force` is the mean force over each step instead, from
+the change of momentum, and agrees with the contact forces of all stages (`impulses`).
+
+The sensors belong to the state at a step's beginning. A touch is seen there, but the stages of the step
+before may have met the surface already: the last state that is free of contact is one step older, and speeds
+and attitudes of a touch are taken from it.
 """
 
 from __future__ import annotations
@@ -18,8 +22,18 @@ import mujoco
 import numba
 import numpy as np
 
-from inclined_landing.models import surface
-from inclined_landing.models.attitude import VX, VZ, WZ
+from inclined_landing.models import forces, surface
+from inclined_landing.models.attitude import (
+    PITCH,
+    PWM,
+    VX,
+    VZ,
+    WZ,
+    YAW,
+    euler_angles,
+    rotation_entries,
+    sine_cosine,
+)
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
 from inclined_landing.models.plants.mujoco import MujocoPlant
@@ -49,6 +63,7 @@ class Steps(NamedTuple):
     qpos: np.ndarray  # (k, steps + 1, 7)
     qvel: np.ndarray  # (k, steps + 1, 6)
     act: np.ndarray  # (k, steps + 1, 1)
+    force: np.ndarray  # (k, steps, 3) N, mean force of all contacts over each step, and of a slung load
 
 
 class Touch(NamedTuple):
@@ -70,10 +85,12 @@ class Recorder:
         n = plant.n
         self.plant = plant
         self.touch = Touch(np.full(n, np.nan), np.full((n, 7), np.nan), np.full((n, 6), np.nan))
-        self.feet_force = np.zeros(n)  # N, largest normal force on the feet, sampled at the engine's steps
+        # N, largest normal force while the feet touch, sampled at the engine's steps or the mean of one
+        self.feet_force = np.zeros(n)
         plant.reset(np.arange(n), states)
         self._older = tuple(plant.batch.bind(name)[:, : _COLUMNS[name]].copy() for name in ("qpos", "qvel"))
         self._time = 0.0
+        self._ambient = forces.free_air(n)
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
         """One control period under commands (n, 4), of the vehicles `ids` alone; see `MujocoPlant.advance`.
@@ -91,12 +108,21 @@ class Recorder:
         seen = plant.advance(commands, ids, record=tuple(begun))
         both = {name: np.concatenate([begun[name], seen[name]], axis=1) for name in begun}
         moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
-        steps = Steps(self._clock(), seen["sensordata"], *moved)
+        mean = np.empty((len(flown), plant.substeps, 3))
+        steps = Steps(self._clock(), seen["sensordata"], *moved, mean)
+        self._fill_forces(steps, flown)
         slab = plant.contact_sensors[SLAB]
         _record(
             steps, flown, slab, surface.normals(plant.platform), self.touch, *self._older, self.feet_force
         )
         return steps
+
+    def _fill_forces(self, steps: Steps, ids: np.ndarray) -> None:
+        plant, ambient = self.plant, self._ambient
+        ambient[:, forces.INCLINATION], ambient[:, forces.AZIMUTH] = plant.platform[:, [PITCH, YAW]].T
+        ambient[:, forces.PRESENT] = plant.present
+        flown = plant.constants, plant.perturbation, ambient, plant.acting_commands()
+        _mean_forces(steps, ids, *flown, plant.masses, plant.pushes.copy(), plant.model.opt.timestep)
 
     def _clock(self) -> np.ndarray:
         times, step = np.empty(self.plant.substeps), self.plant.model.opt.timestep
@@ -148,6 +174,34 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
+def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, pushes, dt):
+    """Write `Steps.force`: what changes a vehicle's momentum and is neither of the air nor of the rotors."""
+    position, velocity = np.empty(3), np.empty(3)
+    for place in range(len(ids)):
+        i = ids[place]
+        v, p = vehicles[i if len(vehicles) > 1 else 0], perturbation[i]
+        mass = masses[i]
+        for k in range(len(steps.time)):
+            pwm = commands[k if len(commands) > 1 else 0, i, PWM]
+            pwm = min(v.command.pwm_range[1], max(0.0, pwm))
+            # F = m ((v' - v)/dt - g) - push - R f, the last as the mean of both ends
+            force = steps.force[place, k]
+            for j in range(3):
+                change = steps.qvel[place, k + 1, j] - steps.qvel[place, k, j]
+                force[j] = mass * change / dt - pushes[i, j]
+            force[2] += mass * v.environment.gravity
+            for end in range(2):
+                ambient[i, forces.TIME] = steps.time[k] + end * dt
+                q, lag = steps.qpos[place, k + end], steps.act[place, k + end, 0]
+                position[:], velocity[:] = q[:3], steps.qvel[place, k + end, :3]
+                roll, pitch, yaw = euler_angles(q[3], q[4], q[5], q[6])
+                r = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
+                x, y, z, _, _ = forces.wrench(position, velocity, r, lag, pwm, ambient[i], v, p)
+                for j in range(3):
+                    force[j] -= 0.5 * (r[3 * j] * x + r[3 * j + 1] * y + r[3 * j + 2] * z)
+
+
+@numba.njit(cache=True)
 def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force):
     """Fold a control period of the vehicles `ids` into the rows of their records."""
     feet = slab[0]
@@ -156,8 +210,10 @@ def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force
         x, y, z = normals[i]
         for k in range(len(steps.time)):
             row = steps.sensors[place, k]
-            push = abs(x * row[feet + 1] + y * row[feet + 2] + z * row[feet + 3])
-            feet_force[i] = max(feet_force[i], push)
+            if row[feet] > 0.0:
+                push = abs(x * row[feet + 1] + y * row[feet + 2] + z * row[feet + 3])
+                mean = steps.force[place, k]
+                feet_force[i] = max(feet_force[i], push, x * mean[0] + y * mean[1] + z * mean[2])
             touching = row[slab[0]] > 0.0 or row[slab[1]] > 0.0 or row[slab[2]] > 0.0
             if touching and math.isnan(touch.time[i]):
                 touch.time[i] = steps.time[k]
@@ -172,7 +228,7 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarr
 
     A force is what the world exerts on the vehicle. Contacts without force are left out.
     """
-    points, forces = [], []
+    points, found = [], []
     root = model.body("crazyflie").id
     wrench = np.zeros(6)
     for k in range(data.ncon):
@@ -183,8 +239,8 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarr
             force = -force
         if np.linalg.norm(force) > 1e-6:
             points.append(contact.pos.copy())
-            forces.append(force)
-    return np.reshape(points, (-1, 3)), np.reshape(forces, (-1, 3))
+            found.append(force)
+    return np.reshape(points, (-1, 3)), np.reshape(found, (-1, 3))
 
 
 def present_forces(plant: MujocoPlant, vehicle: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.models import surface
-from inclined_landing.models.attitude import LAG, STATE_SIZE, VX, VZ, WX, WZ, Z
+from inclined_landing.models.attitude import LAG, PWM, STATE_SIZE, VX, VZ, WX, WZ, Z
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses
 from inclined_landing.models.vehicle import Vehicle
@@ -53,9 +53,9 @@ class Drops:
     pushed: np.ndarray  # s that the surface pushed; NaN where the vehicle stays down
     depth: np.ndarray  # m, deepest penetration
     peak: np.ndarray  # N, largest force
-    sampled: np.ndarray  # N s, sum of the sampled forces up to the rebound or `duration`
+    sampled: np.ndarray  # N s, sum of the sensors' forces up to the rebound or `duration`
+    recorded: np.ndarray  # N s, that of the recorder's, from the change of momentum
     impulse: np.ndarray  # N s, of the contact forces in the engine's stages; NaN where not asked for
-    momentum: np.ndarray  # N s, what the forces must have given in that time
 
 
 def drop(
@@ -65,10 +65,12 @@ def drop(
     step: float = STEP,
     duration: float = 0.12,
     stages: bool = False,
+    thrust: float = 0.0,
 ) -> Drops:
     """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting.
 
     stages: repeat the stages of every step for the contacts' impulse, which takes longer.
+    thrust: of the rotors, over the weight.
     """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES
@@ -78,29 +80,28 @@ def drop(
     state = plant.state.copy()
     rest = state[:, Z].copy()
     state[:, Z] += speed * step * (1 + (np.arange(n) % PHASES + 0.5) / PHASES)
-    state[:, VZ], state[:, LAG] = -speed, 0.0
+    state[:, VZ], state[:, LAG] = -speed, thrust * vehicle.hover_lag
     recorder = Recorder(plant, state)
-    nothing, mass = np.zeros((n, 4)), vehicle.body_mass
-    weight = mass * vehicle.environment_gravity
+    command = np.zeros((n, 4))
+    command[:, PWM] = thrust * vehicle.hover_pwm
     lifted, up, pushed = np.zeros(n, bool), np.zeros(n), np.zeros(n)
-    depth, peak, sampled, momentum = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    depth, peak, sampled, recorded = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     impulse = np.full(n, 0.0 if stages else np.nan)
     for _ in range(round(duration / step)):
         now = plant.state[:, VZ].copy()
-        pushing = impulses(plant, nothing)[:, 2] if stages else np.nan
-        recorder.step(nothing)
+        pushing = impulses(plant, command)[:, 2] if stages else np.nan
+        mean = recorder.step(command).force[:, 0, 2]
         touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
         leaves = recorder.touched & ~touch & ~lifted
         up[leaves] = now[leaves]
         lifted |= leaves
         pushed += step * ((force > 0) & ~lifted)
         sampled += step * np.where(lifted, 0, force)
+        recorded += step * np.where(lifted, 0, mean)
         impulse += np.where(lifted, 0, pushing)
-        gained = mass * (plant.state[:, VZ] - now) + weight * step
-        momentum += np.where(lifted, 0, gained)
         depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
         peak = np.maximum(peak, force)
     up[~lifted], pushed[~lifted] = 0.0, np.nan
     down, _ = recorder.touch_speeds()
-    columns = (up / down, pushed, depth, peak, sampled, impulse, momentum)
+    columns = (up / down, pushed, depth, peak, sampled, recorded, impulse)
     return Drops(*(column.reshape(k, PHASES) for column in columns))

@@ -89,7 +89,6 @@ def penetration(data: dict, axes: Axes) -> None:
     _curves(axes, data["speeds"], {"default": 1e3 * data["default"]} | curves,
             xlabel="normal speed [m/s]", ylabel="deepest penetration [mm]", ylim=(0, 12))  # fmt: skip
     axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="required: below 5 mm at 1 m/s")
-    axes.axhline(10, **_DASHED, label="middle of the slab")
     legend_below(axes, ncols=3)
 
 
