@@ -318,7 +318,7 @@ class MujocoPlant(Plant):
         if not self.delays.of_commands:
             return self._ctrl[None].copy()  # in C order, as kernels are compiled for
         step = self.control_period / self.substeps
-        return np.array([self.delays.acting(k * step, step) for k in range(self.substeps)])
+        return np.array([self.delays.acting(k * step, step).copy() for k in range(self.substeps)])
 
     def check(self) -> None:
         """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""

@@ -123,8 +123,10 @@ def test_foot_height_lifts_the_vehicle():
     for _ in range(100):
         plant.step(np.zeros((3, 4)))
     assert V_FOOT == pytest.approx(0.018)
-    # At rest the feet are less than 0.1 mm deep; nothing but feet touches, and they carry the weight.
-    np.testing.assert_allclose(plant.state[:, Z] - V.platform_surface_height, heights, atol=1e-4)
+    # At rest the feet are 0.3 mm deep in the surface's soft first millimetre: with an impedance d of 0.6
+    # one that carries all the weight is (1 - d) g/(d^2 k) = 1 mm deep, four are a quarter of it or more.
+    # Nothing but feet touches, and they carry the weight.
+    np.testing.assert_allclose(plant.state[:, Z] - V.platform_surface_height, heights, atol=5e-4)
     assert plant.contacts.touch[:, 0, 0].all() and plant.contacts.touch.sum() == 3
     np.testing.assert_allclose(plant.contacts.force[:, 0, 0], V.body_mass * G, rtol=1e-3)
     assert np.abs(plant.state[:, [*range(VX, VZ + 1), *range(WX, WZ + 1)]]).max() < 1e-3
@@ -134,7 +136,7 @@ def test_foot_height_lifts_the_vehicle():
     ({"friction": -0.1}, "friction must be from 0 to 10, not -0.1"),
     ({"friction": [0.5, math.nan]}, "friction must be from 0 to 10, not nan"),
     ({"restitution": 1.5, "contact_time": 0.02}, "restitution must be from 0 to 0.6, not 1.5"),
-    ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.02 s, not 0.1 s"),
+    ({"restitution": 0.5, "contact_time": 0.1}, "contact time must be from 0.012 to 0.024 s, not 0.1 s"),
     ({"restitution": 0.5}, "give both restitution and contact time"),
     ({"restitution": 0.5, "contact_time": 0.02, "solref": (0.01, 1)}, "give either restitution"),
     ({"solref": (0.01, -1.0)}, "solref must be"),

