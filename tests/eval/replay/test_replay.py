@@ -135,12 +135,12 @@ def test_geometry_is_the_vehicle_files():
     shapes = shapes_of(build_spec(vehicle).compile())
     feet = shapes.centres[shapes.parts == PARTS.index("feet")]
     np.testing.assert_allclose([foot["position"] for foot in drawn["feet"]], feet, atol=1e-6)
-    slab = next(geom for geom in drawn["world"] if geom["name"] == "slab")
+    slab = next(geom for geom in drawn["world"] if geom["name"] == "slab_drawn")
     assert slab["size"][1] == pytest.approx(0.35) == drawn["platform"]["half"][1]
     assert slab["quaternion"] == pytest.approx([np.cos(0.15), 0, -np.sin(0.15), 0], abs=1e-6)
     assert drawn["arena"][0] == [-2.0, 2.0]
     assert scene(vehicle, None)["platform"] is None
-    assert not any(geom["name"] in ("slab", "prism") for geom in scene(vehicle, None)["world"])
+    assert not any(geom["name"] in ("slab_drawn", "prism") for geom in scene(vehicle, None)["world"])
 
 
 # --- the command ---------------------------------------------------------------------------------------
