@@ -70,7 +70,7 @@ def drop(
     """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting.
 
     stages: repeat the stages of every step for the contacts' impulse, which takes longer.
-    thrust: of the rotors, over the weight.
+    thrust: the share of the weight that the rotors carry.
     """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES
