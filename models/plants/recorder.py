@@ -107,9 +107,9 @@ class Recorder:
         begun = {name: plant.batch.bind(name)[flown, None] for name in _COLUMNS}
         seen = plant.advance(commands, ids, record=tuple(begun))
         both = {name: np.concatenate([begun[name], seen[name]], axis=1) for name in begun}
-        moved = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
+        qpos, qvel, act = (np.ascontiguousarray(field[..., : _COLUMNS[name]]) for name, field in both.items())
         mean = np.empty((len(flown), plant.substeps, 3))
-        steps = Steps(self._clock(), seen["sensordata"], *moved, mean)
+        steps = Steps(self._clock(), seen["sensordata"], qpos, qvel, act, mean)
         self._fill_forces(steps, flown)
         slab = plant.contact_sensors[SLAB]
         _record(

@@ -11,7 +11,7 @@ from inclined_landing.eval.truth.report import progress, publish
 from inclined_landing.models.parameters import load_vehicle
 
 
-def command(*, out: RunFolder, vehicle: VehicleFile = None) -> None:
+def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
     """Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.
 
     Exit code 1 if one of them does not hold.
