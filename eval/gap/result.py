@@ -409,11 +409,11 @@ class Diagnosis:
     def exceeds_reference(self) -> bool:
         """Return whether the error left exceeds that of the reference's flights.
 
-        By much, or at all where disturbances are larger: one that does not show in the position is of no
-        matter.
+        Or disturbances do, unless the error left is smaller by USEFUL: these do not show in the position.
         """
-        larger = self.reference is not None and self.residual.error > self.reference.error
-        return self.larger_error or bool(self.disturbed and larger)
+        own = self.reference.error if self.reference else math.inf
+        shows = not self.residual.error < (1.0 - thresholds.USEFUL) * own
+        return self.larger_error or bool(self.disturbed and shows)
 
     def apply(self, vehicle: Vehicle) -> Vehicle:
         """Return `vehicle` with the named effects added, and the others as they were estimated again."""
