@@ -1,10 +1,12 @@
-"""Integral offset of set-point flights to a hand-over point, simulated or real."""
+"""Set-point flight to a hand-over point, simulated or real: when it is there, and its integral offset."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# A landing may begin within the set-point task's tolerance of the point, slower than this, for so long.
+HAND_OVER = (-1.0, 1.8)  # m, x and z: before the platform's lower edge, higher than the upper one
+TOLERANCE = 0.05  # m from the goal, of the set-point task
+# A landing may begin within this tolerance of the point, slower than this, for so long.
 HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s
 YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some

@@ -1,11 +1,14 @@
-"""The tasks' names and Gymnasium ids, known in every process that imports both packages, in either order.
+"""Names of tasks and shipped policies, and Gymnasium ids, which any process that imports both packages knows.
 
 Neither Gymnasium nor a task is imported here: `import inclined_landing`, and `import mujoco`, which loads the
-plugins, cost nothing. If Gymnasium is imported later, the ids are registered then.
+plugins, cost nothing, and command lines know their options. If Gymnasium is imported later, the ids are
+registered then.
 """
 
 from __future__ import annotations
 
+from importlib import resources
+from pathlib import Path
 from types import ModuleType
 
 from inclined_landing.models import imports
@@ -13,6 +16,10 @@ from inclined_landing.models import imports
 # A task's name, which is that of its module in `tasks/`, and its class.
 TASK_CLASSES = {"landing": "InclinedLanding", "setpoint": "Setpoint", "touchdown": "InclinedTouchdown"}
 IDS = tuple(f"{name}-v0" for name in TASK_CLASSES.values())
+SHIPPED_FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
+_FILES = sorted(file.stem for file in SHIPPED_FOLDER.glob("*.zip"))
+# Names of the shipped policies: first those called like their task.
+SHIPPED = tuple(dict.fromkeys([*(name for name in TASK_CLASSES if name in _FILES), *_FILES]))
 
 _ENVIRONMENTS = "inclined_landing.envs.gym_env"
 

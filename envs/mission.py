@@ -24,7 +24,15 @@ import numpy as np
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import Track
 from inclined_landing.envs.history import History
-from inclined_landing.envs.hover import CLEAR, HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN, Trim
+from inclined_landing.envs.hover import (
+    CLEAR,
+    HAND_OVER,
+    HAND_OVER_SPEED,
+    HAND_OVER_TIME,
+    TOLERANCE,
+    YAW_GAIN,
+    Trim,
+)
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import (
     InclinedLanding,
@@ -33,7 +41,7 @@ from inclined_landing.envs.tasks import (
     StepContext,
     hover_states,
 )
-from inclined_landing.envs.tasks.setpoint import START_BOX, TOLERANCE
+from inclined_landing.envs.tasks.setpoint import START_BOX
 from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.geometry import SURFACES
@@ -45,7 +53,6 @@ CLIMB, APPROACH, LANDING, TOUCHDOWN = range(len(LEGS))
 ENDS = ("at rest", "time limit", "fell to the floor", "left the arena")
 AT_REST, LATE, FLOOR, OUTSIDE = range(len(ENDS))
 FLYING = -1
-HAND_OVER = (-1.0, 1.8)  # m, x and z: before the lower edge, higher than the upper one
 CLIMB_BELOW = 0.25  # m under the hand-over point; who is higher flies straight to it
 APPROACH_LIMIT = 10.0  # s, climb included
 LEAVE_LIMIT = 0.3  # m outside the arena

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
+from inclined_landing.envs.ids import SHIPPED, SHIPPED_FOLDER
 from inclined_landing.envs.network import Network, forward
 from inclined_landing.envs.policy_file import ACTIVATIONS, DEEPEST, METADATA
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
@@ -23,14 +23,6 @@ from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-_FOLDER = Path(str(resources.files("inclined_landing.envs") / "shipped"))
-# One of every shipping task, called like it; and more of them, called like their files.
-SHIPPED = tuple(
-    dict.fromkeys(
-        [task.name for task in TASKS.values() if task.shipped]
-        + sorted(file.stem for file in _FOLDER.glob("*.zip"))
-    )
-)
 LARGEST_WEIGHT = 1e6  # beyond, sums of products could overflow
 _WIDEST = 8192
 
@@ -130,7 +122,7 @@ def locate(name: str | Path) -> Path:
     if not isinstance(name, (str, os.PathLike)):
         raise UserError(f"a policy must be a path or the name of a shipped one, not {shown(repr(name), 40)}")
     if str(name) in SHIPPED:
-        path = _FOLDER / f"{name}.zip"
+        path = SHIPPED_FOLDER / f"{name}.zip"
         if not path.is_file():
             raise UserError(f"the shipped policy {name} is missing from this installation ({path})")
         return path

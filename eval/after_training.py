@@ -7,20 +7,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding, Task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures import figure, video
-from inclined_landing.eval.pictures.curves import learning_curves
+from inclined_landing.eval.pictures import figure, film
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import flight_view, strobe, write_picture, write_videos
+from inclined_landing.eval.pictures.learning import learning_curves
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.study import moving, success, touchdown
+from inclined_landing.eval.study import groups, motor_cut, moving
 from inclined_landing.eval.study.engine import Study, run
+from inclined_landing.eval.study.options import NOMINAL
 from inclined_landing.eval.study.platforms import controllers
 from inclined_landing.eval.study.platforms.scenario import scenarios
 from inclined_landing.eval.study.show import document, show
@@ -71,7 +73,7 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     filmed = to_rest(fly_from(policy, task.film_starts[:1], "mujoco")[0])
     view = flight_view([filmed], **_LOOK)
     with make_renderer(**_LOOK, camera=view, vehicle=task.vehicle) as renderer:
-        frames, _, rate = video.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
+        frames, _, rate = film.film([filmed], _FILM_FPS, 1.0, renderer=renderer)
         files.append(folder / f"{task.name}.mp4")
         write_videos({files[-1]: 1}, frames, fps=rate)
         files.append(write_picture(folder / "picture.png", strobe(filmed, renderer=renderer)))
@@ -83,9 +85,9 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
     task = final.task
     if task.evaluated_by == "success":
         scales = _LANDING_SCALES if task.cut_at_success else (1.0,)
-        return success.study({"final": final}, thrust_scales=scales)
+        return groups.study({"final": final}, thrust_scales=scales)
     if task.evaluated_by == "touchdown":
-        return touchdown.study(final, _origin(task, metrics["config"]["start_from"], load))
+        return motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
     controller = controllers.of_policy(final, controllers.vehicle_flown())
     return moving.study([*scenarios().values()], [controller])
 
@@ -94,4 +96,4 @@ def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Pol
     """Return the landing policy that a training started from; otherwise, as after a law, the paper's."""
     landed = began in SHIPPED or Path(began).exists()
     origin = load(began) if landed else None
-    return load(touchdown.BASELINE) if origin is None or origin.task.name == task.name else origin
+    return load(NOMINAL) if origin is None or origin.task.name == task.name else origin

@@ -7,20 +7,17 @@ import io
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.envs.flights import Flight, record_flights
-from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.statistics import proportion
-from inclined_landing.envs.shared.tables import count_words, new_table, say, share_cell, show_table
-from inclined_landing.envs.tasks.landing import PAPER_STARTS
 from inclined_landing.eval.base.options import Look, RunFolder, Seed
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.flights import Flight
 
 POLICY = "landing"
 LOOK: dict[str, Any] = {"width": 640, "height": 360}
@@ -50,6 +47,13 @@ def command(
         starts: random starts to fly from.
         seed: seed for the random starts.
     """
+    from inclined_landing.envs.flights import record_flights
+    from inclined_landing.envs.policy import load_policy
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.statistics import proportion
+    from inclined_landing.envs.shared.tables import count_words, say
+    from inclined_landing.envs.tasks.landing import PAPER_STARTS
+
     began = time.monotonic()
     policy = load_policy(POLICY)
     task = policy.task
@@ -77,7 +81,10 @@ def command(
 
 
 def _show(groups: dict[str, list[Flight]]) -> None:
-    """A row for each group of starts."""
+    """Print a row for each group of starts."""
+    from inclined_landing.envs.shared.statistics import proportion
+    from inclined_landing.envs.shared.tables import new_table, share_cell, show_table
+
     table = new_table(None, "starts", "flights", "in the goal box [%]", "without an early touch", "time [s]")
     for name, flights in groups.items():
         reached = [flight for flight in flights if flight.success]

@@ -25,6 +25,8 @@ from msgspec import Meta, Struct, inspect, structs
 from inclined_landing.models.errors import UserError, choices, shown
 
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
+Many = Annotated[int, Meta(ge=1, le=10**9)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 T = TypeVar("T")
 
 

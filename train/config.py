@@ -5,27 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.policy import (
-    action_map,
-    read_policy,
-    trained_options,
-    trained_task,
-)
-from inclined_landing.envs.policy import locate as locate_policy
-from inclined_landing.envs.randomise import locate
 from inclined_landing.envs.shared.options import Only, Seed, flag_of
-from inclined_landing.envs.tasks import TASKS, import_task, is_path, task_class
-from inclined_landing.envs.tasks.options import Many, Share, Training
 from inclined_landing.models import schema
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
-from inclined_landing.models.schema import Real
-from inclined_landing.train import descent
+from inclined_landing.models.schema import Many, Real, Share
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.tasks.options import Training
 
 # Files of which a run keeps a copy, and its name there.
 COPIED = {"vehicle": "vehicle.toml", "randomise": "randomise.toml", "start_from": "from.zip"}
@@ -44,6 +36,7 @@ COMMON = (
 )
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
 NET_ARCH = (64, 64)
+DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
 
 
 # --- presets: values of options that are not set -----------------------------------------------------
@@ -244,12 +237,15 @@ class TrainConfig:
 
     def copied(self) -> dict[str, Path]:
         """Return the files that the run copies, by the name of the copy."""
+        from inclined_landing.envs.policy import locate as locate_policy
+        from inclined_landing.envs.randomise import locate
+
         files = {}
         if self.vehicle is not None:
             files[COPIED["vehicle"]] = locate_vehicle(self.vehicle)
         if self.randomise is not None:
             files[COPIED["randomise"]] = locate(self.randomise)
-        if self.start_from not in (None, descent.NAME):
+        if self.start_from not in (None, DESCENT):
             files[COPIED["start_from"]] = locate_policy(self.start_from)
         return files
 
@@ -276,6 +272,9 @@ class TrainConfig:
 
 def resolve(config: TrainConfig) -> TrainConfig:
     """Return a copy with every default filled in, whose values are checked; raises UserError."""
+    from inclined_landing.envs.policy import trained_options, trained_task
+    from inclined_landing.envs.tasks import import_task, is_path, task_class
+
     schema.check(config, None, flag_of)
     config = dataclasses.replace(config, task=config.task or "landing")
     kind = import_task(config.task) if is_path(config.task) else task_class(config.task)
@@ -293,14 +292,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
     if dimensions is None and not config.nominal and kind.drawn_vehicles == (3,):
-        in_space = start in (None, descent.NAME) or trained_options(start).get("dimensions") == 3
+        in_space = start in (None, DESCENT) or trained_options(start).get("dimensions") == 3
         dimensions = 3 if in_space else None
 
     # Which vehicles, and how learning begins.
-    by_law = training.start_from == descent.NAME and dimensions == 3
+    by_law = training.start_from == DESCENT and dimensions == 3
     is_drawn = (dimensions or 2) in kind.drawn_vehicles and config.fastest is None and not config.nominal
     preset = DRAWN if is_drawn else MOVING if by_law and not config.nominal else NOMINAL
-    if training.start_from == descent.NAME and not by_law:
+    if training.start_from == DESCENT and not by_law:
         training = dataclasses.replace(training, **PLANE)
     if is_drawn and dimensions == 3 and not by_law:
         training = dataclasses.replace(training, **SPACE)
@@ -311,14 +310,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
     randomise = config.randomise or preset.randomise
 
     # The task's training defaults, but for what is given.
-    named = [field.name for field in dataclasses.fields(Training)]
+    named = [field.name for field in dataclasses.fields(training)]
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
 
     # A policy to go on from flies as before: of the same task with its history, and with its actions and net.
-    policy = None if learning.start_from == descent.NAME else learning.start_from
+    policy = None if learning.start_from == DESCENT else learning.start_from
     same = policy if policy is not None and trained_task(policy) == kind.name else None
     before = {} if same is None else trained_options(same)
     values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
@@ -357,6 +356,8 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
         return {}
     if training.success is None:
         if chosen:
+            from inclined_landing.envs.tasks import TASKS
+
             by_success = " and ".join(task.name for task in TASKS.values() if task.training.success)
             raise UserError(
                 f"{chosen[0]} is only for the task {by_success}; a run of {config.task} takes --steps"
@@ -376,6 +377,8 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
 
 def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict[str, Any]:
     """Return what actions command, `pwm_centre` and `pwm_span`: as in the policy to start from."""
+    from inclined_landing.envs.policy import action_map, trained_options
+
     centre: float | str | None = config.pwm_centre
     span = config.pwm_span
     if policy is not None and (centre is None or span is None):
@@ -392,4 +395,6 @@ def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict
 
 def _net_arch(policy: str | None) -> list[int]:
     """Return the widths of the hidden layers of a policy's actor; none without a policy."""
+    from inclined_landing.envs.policy import read_policy
+
     return [] if policy is None else [len(bias) for bias in read_policy(policy)[1]["biases"][:-1]]

@@ -21,7 +21,6 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Y, Z
 from inclined_landing.models.forces import settled_hover
 
-NAME = "descent"  # as in --from
 TIMES = np.linspace(0.3, 2.5, 45)  # s that a trajectory may take
 PRICE = 1e6  # of a second, in the integral of the squared snap [m2/s7]
 CHECKED = np.linspace(0.1, 1.0, 8)  # of a trajectory's time, where it is checked

@@ -36,8 +36,7 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
-from inclined_landing.train import descent
-from inclined_landing.train.config import PLANE
+from inclined_landing.train.config import DESCENT, PLANE
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -52,15 +51,15 @@ _RATE, _NOISE = 1e-3, 0.2
 def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
     """Return the policy to start from: one for `task`, or for the task whose policy its training starts with.
 
-    name: a file or a shipped one, or `descent.NAME` for the law; vehicle: the run's, where it is not the
+    name: a file or a shipped one, or `DESCENT` for the law; vehicle: the run's, where it is not the
     shipped one. Raises UserError for any other policy.
     """
-    if name == descent.NAME:
+    if name == DESCENT:
         if not (isinstance(task, InclinedTouchdown) and not task.is_planar):
             raise UserError(f"--from {name} is only for touchdown in 3D, not for this {task.name} task")
         return Descent(task)
     usual = task.training.start_from
-    if usual == descent.NAME:
+    if usual == DESCENT:
         usual = PLANE["start_from"]  # in the law's place any policy of this task
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))

@@ -27,7 +27,8 @@ from generated import table  # in this folder
 from recipes import recorded
 
 from inclined_landing.envs.history import input_names
-from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.train.sweep.recipe import filled, read_recipe, shipped
 

@@ -14,10 +14,9 @@ from msgspec import Meta
 
 from inclined_landing.models import schema
 from inclined_landing.models.scene import Zone
+from inclined_landing.models.schema import Many, Share
 
 LONGEST_HISTORY = 50  # steps
-Many = Annotated[int, Meta(ge=1, le=10**9)]
-Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 def option(default: Any, *, recorded: bool = False, trained_with: bool = False) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 from msgspec import Meta
@@ -42,6 +42,9 @@ File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 VehicleFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Z")]
 Drawn = Annotated[int, Meta(ge=0, le=100), tyro.conf.arg(metavar="N")]
+ThrustScale = Annotated[float, Meta(gt=0, le=3)]
+Until = Literal["rest", "goal"]  # end of the flight of a landing
+FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 MOST_COMPARED = 10  # more cannot be distinguished in a table or figure
 LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 

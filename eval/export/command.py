@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from inclined_landing.envs.policy import Policy
-from inclined_landing.envs.shared.runs import staged_run
-from inclined_landing.envs.shared.tables import say
-from inclined_landing.envs.tasks import import_task, is_path
 from inclined_landing.eval.base.options import PolicyFile, RunFolder, TaskName, VehicleFile
-from inclined_landing.eval.export import c_source, contract, vectors
-from inclined_landing.eval.export.network import ExportNetwork
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import load_vehicle
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
 
 # Modules with a function `write(folder, task, network, contract, vectors)`, imported when they are needed.
 FORMATS = {
@@ -46,6 +41,11 @@ def command(
             parameters that a policy observes become constants of the network.
     """
     check_format(format)
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.envs.tasks import import_task, is_path
+    from inclined_landing.eval.export import c_source, contract
+    from inclined_landing.models.parameters import load_vehicle
+
     flown = None if vehicle is None else load_vehicle(vehicle)
     loaded = contract.load(
         policy, import_task(task).name if task is not None and is_path(task) else task, flown
@@ -66,6 +66,11 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     folder exists and is not empty or cannot be written.
     """
     check_format(format)
+    from inclined_landing.envs.shared.runs import staged_run
+    from inclined_landing.eval.export import contract, vectors
+    from inclined_landing.eval.export.network import ExportNetwork
+    from inclined_landing.models import storage
+
     policy = policy.with_fixed_vehicle()
     network = ExportNetwork.from_policy(policy)
     terms = contract.describe(policy, network)

@@ -8,16 +8,11 @@ import logging
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.policy import Policy, load_policy, trained_task
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import say
-from inclined_landing.envs.tasks import make_task
-from inclined_landing.envs.tasks.landing import PAPER_STARTS
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
@@ -28,22 +23,16 @@ from inclined_landing.eval.base.options import (
     Starts,
     VehicleFile,
 )
-from inclined_landing.eval.flying.connection import (
-    Connection,
-    RealConnection,
-    SimulatedConnection,
-    checked_pilot,
-)
-from inclined_landing.eval.flying.flight_log import FlightLogWriter
-from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, read_planned
-from inclined_landing.eval.flying.report import FlightReport, describe, describe_all, summary
-from inclined_landing.eval.flying.simulated.body import named_vehicle
-from inclined_landing.eval.flying.simulated.faults import Fault
-from inclined_landing.eval.flying.simulated.world import Setting
-from inclined_landing.eval.flying.vehicle import check_uri
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.eval.flying.connection import Connection
+    from inclined_landing.eval.flying.flight_log import FlightLogWriter
+    from inclined_landing.eval.flying.plan import PlannedFlight
+    from inclined_landing.eval.flying.report import FlightReport
 
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
 
@@ -84,6 +73,11 @@ class FlightOptions:
         Raises UserError for a policy that is for another task or another slope, and for a planned flight that
         cannot be flown in the arena.
         """
+        from inclined_landing.envs.policy import load_policy, trained_task
+        from inclined_landing.envs.tasks import make_task
+        from inclined_landing.envs.tasks.landing import PAPER_STARTS
+        from inclined_landing.eval.flying.plan import read_planned
+
         room = load_vehicle(self.arena) if self.arena is not None else load_vehicle()
         angle = room.platform_inclination if self.inclination is None else math.radians(self.inclination)
         slope = room.check_inclination(angle)
@@ -149,6 +143,9 @@ class VehicleOptions:
                 "give --uri and --mocap (or --position onboard) for a real vehicle, or --simulated for a "
                 "simulated one"
             )
+        from inclined_landing.eval.flying.connection import RealConnection
+        from inclined_landing.eval.flying.vehicle import check_uri
+
         check_uri(self.uri)
         if self.yes and not self.uri.startswith("udp://"):
             raise UserError(
@@ -181,6 +178,11 @@ class SimulationOptions:
 
     def connection(self, flight: FlightOptions, real: VehicleOptions) -> Connection:
         """Return the connection to simulated vehicles, each next to the platform of its flight."""
+        from inclined_landing.eval.flying.connection import SimulatedConnection
+        from inclined_landing.eval.flying.simulated.body import named_vehicle
+        from inclined_landing.eval.flying.simulated.faults import Fault
+        from inclined_landing.eval.flying.simulated.world import Setting
+
         stated = {"uri": real.uri, "mocap": real.mocap, "mocap_latency": real.mocap_latency}
         _reject(
             "only for real vehicles, not for --simulated", **stated, stand=real.stand, heading=real.heading
@@ -221,6 +223,13 @@ def command(
         dry_run: leave the motors off; carry the vehicle by hand and read the commands that would be sent.
         out: new folder for the logs and fly.json (default: runs/fly-DATE-TIME).
     """
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.flying.connection import checked_pilot
+    from inclined_landing.eval.flying.flight_log import FlightLogWriter
+    from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight
+    from inclined_landing.eval.flying.report import describe, describe_all, summary
+
     real.check()
     simulation.check()
     if flight.plan is not None:

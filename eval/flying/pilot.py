@@ -19,8 +19,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, YAW_GAIN
-from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, TOLERANCE, YAW_GAIN
 from inclined_landing.envs.tasks.touchdown import HOLD_STEPS, REST_SPEED
 from inclined_landing.eval.flying import frames, safety
 from inclined_landing.eval.flying.estimate import (

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
-from inclined_landing.eval.base.progress import stages
-from inclined_landing.eval.base.style import save_figure, styled
-from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.flights.usable import read_flights
-from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
-from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.plan.words import most_informative_flight
-from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words
-from inclined_landing.eval.gap.report.page import page
-from inclined_landing.eval.gap.result import REFERENCE, Diagnosis
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.gap.model.reference import VehiclePosterior
+    from inclined_landing.eval.gap.result import Diagnosis
+    from inclined_landing.models.vehicle import Vehicle
 
 
 def command(
@@ -42,6 +33,18 @@ def command(
         out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml; with --reference
             also for the vehicle identified from these, in reference/.
     """
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.eval.base.progress import stages
+    from inclined_landing.eval.base.style import save_figure, styled
+    from inclined_landing.eval.gap import diagnose
+    from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.flights.usable import read_flights
+    from inclined_landing.eval.gap.model.reference import read_reference
+    from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words
+    from inclined_landing.eval.gap.report.page import page
+    from inclined_landing.eval.gap.result import REFERENCE
+    from inclined_landing.models.parameters import load_vehicle
+
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with stages(source.count + len(reference) + 5) as tick:
@@ -102,6 +105,9 @@ def command(
 
 def _flight(d: Diagnosis, vehicle: Vehicle, known: VehiclePosterior, out: Path) -> tuple[str, str]:
     """Return sentences on the most informative flight, and the command that plans one; "" for none."""
+    from inclined_landing.eval.gap.plan.reading import PlanInput
+    from inclined_landing.eval.gap.plan.words import most_informative_flight
+
     try:
         text, worth = most_informative_flight(PlanInput.of(d, vehicle, known))
     except UserError:  # as where the vehicle file's arena leaves no room

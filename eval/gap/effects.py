@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.table import Table
 
-from inclined_landing.envs.shared.tables import printer, say
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError, choices, shown
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def command(
@@ -20,6 +21,8 @@ def command(
     Args:
         names: effects to show in detail (default: all in one table).
     """
+    from inclined_landing.envs.shared.tables import printer, say
+
     for name in names:
         if name not in LIBRARY:
             raise UserError(f"unknown effect {shown(name, 40)!r}; {choices(LIBRARY, name)}")
@@ -33,6 +36,8 @@ def command(
 
 def _overview() -> Table:
     """Return a table of all effects."""
+    from rich.table import Table
+
     table = Table(box=None, header_style="bold")
     for title in ("effect", "formula", "a plausible size", "shows in"):
         table.add_column(title, no_wrap=title == "effect", overflow="fold")
@@ -44,6 +49,8 @@ def _overview() -> Table:
 
 def _sheet(effect: Effect) -> Table:
     """Return a table of the details of an effect."""
+    from rich.table import Table
+
     table = Table(title=effect.name, title_justify="left", show_header=False, box=None)
     parameters = "\n".join(
         f"{p.name} ({p.unit}): neutral {p.neutral:g}, plausible {p.plausible:g}, from {p.bounds[0]:g} to "

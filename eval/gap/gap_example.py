@@ -9,10 +9,7 @@ import zipfile
 from importlib import resources
 from pathlib import Path
 
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import RunFolder
-from inclined_landing.models import storage
 
 HIDDEN = """# What is hidden in these flights: landing-eval gap should name these effects, with these sizes.
 thrust_scale = { scale = 0.9 }  # worn propellers
@@ -27,6 +24,9 @@ def command(out: RunFolder) -> None:
     Args:
         out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which lists the hidden effects.
     """
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.models import storage
+
     flights = resources.files(__package__).joinpath("example_flights.zip")
     with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
         archive.extractall(folder)
@@ -36,6 +36,8 @@ def command(out: RunFolder) -> None:
 
 def introduce(out: Path) -> None:
     """Print what the flights in a folder are, and the command that is given them."""
+    from inclined_landing.envs.shared.tables import say
+
     command = f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report"
     print(f"To name the effects that the model lacks: {command}")
     say(

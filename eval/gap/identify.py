@@ -5,13 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
-from inclined_landing.eval.base.progress import stages
-from inclined_landing.eval.gap.answer.identify import identify
-from inclined_landing.eval.gap.flights.usable import read_flights
-from inclined_landing.eval.gap.report import identified, model, run
-from inclined_landing.models.parameters import load_vehicle
 
 
 def command(source: Flat[FlightSource], out: RunFolder) -> None:
@@ -23,6 +17,13 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
         out: new folder for vehicle.toml, vehicle.posterior.json (posterior covariance, read by gap),
             report.html and report.json.
     """
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.eval.base.progress import stages
+    from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.flights.usable import read_flights
+    from inclined_landing.eval.gap.report import identified, model, run
+    from inclined_landing.models.parameters import load_vehicle
+
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
     with stages(source.count + 2) as tick:

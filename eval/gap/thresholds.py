@@ -14,7 +14,7 @@ measured.
 
 from __future__ import annotations
 
-from inclined_landing.eval.logs.values import LEAST_RATE
+from inclined_landing.eval.logs.limits import LEAST_RATE
 
 # Which flights count
 

@@ -1,37 +1,14 @@
-"""`landing-eval landings`: a study from its file to a folder with results, figures and a page.
-
-While it runs, the folder holds `study.json` (the study resolved, written first) and `parts/`, one
-Parquet file for each finished chunk, each whole or not there. In the end the parts become
-`results.parquet`, and the rest is made from it. A study that was interrupted, even by kill -9, goes
-on with --resume and ends with the same bits.
-"""
+"""`landing-eval landings`: a study from its file to a folder with results, figures and a page."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import shutil
-from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
-from inclined_landing.eval.landings import design, landing
-from inclined_landing.eval.landings.parameters import known_parameters
-from inclined_landing.eval.landings.study import Study, read_study
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
-
-RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
-CHUNK = 500  # landings
 
 
 def command(
@@ -53,109 +30,19 @@ def command(
         address: address of a running Ray cluster (default: start Ray on this machine).
         resume: continue the study that was interrupted in this folder.
     """
+    from inclined_landing.envs.shared import pool, runs
+    from inclined_landing.eval.landings import report
+    from inclined_landing.eval.landings.run import PARTS, RECORD, begun, landed
+    from inclined_landing.eval.landings.study import read_study
+    from inclined_landing.models.parameters import load_vehicle
+
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
     if resume and not (out / RECORD).is_file():
         raise UserError(f"nothing to resume: {out} holds no {RECORD}")
     with runs.owned(out, RECORD if resume else None):
-        if resume:
-            storage.remove_parts(out)
-            wanted = _resumed(wanted, out)
-        else:
-            wanted = with_starts(wanted)
-            record = {
-                "study": dataclasses.asdict(wanted),
-                "fingerprint": wanted.fingerprint(),
-                "landings": wanted.total,
-                "chunk": CHUNK,
-                "versions": runs.versions(),
-            }
-            storage.write_json(out / RECORD, record)
-        table = _read(out / RESULTS, range(wanted.total))
-        if table is None:
-            table = _simulated(wanted, out, engine, address)
-        from inclined_landing.eval.landings import report
-
+        wanted = begun(wanted, out, resume)
+        table = landed(wanted, out, engine, address)
         summary = report.write(wanted, table, out)
         shutil.rmtree(out / PARTS, ignore_errors=True)
     report.show(summary, out)
-
-
-def with_starts(study: Study) -> Study:
-    """Return the study with the states at which its policy enters the goal box, from the frozen grid.
-
-    Raises UserError when the policy is not for landing or never gets there.
-    """
-    if study.policy is None:
-        return study
-    from inclined_landing.envs.flights import record_flights
-    from inclined_landing.envs.policy import load_policy
-    from inclined_landing.envs.tasks import frozen as landing_starts
-
-    policy = load_policy(study.policy, "landing", vehicle=study.vehicle)
-    inclination = known_parameters(study.vehicle)["inclination"].default
-    if not math.isclose(policy.task.inclination, -inclination, rel_tol=1e-9):
-        raise UserError(
-            f"policy {study.policy} was trained for {math.degrees(policy.task.inclination):.1f} deg; "
-            f"a study can start only from one for {-math.degrees(inclination):.1f} deg"
-        )
-    grid = landing_starts.clear(policy.task, landing_starts.grid())
-    flights = record_flights(policy, "mujoco", landing_starts.at_rest(policy.task, grid))
-    entries = [flight.state[-1] for flight in flights if flight.strict]
-    if not entries:
-        raise UserError(f"policy {study.policy} never reaches the goal box from the frozen grid")
-    return dataclasses.replace(study, starts=tuple(tuple(map(float, row)) for row in entries))
-
-
-def _resumed(wanted: Study, out: Path) -> Study:
-    """Return the study to continue, start states included."""
-    record = storage.read_json(out / RECORD, "record")
-    try:
-        starts, fingerprint = record["study"]["starts"], record["fingerprint"]
-        wanted = dataclasses.replace(wanted, starts=tuple(tuple(map(float, row)) for row in starts))
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"record {out / RECORD} is damaged: {error}") from error
-    if wanted.fingerprint() != fingerprint:
-        raise UserError(
-            f"{out} was begun with a different study, vehicle or engine version; choose another folder"
-        )
-    return wanted
-
-
-def _read(path: Path, landings: range) -> pa.Table | None:
-    """Return the table in `path` if it is there, undamaged, and holds these landings."""
-    try:
-        with path.open("rb") as file:  # pyarrow takes no file name that is not UTF-8
-            table = pq.read_table(file, page_checksum_verification=True)
-        numbers = table["landing"].to_numpy()
-    except (OSError, KeyError, pa.ArrowException):
-        return None
-    known = {"landing", "start", "outcome", *known_parameters(), *landing.RESULTS}
-    return table if set(table.column_names) == known and np.array_equal(numbers, landings) else None
-
-
-def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
-    """Simulate the chunks that are missing, and return all landings, which are written too."""
-    chunks = [range(k, min(k + CHUNK, study.total)) for k in range(0, study.total, CHUNK)]
-    parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}
-    missing = [rows for rows, part in parts.items() if _read(part, rows) is None]
-    shared = (study, 0 if engine == "local" else 1)
-    columns = TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with storage.made(out / PARTS), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=study.total, completed=study.total - sum(map(len, missing)))
-        for rows, table in pool.completed(design.run_chunk, shared, missing, engine, address):
-            try:
-                write(table, parts[rows])
-            except UserError as error:
-                raise UserError(f"{error}; finished chunks are kept, continue with --resume") from error
-            bar.advance(task, table.num_rows)
-    table = pa.concat_tables([_read(part, rows) for rows, part in parts.items()]).combine_chunks()
-    write(table, out / RESULTS)
-    return table
-
-
-def write(table: pa.Table, path: Path) -> None:
-    """Write a table, with checksums that reading verifies."""
-    file = pa.BufferOutputStream()
-    pq.write_table(table, file, compression="zstd", write_page_checksum=True)
-    storage.write_bytes(path, file.getvalue().to_pybytes())

@@ -6,13 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Flat, LogSource
-from inclined_landing.eval.logs.checks import check_fleet, check_log, without_bad_data
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
-from inclined_landing.eval.logs.read import read_log
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, first_of, shown
 
 
@@ -24,6 +20,10 @@ def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     Args:
         json: print only JSON on standard output.
     """
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.logs.checks import check_fleet, without_bad_data
+    from inclined_landing.models import storage
+
     options = source.options()
     reports = [_check_file(file, options) for file in source.files]
     usable = [(log, found) for log, found in reports if log is not None and not _refused(found)]
@@ -65,6 +65,9 @@ def _answer(found: Sequence[Sequence[Finding]], fleet: Sequence[Finding]) -> str
 
 
 def _check_file(file: str, options: Mapping[str, Any]) -> tuple[FlightLog | None, tuple[Finding, ...]]:
+    from inclined_landing.eval.logs.checks import check_log
+    from inclined_landing.eval.logs.read import read_log
+
     try:
         log = read_log(file, **options, check=False)
     except UserError as error:

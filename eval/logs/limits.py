@@ -27,6 +27,9 @@ MOST_COLUMNS = 5_000
 MOST_AT_THE_END = 10  # rows of words or sums below a log, which are cut
 LONGEST = 12 * 3600.0  # s from the first row to the last
 FEWEST_PER_SECOND, MOST_PER_SECOND = 1.0, 1e5  # rows
+# Hz: commands are sent every 20 ms or faster and held from row to row: on average they are dated
+# (dt - 20 ms)/2 wrong, beyond the 5 ms of lag that matter for dt > 30 ms.
+LEAST_RATE = 30.0
 LARGEST_VALUE = 1e9  # in SI units: beyond, no quantity of a flight
 LATEST = 60.0  # s that a mapping may shift a column
 _PLAIN = bytes(range(32, 127)) + b"\t\n\r\f"

@@ -16,8 +16,9 @@ from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.logs.findings import Finding, info, limit, refuse
+from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.eval.logs.log import MOTORS_OFF, FlightLog
-from inclined_landing.eval.logs.values import LEAST_RATE, SHORTEST
+from inclined_landing.eval.logs.values import SHORTEST
 
 GRAVITY = 9.81
 RATE = 100.0  # Hz, of the grid compared on

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
-from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, MOST_PER_SECOND
+from inclined_landing.eval.logs.limits import FEWEST_PER_SECOND, LEAST_RATE, MOST_PER_SECOND
 from inclined_landing.eval.logs.log import (
     COMMANDS,
     GAP_STEPS,
@@ -23,9 +23,6 @@ SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
 SETTLES = 0.5  # s after which an attitude has settled where it was commanded
 FOLLOWS = 0.1  # rad, the least that an attitude moves on that does not follow its command
-# Hz: commands are sent every 20 ms or faster and held from row to row: on average they are dated
-# (dt - 20 ms)/2 wrong, beyond the 5 ms of lag that matter for dt > 30 ms.
-LEAST_RATE = 30.0
 MOST_JUMPS = 0.02  # of the rows
 JUMP = 0.03  # m that a row may lie away from its neighbours besides what LARGEST_ACCELERATION allows
 LARGEST_ACCELERATION = 40.0  # m/s2

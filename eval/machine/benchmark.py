@@ -8,21 +8,16 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.shared.runs import hand_over, versions
-from inclined_landing.envs.shared.statistics import spread
-from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
-from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyName, Seed
-from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.plants import make_plant
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.envs.sb3 import BatchVecEnv
 
 VEHICLES = 256
 _PLANTS = {
@@ -52,6 +47,9 @@ def command(
         json: print only JSON on standard output.
         out: new folder for benchmark.json.
     """
+    from inclined_landing.envs.policy import load_policy
+    from inclined_landing.envs.shared.runs import hand_over, versions
+
     report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
     report["load_before"] = os.getloadavg()
     loaded = load_policy(policy)
@@ -68,6 +66,12 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
     A step is one of `BatchVecEnv`: task, reward, resets and statistics of episodes included. The plants take
     turns, so that other load on the machine meets all of them.
     """
+    from inclined_landing.envs.batch import BatchEnv
+    from inclined_landing.envs.sb3 import BatchVecEnv
+    from inclined_landing.envs.shared.statistics import spread
+    from inclined_landing.envs.tasks import make_task
+    from inclined_landing.models.plants import make_plant
+
     rng = np.random.default_rng(seed)
     task = make_task("landing", pwm_centre="hover")
     environments: dict[str, BatchVecEnv] = {}
@@ -93,6 +97,8 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
 
 def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
     """Return the microseconds that a policy takes for one action of one observation."""
+    from inclined_landing.envs.shared.statistics import spread
+
     rows = np.random.default_rng(seed).normal(size=(repeats + 10, len(policy.centre))).astype(np.float32)
     microseconds = []
     for row in rows:
@@ -104,6 +110,8 @@ def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
 
 def training_rate(steps: int, seed: int) -> float:
     """Return the steps per second of `landing-train landing`, from its first step to its last update."""
+    from inclined_landing.models import storage
+
     with tempfile.TemporaryDirectory() as folder:
         options = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]
         quiet = ["--no-report", "--evaluate-every", "0"]
@@ -128,6 +136,8 @@ def machine_line(report: dict[str, Any]) -> str:
 
 
 def _show(report: dict[str, Any]) -> None:
+    from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
+
     rows = report["environments"]
     say(machine_line(report))
     table = new_table(f"Control steps per second, {VEHICLES} vehicles", "plant", "steps per second")

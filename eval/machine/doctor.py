@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.options import Flag
 from inclined_landing.models import plugins, storage
 
@@ -139,6 +138,8 @@ def _video() -> tuple[bool, str]:
 
 def _show(findings: list[CheckResult]) -> None:
     from rich.text import Text
+
+    from inclined_landing.envs.shared.tables import new_table, say, show_table
 
     table = new_table(None, "", "", "", labels=3)
     table.show_header = False

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from inclined_landing.envs.flights import Flight
 from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
-from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
-from inclined_landing.eval.pictures.flights import fly_from, say_outcomes, start_points
 from inclined_landing.models import storage
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.flights import Flight
 
 
 def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Flat[Flown] = Flown()) -> None:
@@ -21,6 +21,8 @@ def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Fl
         start: start of a flight in metres, X,Z or (setpoint) X,Y,Z; repeatable (default: the cases of the
             task; for landing the paper's two, 1.5,1.8 and 0,2).
     """
+    from inclined_landing.eval.pictures.flights import fly_from, say_outcomes, start_points
+
     storage.check_folder(out)
     loaded = flown.load(policy)
     task = loaded.task
@@ -38,5 +40,8 @@ def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Fl
 
 def draw(flight: Flight, out: Path, name: str) -> list[Path]:
     """Write the figure of one flight into the folder `out`; return its files."""
+    from inclined_landing.eval.base.style import save_figure
+    from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
+
     drawn = trajectory_figure(flight)
     return [save_figure(drawn, out / f"{name}{suffix}") for suffix in (".png", ".pdf")]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -11,10 +10,9 @@ from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start, Task
+from inclined_landing.eval.base.options import Until
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.errors import UserError
-
-Until = Literal["rest", "goal"]
 
 
 def start_points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:

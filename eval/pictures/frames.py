@@ -24,7 +24,7 @@ from inclined_landing.envs.rendering import (
     qpos_of_state,
 )
 from inclined_landing.envs.rendering.camera import nearest_position
-from inclined_landing.eval.base.options import Look
+from inclined_landing.eval.base.options import FITTED, Look
 from inclined_landing.eval.pictures.labels import (
     MOTORS_CUT,
     Label,
@@ -39,7 +39,6 @@ from inclined_landing.eval.pictures.to_rest import LandedFlight
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
-FITTED = "flight"  # the camera that sees a whole flight from as near as it can
 FPS = 50.0  # one frame for every control step
 _ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"
 _CODECS = {".mp4": "h264", ".gif": "gif"}

@@ -7,15 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from inclined_landing.eval.base.options import File, Flat, Flown, Look, PolicyFile
-from inclined_landing.eval.pictures.flights import (
-    Until,
-    continue_flights,
-    fly_from,
-    say_outcomes,
-    start_points,
-)
-from inclined_landing.eval.pictures.frames import FITTED, checked_look, strobe, write_picture
+from inclined_landing.eval.base.options import FITTED, File, Flat, Flown, Look, PolicyFile, Until
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
@@ -39,6 +31,9 @@ def command(
         until: end of a landing; goal stops with the policy's flight, rest continues with the motors cut,
             simulated in MuJoCo, until the vehicle is at rest.
     """
+    from inclined_landing.eval.pictures.flights import continue_flights, fly_from, say_outcomes, start_points
+    from inclined_landing.eval.pictures.frames import checked_look, strobe, write_picture
+
     if out.suffix.lower() != ".png":
         raise UserError(f"--out must be a .png file, not {out.name!r}")
     storage.check_file(out)

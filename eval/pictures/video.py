@@ -5,19 +5,14 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import Progress
 
-from inclined_landing.envs.flights import Flight, record_flights
-from inclined_landing.envs.mission import Mission
 from inclined_landing.eval.base.options import (
+    FITTED,
     Drawn,
     File,
     Flag,
@@ -28,34 +23,16 @@ from inclined_landing.eval.base.options import (
     PolicyFile,
     Seed,
     Starts,
+    Until,
     only_with,
     only_without,
 )
-from inclined_landing.eval.pictures.flights import (
-    Until,
-    choose_starts,
-    continue_flights,
-    fly_from,
-    say_outcomes,
-    start_points,
-)
-from inclined_landing.eval.pictures.frames import (
-    FITTED,
-    FPS,
-    checked_look,
-    flight_view,
-    render_flight,
-    write_videos,
-)
-from inclined_landing.eval.pictures.touchdown import STEP, Touchdown, record_touchdown
-from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
 Compare = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
 _GIF = Only(lambda values: values["out"].suffix.lower() != ".gif", "with a .gif file in --out")
-_REST = 1.0  # s that the last frame of a flight stays
 
 
 def command(
@@ -91,6 +68,18 @@ def command(
             simulated in MuJoCo, until the vehicle is at rest.
         compare: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
+    from inclined_landing.envs.flights import record_flights
+    from inclined_landing.eval.pictures import film
+    from inclined_landing.eval.pictures.flights import (
+        choose_starts,
+        continue_flights,
+        fly_from,
+        say_outcomes,
+        start_points,
+    )
+    from inclined_landing.eval.pictures.frames import FPS
+    from inclined_landing.eval.pictures.touchdown import record_touchdown
+
     storage.check_file(out)
     look = _checked(out, look, forces, flown)
     if compare and (forces or flown.vehicle is not None):
@@ -103,7 +92,9 @@ def command(
     flights = [] if compare else record_flights(loaded, flown.plant, where)
     shown = dataclasses.asdict(look)
     if forces:
-        frames, total, rate = film_touchdowns([record_touchdown(flight) for flight in flights], slow, **shown)
+        frames, total, rate = film.film_touchdowns(
+            [record_touchdown(flight) for flight in flights], slow, **shown
+        )
     else:
         most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
         sampled = min(FPS, most * slow)  # there are no more states
@@ -114,14 +105,16 @@ def command(
             }
             rows = [continue_flights(flights, until) for flights in each.values()]
             flights = list(itertools.chain(*rows))
-            frames, total, rate = film_side_by_side(list(zip(*rows)), tuple(each), sampled, slow, **shown)
+            frames, total, rate = film.film_side_by_side(
+                list(zip(*rows)), tuple(each), sampled, slow, **shown
+            )
         else:
             flights = continue_flights(flights, until)
-            frames, total, rate = film(flights, sampled, slow, **shown)
+            frames, total, rate = film.film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
-    write(files, frames, total, rate)
+    film.write(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
 
@@ -135,84 +128,10 @@ def _checked(out: Path, look: Look, forces: bool, flown: Flown) -> Look:
     if forces and flown.plant == "analytic":
         raise UserError("--forces needs --plant mujoco; the analytic plant does not simulate contact")
     if look.camera != "touch":
+        from inclined_landing.eval.pictures.frames import checked_look
+
         near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
         return checked_look(near)
     if not forces or look.backend == "gl":
         raise UserError("--camera touch looks at a touchdown and needs --forces")
     return look
-
-
-def film(
-    flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the frames of flights in sequence, their number, and the frames per second of the video.
-
-    sampled: frames for a second of flight. The last frame of each flight stays for a moment.
-    """
-    rest = round(_REST * sampled / slow)
-    if look.get("camera") == FITTED:
-        look["camera"] = flight_view(flights, look["width"], look["height"])
-
-    def frames():
-        for flight in flights:
-            for frame in render_flight(flight, fps=sampled, slow=slow, **look):
-                yield frame
-            yield from itertools.repeat(frame, rest)
-
-    total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
-    return frames(), total, sampled / slow
-
-
-def film_side_by_side(
-    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the same for flights side by side, one per title in a take; flights that have ended wait."""
-    columns = math.ceil(math.sqrt(len(titles)))
-    lines = math.ceil(len(titles) / columns)
-    tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
-    rest = round(_REST * sampled / slow)
-    lengths = [1 + max(round(flight.t[-1] * sampled) for flight in take) for take in takes]
-
-    def frames():
-        for take, length in zip(takes, lengths):
-            films = [
-                render_flight(flight, fps=sampled, slow=slow, title=title, **tile)
-                for flight, title in zip(take, titles)
-            ]
-            seen = [next(each) for each in films]
-            seen += [np.full_like(seen[0], 255)] * (columns * lines - len(seen))
-            for _ in range(length):
-                picture = [
-                    np.concatenate(seen[k : k + columns], axis=1) for k in range(0, len(seen), columns)
-                ]
-                picture = np.concatenate(picture)
-                yield picture
-                seen[: len(films)] = [next(each, last) for each, last in zip(films, seen)]
-            yield from itertools.repeat(picture, rest)
-
-    return frames(), sum(lengths) + rest * len(lengths), sampled / slow
-
-
-def film_touchdowns(
-    touchdowns: Sequence[Touchdown], slow: float, **look: Any
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the same for touchdowns, whose frames are engine steps."""
-    every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
-    rate = 1.0 / (every * STEP * slow)
-    rest = round(_REST * rate)
-
-    def frames():
-        for frame, last in render_touchdowns(touchdowns, every=every, slow=slow, **look):
-            yield from itertools.repeat(frame, 1 + rest if last else 1)
-
-    return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
-
-
-def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
-    """Write the videos, each with every n-th frame, with a progress bar on stderr."""
-    names = " and ".join(str(path) for path in files)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        try:
-            write_videos(files, progress.track(frames, total=total, description=names), fps=rate)
-        except OSError as error:
-            raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error

@@ -8,16 +8,12 @@ import shlex
 import sys
 import zipfile
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.policy import SHIPPED, Policy
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import say
-from inclined_landing.envs.tasks import Start
+from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.eval.base.options import (
     Drawn,
     File,
@@ -31,17 +27,15 @@ from inclined_landing.eval.base.options import (
     only_with,
     only_without,
 )
-from inclined_landing.eval.gap.answer.rollout import HORIZON
-from inclined_landing.eval.logs import read_log
-from inclined_landing.eval.pictures.flights import choose_starts, start_points
-from inclined_landing.eval.replay.measured import from_log
-from inclined_landing.eval.replay.page import write
-from inclined_landing.eval.replay.recording import Recording, from_flight
+from inclined_landing.eval.gap.result import HORIZON
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import check_plant
 from inclined_landing.models.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.envs.tasks import Start
 
 Sources = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY|LOG [POLICY|LOG ...]")
@@ -84,6 +78,16 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UserError(f"--out must be an .html file, not {shown(out.name)!r}")
     storage.check_file(out)
+    from inclined_landing.envs.flights import record_flights
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.logs import read_log
+    from inclined_landing.eval.pictures.flights import choose_starts, start_points
+    from inclined_landing.eval.replay.measured import from_log
+    from inclined_landing.eval.replay.page import write
+    from inclined_landing.eval.replay.recording import Recording, from_flight
+    from inclined_landing.models.plants import check_plant
+
     check_plant(flown.plant)
     vehicle, options = _vehicle(flown), reading.options()
     policies = [source for source in sources if _is_policy(source)]

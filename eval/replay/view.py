@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from inclined_landing.envs.flights import Flight, resimulate
-from inclined_landing.envs.rendering.window import Window, check_display
-from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import Flag, Flat, Flown, PolicyFile, Starts
-from inclined_landing.eval.pictures.flights import fly_from, say_outcome, start_points, succeeded
-from inclined_landing.eval.pictures.to_rest import to_rest
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.flights import Flight
+    from inclined_landing.envs.rendering.window import Window
 
 _FPS = 50.0  # moments shown in a second
 _LINGERS = 1.5  # s that the last moment of a flight stays
@@ -36,6 +35,10 @@ def command(
         slow: slow-down factor; 2 plays at half speed.
         again: repeat the flights until the window is closed.
     """
+    from inclined_landing.envs.rendering.window import Window, check_display
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.pictures.flights import fly_from, say_outcome, start_points, succeeded
+
     loaded = flown.load(policy)
     where = start_points(start, loaded.task)
     check_display()
@@ -56,6 +59,9 @@ def play(window: Window, flight: Flight, plant: str, slow: float) -> None:
 
     A landing is followed until the vehicle is at rest.
     """
+    from inclined_landing.envs.flights import resimulate
+    from inclined_landing.eval.pictures.to_rest import to_rest
+
     flight = to_rest(flight)
     steps = resimulate(flight) if plant == "mujoco" else flight
     platforms = [None] * len(steps.t) if steps.platform is None else steps.platform

@@ -1,30 +1,14 @@
-"""`landing-eval mission`: set-point flight, landing and touchdown as one flight, counted and filmed."""
+"""`landing-eval mission`: set-point flight, landing and touchdown as one flight (`missions`)."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-import time
-from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import Progress
 
-from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME
-from inclined_landing.envs.mission import ENDS, HAND_OVER, LANDING, LEGS, Mission, MissionPlan, fly_missions
-from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.rendering import check_picture_options
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import count_words, printer, spread_cell
-from inclined_landing.envs.tasks.setpoint import TOLERANCE
-from inclined_landing.eval.base.claims import Section, Table, show_sections
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
@@ -37,39 +21,11 @@ from inclined_landing.eval.base.options import (
     only_with,
     only_without,
 )
-from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures import video
-from inclined_landing.eval.pictures.figures.mission import mission_figure
-from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
-from inclined_landing.eval.study.engine import LONG
-from inclined_landing.models import storage
-from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
-from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.parameters import load_vehicle
+from inclined_landing.eval.study.options import HandOver
+from inclined_landing.models.errors import UserError
 
 DRAWN = 100  # missions without --missions
-TYPICAL = 5.0  # s of flight
-ROLES = ("setpoint", "landing", "touchdown")
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z")]
-
-
-@dataclasses.dataclass(frozen=True)
-class HandOver:
-    """Condition for handing over to the landing policy.
-
-    Args:
-        hand_over: point that the set-point policy flies to, in metres; y is 0.
-        near: distance to that point below which the landing policy may take over, in metres.
-        slow: speed below which it may take over, in m/s.
-        dwell: time for which both conditions must hold, in seconds.
-        drift: let y drift under policies that command no roll; otherwise the set-point policy holds y.
-    """
-
-    hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = ",".join(f"{value:g}" for value in HAND_OVER)
-    near: Annotated[float, Meta(ge=0.005, le=0.5)] = TOLERANCE
-    slow: Annotated[float, Meta(ge=0.01, le=3.0)] = HAND_OVER_SPEED
-    dwell: Annotated[float, Meta(ge=0.0, le=5.0)] = HAND_OVER_TIME
-    drift: Flag = False
 
 
 def command(
@@ -112,10 +68,22 @@ def command(
     """
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
+    from inclined_landing.envs.rendering import check_picture_options
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.eval.study.missions import (
+        draw,
+        fly_with_progress,
+        make_plan,
+        point,
+        report_of,
+        show,
+    )
+    from inclined_landing.models import storage
+
     check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
     if start:
-        starts = np.array([_point(text, "start", "X,Y,Z") for text in start])
+        starts = np.array([point(text, "start", "X,Y,Z") for text in start])
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)
@@ -129,151 +97,3 @@ def command(
             storage.write_json(folder / "mission.json", report)
             draw(flown, folder, None if no_film else look)
     print(storage.to_json(report)) if json else show(report)
-
-
-def fly_with_progress(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
-    """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate if they take long.
-
-    The estimate is made after the first second of flight, for missions of `TYPICAL` length.
-    """
-    console = printer(Console(stderr=True, markup=False, highlight=False))
-    steps, began = 0, time.monotonic()
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("missions", total=len(starts))
-
-        def advance(ended: int) -> None:
-            nonlocal steps
-            steps += 1
-            progress.update(bar, completed=ended)
-            expected = TYPICAL * (time.monotonic() - began)
-            if steps == round(1.0 / plan.vehicle.command_control_period) and expected > LONG:
-                progress.console.print(f"{len(starts)} missions: about {expected / 60:.0f} min")
-
-        return fly_missions(plan, starts, advance)
-
-
-def make_plan(
-    policies: tuple[str, str, str], hand_overs: HandOver, inclination: float | None, vehicle: Path | None
-) -> MissionPlan:
-    """Return the plan of the options. Raises UserError for invalid ones."""
-    loaded = load_vehicle(vehicle) if vehicle is not None else None
-    slope = None if inclination is None else math.radians(inclination)
-    if slope is not None:
-        (loaded or load_vehicle()).check_inclination(slope)
-    setpoint, landing, touchdown = policies
-    x, z = _point(hand_overs.hand_over, "hand-over", "X,Z")
-    return MissionPlan(
-        load_policy(setpoint, "setpoint", vehicle=loaded),
-        load_policy(landing, vehicle=loaded, inclination=slope),
-        load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
-        (x, z),
-        *(hand_overs.near, hand_overs.slow, hand_overs.dwell, not hand_overs.drift),
-    )
-
-
-def _point(text: str, option: str, form: str) -> tuple[float, ...]:
-    """Return the numbers of an option written as `form`."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != form.count(",") + 1 or not all(map(math.isfinite, numbers)):
-        raise UserError(f"--{option} must be {form} in metres, not {shown(text)!r}")
-    return numbers
-
-
-def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
-    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
-    figure = mission_figure(missions[0], missions[1:])
-    for suffix in (".png", ".pdf"):
-        save_figure(figure, folder / f"mission{suffix}")
-    if look is None:
-        return
-    how = dataclasses.asdict(look)
-    write_picture(folder / "flight.png", strobe(missions[0], **how))
-    frames, total, rate = video.film(missions[:1], FPS, 1.0, **how)
-    video.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
-
-
-def report_of(missions: Sequence[Mission]) -> dict[str, Any]:
-    """Return success rates, times and hand-over errors of missions of one plan, and a record of each."""
-    plan = missions[0].plan
-    landed = [mission for mission in missions if mission.success]
-    return {
-        "command": "mission",
-        "policies": {role: str(policy.path) for role, policy in zip(ROLES, plan.policies)},
-        "trained": {role: policy.metadata for role, policy in zip(ROLES, plan.policies)},
-        "inclination": plan.task.inclination,
-        "hand_over": {
-            "point": plan.point.tolist(),
-            **{name: getattr(plan, name) for name in ("near", "slow", "dwell", "hold")},
-        },
-        "missions": len(missions),
-        "at_rest": proportion(len(landed), len(missions)),
-        "ends": {end: sum(m.end == end for m in missions) for end in ENDS},
-        "time": spread([m.t[-1] for m in landed]),
-        "legs": {name: _leg_statistics(missions, name) for name in LEGS},
-        "handed_over": _hand_over_errors(missions, plan),
-        "rest": {"y": spread([abs(m.state[-1, Y]) for m in landed])},
-        "flights": [
-            {
-                "start": m.state[0, :3].tolist(),
-                "end": m.end,
-                "time": float(m.t[-1]),
-                "place": m.state[-1, :3].tolist(),
-                "legs": [
-                    vars(leg) | {"touched": list(leg.touched), "state": leg.state.tolist()} for leg in m.legs
-                ],
-            }
-            for m in missions
-        ],
-        "versions": runs.versions(),
-    }
-
-
-def _leg_statistics(missions: Sequence[Mission], name: str) -> dict[str, Any]:
-    """Return the statistics of one leg over all missions: flown, lost, duration, contacts."""
-    pairs = [(mission, leg) for mission in missions if (leg := mission.find_leg(name))]
-    return {
-        "flown": len(pairs),
-        "lost": dict(Counter(mission.end for mission, leg in pairs if not leg.done)),
-        "done": proportion(sum(leg.done for _, leg in pairs), len(pairs)),
-        "duration": spread([leg.duration for _, leg in pairs if leg.done]),
-        "touched": dict(Counter(surface for _, leg in pairs for surface in leg.touched)),
-    }
-
-
-def _hand_over_errors(missions: Sequence[Mission], plan: MissionPlan) -> dict[str, Any]:
-    """Return the errors of position and speed at the hand-over to the landing policy."""
-    states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.find_leg("landing")])
-    states = states.reshape(-1, STATE_SIZE)
-    return {
-        "position": spread(np.linalg.norm(states[:, X : Z + 1] - plan.point, axis=1)),
-        "speed": spread(np.linalg.norm(states[:, VX : VZ + 1], axis=1)),
-        "y": spread(np.abs(states[:, Y])),
-        "vy": spread(np.abs(states[:, VY])),
-    }
-
-
-def show(report: dict[str, Any]) -> None:
-    """Print a report: the success rate, and a row for each leg."""
-    count, rest = report["missions"], report["at_rest"]
-    rows = []
-    for name, leg in report["legs"].items():
-        policy = Path(report["policies"][name if name in ROLES else "setpoint"]).stem
-        lost = ", ".join(f"{many} {end}" for end, many in leg["lost"].items()) or "0"
-        touched = ", ".join(f"{surface} {many}" for surface, many in leg["touched"].items()) or "-"
-        rows.append((name, policy, str(leg["flown"]), lost, spread_cell(leg["duration"]), touched))
-    rows.append(("all", "", str(count), str(count - rest["count"]), spread_cell(report["time"]), ""))
-    table = Table("", ("leg", "policy", "flown", "lost", "time [s]", "touched"), rows)
-    over = report["handed_over"]
-    position, aside, at_rest = (
-        spread_cell(found, 1, 100.0) for found in (over["position"], over["y"], report["rest"]["y"])
-    )
-    remarks = [
-        "Shares have 95 % Wilson intervals; times are medians (5 % to 95 %) over successful legs.",
-        f"Distance at hand-over: {position} cm, |y| {aside} cm; |y| at rest: {at_rest} cm.",
-        f"At rest on the feet after {count_words(rest, 'missions')}.",
-    ]
-    title = f"{count} mission{'s' * (count != 1)}"
-    show_sections([Section("mission", title, [], [], [table], remarks=remarks)])

@@ -6,12 +6,12 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.policy import SHIPPED, Policy, load_policy
+from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.eval.base.options import (
     MOST_COMPARED,
     Flag,
@@ -19,18 +19,16 @@ from inclined_landing.eval.base.options import (
     NewFolder,
     PlantName,
     Seed,
+    ThrustScale,
     only_with,
 )
-from inclined_landing.eval.study import changes, moving, slopes, vehicles
-from inclined_landing.eval.study.engine import Study, run
-from inclined_landing.eval.study.flights import named_policies
-from inclined_landing.eval.study.platforms.controllers import BASELINES, find_all
-from inclined_landing.eval.study.platforms.scenario import scenario_of, scenarios
-from inclined_landing.eval.study.show import hand_over
+from inclined_landing.eval.study.options import BASELINES, THRUSTS, VEHICLES
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
-from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import check_plant
+
+if TYPE_CHECKING:
+    from inclined_landing.envs.policy import Policy
+    from inclined_landing.eval.study.engine import Study
 
 # Without --full: each 12th start, medium effects, few drawn vehicles, few flights of a scenario.
 QUICK_EVERY, QUICK_DRAWS, QUICK_FLIGHTS, DRAWS = 12, 32, 4, 256
@@ -51,7 +49,7 @@ _FROM_GRID = only_with("over", "thrust", "effects", "slopes", "vehicles")
 _EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
 _VEHICLE = tyro.conf.arg(
     metavar="VEHICLE [...]",
-    help_behavior_hint=f"(default: Crazyflie 2.1; with --over vehicles: {' '.join(vehicles.NAMED)})",
+    help_behavior_hint=f"(default: Crazyflie 2.1; with --over vehicles: {' '.join(VEHICLES)})",
 )
 
 
@@ -65,8 +63,8 @@ class ChangeOptions:
     """
 
     thrust: Annotated[
-        tuple[changes.ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]"), only_with("over", "thrust")
-    ] = changes.THRUSTS
+        tuple[ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]"), only_with("over", "thrust")
+    ] = THRUSTS
     effect: Annotated[tuple[str, ...], _EFFECTS, only_with("over", "effects")] = tuple(LIBRARY)
 
 
@@ -134,6 +132,16 @@ def command(
     """
     over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
     _check(policies, over, vehicle)
+    from inclined_landing.envs.policy import load_policy
+    from inclined_landing.eval.study import changes, moving, slopes, vehicles
+    from inclined_landing.eval.study.engine import run
+    from inclined_landing.eval.study.flights import named_policies
+    from inclined_landing.eval.study.platforms.controllers import find_all
+    from inclined_landing.eval.study.platforms.scenario import scenario_of, scenarios
+    from inclined_landing.eval.study.show import hand_over
+    from inclined_landing.models.parameters import load_vehicle
+    from inclined_landing.models.plants import check_plant
+
     changes.check_effects(thrust_and_effects.effect)
     check_plant(plant)
     every = every or (1 if full else QUICK_EVERY)
@@ -156,7 +164,7 @@ def command(
         draws = drawn_vehicles.draws
         options = dataclasses.asdict(drawn_vehicles)
         options["draws"] = (DRAWS if full else QUICK_DRAWS) if draws is None else draws
-        named = vehicle or vehicles.NAMED
+        named = vehicle or VEHICLES
         found.append(vehicles.study(named_policies(policies), named, plant=plant, every=every, **options))
     if "moving" in over:
         names = moving_platforms.scenario or scenarios()

@@ -7,7 +7,8 @@ import subprocess
 import pytest
 
 import tests.documents  # noqa: F401  (finds docs/site)
-from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import load_policy
 
 import cards  # isort: skip
 import recipes  # isort: skip

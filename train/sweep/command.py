@@ -18,7 +18,6 @@ from msgspec import Meta
 from inclined_landing.envs.shared import pool
 from inclined_landing.envs.shared import runs as run_folders
 from inclined_landing.envs.shared.command_line import bound, parse
-from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
@@ -134,6 +133,8 @@ class Sweep:
 
     def _show(self, cpu_seconds: Sequence[float]) -> None:
         """Write the result and print it as a table."""
+        from inclined_landing.envs.shared.tables import new_table, say, show_table
+
         recipe, measured = self.recipe, []
         for variant in recipe.variants:
             folders = [self.jobs[variant, seed].folder for seed in recipe.seeds]

@@ -31,7 +31,7 @@ from inclined_landing.eval.gap.model.columns import (
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, NamedEffect, ScoredSet
-from inclined_landing.eval.logs.values import LEAST_RATE
+from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.vehicle import Vehicle

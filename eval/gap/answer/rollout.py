@@ -30,7 +30,7 @@ from inclined_landing.eval.gap.model.prediction import (
     predict,
     without_delays,
 )
-from inclined_landing.eval.gap.result import PlantGap
+from inclined_landing.eval.gap.result import HORIZON, PlantGap
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.models import equations, forces
@@ -53,7 +53,6 @@ from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import MujocoPlant, check_plant
 from inclined_landing.models.vehicle import Vehicle
 
-HORIZON = 1.0  # s
 LARGEST_STEP = 0.004  # s at most
 CLEAR_HEIGHT = 50.0  # m, at which no surface is near
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates

@@ -5,23 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.options import RunFolder, Seed, VehicleFile
-from inclined_landing.eval.base.progress import stages
-from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.plan import words
-from inclined_landing.eval.gap.plan.design import SECONDS, Plan, design
-from inclined_landing.eval.gap.plan.picture import picture
-from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
-from inclined_landing.models import storage
+from inclined_landing.eval.gap.plan import SECONDS
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.gap.plan.design import Plan
+    from inclined_landing.eval.gap.plan.reading import PlanInput
+    from inclined_landing.eval.gap.plan.words import InDoubt
 
 
 def command(
@@ -44,6 +39,17 @@ def command(
         vehicle: the vehicle file (TOML) of the report, if it has been moved.
         seed: seed for the search.
     """
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.base.progress import stages
+    from inclined_landing.eval.base.style import save_figure
+    from inclined_landing.eval.gap import thresholds
+    from inclined_landing.eval.gap.plan import words
+    from inclined_landing.eval.gap.plan.design import design
+    from inclined_landing.eval.gap.plan.picture import picture
+    from inclined_landing.eval.gap.plan.reading import read_report
+    from inclined_landing.models import storage
+
     plan_input, arena = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED and not plan_input.vary:
@@ -85,10 +91,12 @@ def command(
     say(f"The most informative flight is {flight}.", style="bold")
 
 
-def to_json(
-    plan: Plan, plan_input: PlanInput, found: Sequence[words.InDoubt], report: Path, seed: int
-) -> dict:
+def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path, seed: int) -> dict:
     """Return the contents of plan.json; probabilities before the flight are those of the report."""
+    import numpy as np
+
+    from inclined_landing.envs.shared import runs
+
     states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
     reported = {h.effects: h.probability for h in plan_input.hypotheses}
     sets = [

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.plan import pieces, safety
+from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
@@ -21,7 +21,6 @@ from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
-SECONDS = 20.0
 PIECES_PER_KIND = 8  # random safe pieces of every kind
 DRAWS_PER_PIECE = 40  # at most, for one that is safe
 MOVES = 4  # random perturbations of a piece in each round of refinement

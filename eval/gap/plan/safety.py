@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from inclined_landing.envs.tasks.setpoint import TOLERANCE
+from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.eval.base.fence import beyond_fence
 from inclined_landing.eval.base.tracking import Tracker
 from inclined_landing.eval.gap.plan.information import NoiseLevels

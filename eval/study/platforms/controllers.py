@@ -11,6 +11,7 @@ import numpy as np
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import StepContext
 from inclined_landing.eval.study.flights import named_policies
+from inclined_landing.eval.study.options import BASELINES, PLANNER
 from inclined_landing.eval.study.platforms.planner import Planner
 from inclined_landing.eval.study.rest import Pilot, PolicyPilot
 from inclined_landing.models.attitude import PWM
@@ -18,8 +19,6 @@ from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-PLANNER = "planner"
-BASELINES = ("touchdown-moving", "landing-moving", PLANNER)
 ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.claims import Section
+from typing import TYPE_CHECKING
+
 from inclined_landing.eval.base.options import RunFolder, VehicleFile
-from inclined_landing.eval.truth.contact.figures import DRAW
-from inclined_landing.eval.truth.contact.laws import LAWS
-from inclined_landing.eval.truth.report import progress, publish
-from inclined_landing.models.parameters import load_vehicle
+
+if TYPE_CHECKING:
+    from inclined_landing.eval.base.claims import Section
 
 
 def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
@@ -20,6 +19,11 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
         out: new folder for contact.html, contact.json and the figures.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
+    from inclined_landing.eval.truth.contact.figures import DRAW
+    from inclined_landing.eval.truth.contact.laws import LAWS
+    from inclined_landing.eval.truth.report import progress, publish
+    from inclined_landing.models.parameters import load_vehicle
+
     tested = load_vehicle(vehicle)
     sections = []
     with progress(len(LAWS)) as tick:
@@ -44,6 +48,8 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
 
 def contact_record(sections: list[Section]) -> dict:
     """Return the content of contact.json."""
+    from inclined_landing.envs.shared import runs
+
     found = {}
     for section in sections:
         checks = [

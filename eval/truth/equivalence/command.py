@@ -3,33 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
-from matplotlib.figure import Figure
-
-from inclined_landing.envs.policy import Policy, load_policy
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.tasks import frozen as landing_starts
-from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.base.options import Flag, PolicyName, RunFolder, Seed, VehicleFile
-from inclined_landing.eval.truth.equivalence import (
-    bandwidth,
-    check_cases,
-    closed_loop,
-    convergence,
-    flying,
-    inconsistencies,
-    isolated,
-    levels,
-    motor,
-    twin,
-)
-from inclined_landing.eval.truth.report import progress, publish
-from inclined_landing.models.parameters import load_vehicle
-
-SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
-QUICK_SEQUENCES, QUICK_STATES = 4, 200
-QUICK_STARTS = 4  # every fourth of the frozen grid
 
 
 def command(
@@ -51,10 +26,16 @@ def command(
         seed: seed for commands and states.
         quick: use fewer commands, states and starts.
     """
+    from inclined_landing.envs.policy import load_policy
+    from inclined_landing.envs.shared import runs
+    from inclined_landing.eval.truth.equivalence import measured
+    from inclined_landing.eval.truth.report import progress, publish
+    from inclined_landing.models.parameters import load_vehicle
+
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
     with progress(9) as tick:
-        sections, drawn = measure(loaded, seed, quick, tick)
+        sections, drawn = measured.measure(loaded, seed, quick, tick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]
     record = {
@@ -83,33 +64,3 @@ def command(
         run=f"{name} · seed {seed} · policy {loaded.path.name} · {seconds:.0f} s",
     )
     return 0 if passed else 1
-
-
-def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section], dict[str, Figure]]:
-    """Return all the sections, and the figures by file name. `tick` is called with what comes next."""
-    v = policy.task.vehicle
-    n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
-    starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
-    flights = flying.all_sequences(v, n, seed, policy)
-    by_label = {s.label: s for s in flights}
-    full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
-    work: dict[str, Callable[[], Section | tuple[Section, Figure]]] = {
-        "three levels": lambda: levels.section(v, flights, states, seed),
-        "single terms": lambda: isolated.section(v, states // 2, seed),
-        "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
-        "motor function": lambda: motor.section(v, seed),
-        "convergence": lambda: convergence.section(v, full.commands),
-        "bandwidth": lambda: bandwidth.section(v, full, recorded),
-        "closed loop": lambda: closed_loop.section(policy, starts),
-        "check cases": lambda: check_cases.section(v),
-        "inconsistencies": lambda: inconsistencies.section(v, recorded),
-    }
-    sections, figures = [], {}
-    for what, measured in work.items():
-        tick(what)
-        found = measured()
-        part, figure = found if isinstance(found, tuple) else (found, None)
-        if figure is not None:
-            figures[f"{part.key}.png"] = figure
-        sections.append(part)
-    return sections, figures

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import load_policy
+from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.envs.shared.runs import locked
-from inclined_landing.envs.tasks.setpoint import TOLERANCE
 from inclined_landing.eval import cli
 from inclined_landing.eval.flying import pilot as pilot_module
 from inclined_landing.eval.flying import positions, safety

@@ -223,7 +223,7 @@ def test_an_occupied_folder_stays_as_it_is(logs, tmp_path, capsys):
 def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, monkeypatch):
     files = logs(count=1)
     answer = dataclasses.replace(example(), flights=("flight_0",), heldout=("flight_0",))
-    monkeypatch.setattr("inclined_landing.eval.gap.command.diagnose", lambda *_, **__: answer)
+    monkeypatch.setattr("inclined_landing.eval.gap.pipeline.diagnose", lambda *_, **__: answer)
 
     def full(self, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -11,12 +11,13 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior, free_effects
-from inclined_landing.eval.gap.plan import NoiseLevels, ScoredSet, design, pieces, safety, words
+from inclined_landing.eval.gap.plan import pieces, safety, words
 from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
-from inclined_landing.eval.gap.plan.information import ModelDiscrimination
+from inclined_landing.eval.gap.plan.design import design
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.eval.gap.result import REFERENCE
+from inclined_landing.eval.gap.result import REFERENCE, ScoredSet
 from inclined_landing.eval.logs import read_log
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError

@@ -12,7 +12,8 @@ import pytest
 
 from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.landings import command, design, landing, report
+from inclined_landing.eval.landings import command, design, landing, report, run
+from inclined_landing.eval.landings.study import read_study
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from tests.pages import EVIL, check_page
@@ -57,7 +58,7 @@ def reference(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def chunks_of_ten(monkeypatch):
     """Three chunks make a study here; the reference is one."""
-    monkeypatch.setattr(command, "CHUNK", 10)
+    monkeypatch.setattr(run, "CHUNK", 10)
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
 def test_neither_chunks_nor_threads_change_a_bit(study, tmp_path, reference, no_report):
     command.command(study, tmp_path / "other")
     assert bits(tmp_path / "other") == bits(reference)
-    read, rows = command.read_study(study), range(5, 10)
+    read, rows = read_study(study), range(5, 10)
     assert design.run_chunk(read, 1, rows).equals(design.run_chunk(read, 2, rows))
 
 

@@ -20,11 +20,11 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import STAMP_DPI, save_figure
-from inclined_landing.eval.pictures.curves import final_scores, learning_curves
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import flight_view
+from inclined_landing.eval.pictures.learning import final_scores, learning_curves
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 

@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.pictures import video
+from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.touchdown import LEAD, STEP, record_touchdown
 from inclined_landing.eval.pictures.touchdown_video import caption, render_touchdowns
@@ -92,7 +92,7 @@ def test_the_command_films_every_engine_step(tmp_path, monkeypatch):
     def write(paths, frames, fps):
         seen.update(frames=sum(1 for _ in frames), fps=fps)
 
-    monkeypatch.setattr(video, "write_videos", write)
+    monkeypatch.setattr(film, "write_videos", write)
     options = ["--forces", "--slow", "16", "--camera", "touch", "--width", "160", "--height", "90"]
     assert main(["video", "touchdown", *options, "--out", str(tmp_path / "x.mp4")]) == 0
     assert seen["fps"] == pytest.approx(1 / (STEP * 16))

@@ -12,11 +12,11 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.rendering import Ghost
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.cli import main
+from inclined_landing.eval.pictures.film import film_side_by_side
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import ghosts_at, labels_of, render_flight, strobe, write_videos
 from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
-from inclined_landing.eval.pictures.video import film_side_by_side
 from inclined_landing.eval.study.rest import cut_motors
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.plants.recorder import still

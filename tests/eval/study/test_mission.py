@@ -11,7 +11,8 @@ from inclined_landing.envs.mission import fly_missions
 from inclined_landing.eval import cli
 from inclined_landing.eval.pictures import frames
 from inclined_landing.eval.pictures.labels import outcome_label
-from inclined_landing.eval.study.mission import HandOver, make_plan
+from inclined_landing.eval.study.missions import make_plan
+from inclined_landing.eval.study.options import HandOver
 
 
 def test_missions_are_counted_and_drawn(tmp_path, capsys):

@@ -11,6 +11,7 @@ from inclined_landing.envs.shared.measures import STRICT
 from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, robustness
 from inclined_landing.eval.study.engine import count
+from inclined_landing.eval.study.options import THRUSTS
 from inclined_landing.eval.study.panels import shares
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -39,13 +40,13 @@ def test_sizes_are_distances_from_neutral_within_what_is_possible():
 
 def test_every_condition_is_a_vehicle():
     distinct = {tuple(case.labels.items()) for case in CASES}
-    assert len(CASES) == len(changes.THRUSTS) + 3 * len(LIBRARY) == len(distinct)
+    assert len(CASES) == len(THRUSTS) + 3 * len(LIBRARY) == len(distinct)
     known = load_vehicle()
     for case in CASES:
         check_vehicle(case.vehicle(known))
-    curve = CASES[: len(changes.THRUSTS)]
-    assert [case.values["scale"] for case in curve] == sorted(changes.THRUSTS)
-    assert changes.THRUSTS[0] == 0.7 and changes.THRUSTS[-1] == 1.15
+    curve = CASES[: len(THRUSTS)]
+    assert [case.values["scale"] for case in curve] == sorted(THRUSTS)
+    assert THRUSTS[0] == 0.7 and THRUSTS[-1] == 1.15
     assert [case.values["scale"] for case in curve if case.vehicle(known) is known] == [1.0]
 
 
@@ -108,7 +109,7 @@ def counted(flights, cases=CASES):
     [((0.9, 0.95, 1.0, 1.05, 1.1), (0.9, 1.1)), ((0.7, 0.85, 1.0, 1.15), (1.0, 1.0)), ((0.9,), None)],
 )
 def test_thrusts_survived_have_no_gap(good, ends):
-    rows = [{"policy": "one", "thrust_scale": x, "strict": x in good, "flight": 0} for x in changes.THRUSTS]
+    rows = [{"policy": "one", "thrust_scale": x, "strict": x in good, "flight": 0} for x in THRUSTS]
     results = counted(pd.DataFrame(rows))
     assert changes.survived(results, STRICT, "one") == ends
 

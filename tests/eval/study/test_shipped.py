@@ -6,13 +6,14 @@ import sys
 
 import pytest
 
-from inclined_landing.envs.policy import SHIPPED, load_policy, locate, trained_task
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import load_policy, locate, trained_task
 from inclined_landing.eval.study.engine import run
+from inclined_landing.eval.study.groups import study
 from inclined_landing.eval.study.moving import fly
 from inclined_landing.eval.study.platforms import controllers
 from inclined_landing.eval.study.platforms.controllers import vehicle_flown
 from inclined_landing.eval.study.platforms.scenario import scenarios
-from inclined_landing.eval.study.success import study
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 9100, "touchdown-nominal": 10}
 MOVING = [name for name in SHIPPED if name.endswith("-moving")]
@@ -36,7 +37,8 @@ def test_a_further_policy_is_found_by_its_file(tmp_path):
 import importlib.resources, pathlib
 files = importlib.resources.files
 importlib.resources.files = lambda p: pathlib.Path({str(tmp_path)!r}) if p.endswith(".envs") else files(p)
-from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import load_policy
 assert SHIPPED == ("landing", "setpoint", "touchdown", *[n for n in SHIPPED if "-" in n]), SHIPPED
 assert "landing-other" in SHIPPED and load_policy("landing-other").name == "landing-other"
 try:

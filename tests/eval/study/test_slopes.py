@@ -5,7 +5,8 @@ import json
 import pandas as pd
 import pytest
 
-from inclined_landing.envs.policy import SHIPPED, load_policy
+from inclined_landing.envs.ids import SHIPPED
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import STRICT
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.export import contract

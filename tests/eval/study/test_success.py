@@ -17,7 +17,7 @@ from inclined_landing.envs.shared.measures import SUCCESS, TOUCHED
 from inclined_landing.envs.tasks import StepContext, frozen, make_task, slopes
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
-from inclined_landing.eval.study import changes, flights, rest, show, success
+from inclined_landing.eval.study import changes, flights, groups, rest, show
 from inclined_landing.eval.study.engine import count, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly, table_of
 from inclined_landing.models import storage
@@ -197,7 +197,7 @@ def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
 
 def of_one(policy, **options):
     """Return the results of one policy on its task."""
-    (results,) = run([success.study({"one": policy}, **options)])
+    (results,) = run([groups.study({"one": policy}, **options)])
     return results
 
 
@@ -352,7 +352,7 @@ def test_a_slope_of_the_other_sign_on_which_nothing_lands_gets_a_hint(flown, lan
     task = make_task("landing", inclination=math.radians(flown))
     policy = Constant(task, 0.0, 0.0)
     policy.metadata = {"task_options": {"inclination": math.radians(-25.7)}}
-    study = success.study({"one": policy}, plant="analytic")
+    study = groups.study({"one": policy}, plant="analytic")
     flights = pd.DataFrame({"strict": np.arange(250) < landed, "cut": False}).assign(
         policy="one", thrust_scale=1.0, starts="frozen grid", slope="", success=False, touched=False
     )

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.truth.contact import command, laws
+from inclined_landing.eval.truth.contact import laws
 from inclined_landing.models.parameters import load_vehicle
 
 V = load_vehicle()
@@ -35,7 +35,7 @@ def test_random_drops_gain_no_energy_and_stay_above_the_slab():
 
 
 def test_the_page_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command, "LAWS", {k: laws.LAWS[k] for k in ("slip", "parts")})
+    monkeypatch.setattr(laws, "LAWS", {k: laws.LAWS[k] for k in ("slip", "parts")})
     out = tmp_path / "page"
     assert main(["contact", "--out", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]
@@ -48,7 +48,7 @@ def test_the_page_is_written(tmp_path, monkeypatch, capsys):
 
 
 def test_a_claim_that_fails_is_exit_code_1(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command, "LAWS", {"slip": laws.slip})
+    monkeypatch.setattr(laws, "LAWS", {"slip": laws.slip})
     monkeypatch.setitem(laws.WORDS.tables["slip"]["onset"], "high", 0.01)  # its resolution is 0.1 deg
     assert main(["contact", "--out", str(tmp_path / "page")]) == 1
     assert "not met: onset of sliding" in capsys.readouterr().out

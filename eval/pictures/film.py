@@ -1,0 +1,99 @@
+"""Films of flights, one after the other or side by side, and of touchdowns at the engine's steps."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from inclined_landing.envs.flights import Flight
+from inclined_landing.envs.mission import Mission
+from inclined_landing.eval.base.options import FITTED
+from inclined_landing.eval.pictures.frames import FPS, flight_view, render_flight, write_videos
+from inclined_landing.eval.pictures.touchdown import STEP, Touchdown
+from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
+from inclined_landing.models.errors import UserError
+
+_REST = 1.0  # s that the last frame of a flight stays
+
+
+def film(
+    flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Return the frames of flights in sequence, their number, and the frames per second of the video.
+
+    sampled: frames for a second of flight. The last frame of each flight stays for a moment.
+    """
+    rest = round(_REST * sampled / slow)
+    if look.get("camera") == FITTED:
+        look["camera"] = flight_view(flights, look["width"], look["height"])
+
+    def frames():
+        for flight in flights:
+            for frame in render_flight(flight, fps=sampled, slow=slow, **look):
+                yield frame
+            yield from itertools.repeat(frame, rest)
+
+    total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
+    return frames(), total, sampled / slow
+
+
+def film_side_by_side(
+    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Return the same for flights side by side, one per title in a take; flights that have ended wait."""
+    columns = math.ceil(math.sqrt(len(titles)))
+    lines = math.ceil(len(titles) / columns)
+    tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
+    rest = round(_REST * sampled / slow)
+    lengths = [1 + max(round(flight.t[-1] * sampled) for flight in take) for take in takes]
+
+    def frames():
+        for take, length in zip(takes, lengths):
+            films = [
+                render_flight(flight, fps=sampled, slow=slow, title=title, **tile)
+                for flight, title in zip(take, titles)
+            ]
+            seen = [next(each) for each in films]
+            seen += [np.full_like(seen[0], 255)] * (columns * lines - len(seen))
+            for _ in range(length):
+                picture = [
+                    np.concatenate(seen[k : k + columns], axis=1) for k in range(0, len(seen), columns)
+                ]
+                picture = np.concatenate(picture)
+                yield picture
+                seen[: len(films)] = [next(each, last) for each, last in zip(films, seen)]
+            yield from itertools.repeat(picture, rest)
+
+    return frames(), sum(lengths) + rest * len(lengths), sampled / slow
+
+
+def film_touchdowns(
+    touchdowns: Sequence[Touchdown], slow: float, **look: Any
+) -> tuple[Iterator[np.ndarray], int, float]:
+    """Return the same for touchdowns, whose frames are engine steps."""
+    every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
+    rate = 1.0 / (every * STEP * slow)
+    rest = round(_REST * rate)
+
+    def frames():
+        for frame, last in render_touchdowns(touchdowns, every=every, slow=slow, **look):
+            yield from itertools.repeat(frame, 1 + rest if last else 1)
+
+    return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
+
+
+def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
+    """Write the videos, each with every n-th frame, with a progress bar on stderr."""
+    names = " and ".join(str(path) for path in files)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        try:
+            write_videos(files, progress.track(frames, total=total, description=names), fps=rate)
+        except OSError as error:
+            raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error

@@ -1,0 +1,254 @@
+"""Learning curves of training runs of one task, and their final scores."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullLocator
+
+from inclined_landing.envs.tasks import is_path, known, task_class
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS, ScoreCurve
+from inclined_landing.eval.base.style import (
+    BLUE,
+    GREEN,
+    MUTED,
+    ORANGE,
+    PURPLE,
+    styled,
+)
+from inclined_landing.models import storage
+from inclined_landing.models.errors import UserError, shown
+
+_LARGEST = 1e12  # number in the tables of a run
+
+
+class _Run(NamedTuple):
+    """A training run as it is drawn."""
+
+    task: str
+    learning: pd.DataFrame
+    evaluations: pd.DataFrame
+    cut: list[Path]  # its tables that end within a row
+
+
+_LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
+_LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
+_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
+_LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
+
+
+def _read_run(folder: str | Path) -> _Run:
+    """Return a training run from its folder; raises UserError, naming the file, if it is not one."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UserError(f"the run folder {folder} does not exist")
+    record = storage.read_json(folder / "run.json", "run")
+    try:
+        task = record["config"]["task"]
+        score = _score_curve(task)
+    except (TypeError, KeyError, UserError) as error:
+        raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
+    cut: list[Path] = []
+    learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
+    kinds = [f"{score.column}_{kind}" for kind in VEHICLE_KINDS]  # of a randomised run
+    evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut, kinds)
+    if learning.empty:
+        raise UserError(f"{folder / 'learning.csv'} has no rows yet; the run is too short for curves")
+    return _Run(task, learning, evaluations, cut)
+
+
+def _score_curve(task: str) -> ScoreCurve:
+    """Return the score curve of a task; the default one for a user's task that was not imported."""
+    return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
+
+
+def _read_table(
+    path: Path, columns: list[str], cut: list[Path], optional: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
+
+    The row that the table ends within, as after a copy that was cut short, is left out; `path` is then added
+    to `cut`.
+    """
+    text = storage.read_text(path, "table", storage.LARGEST_JSON)
+    rows, _, last = text.rstrip("\0").rpartition("\n")
+    if rows and (last or text.endswith("\0")) and last.count(",") < rows.partition("\n")[0].count(","):
+        text = rows + "\n"
+        cut.append(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+            table = pd.read_csv(io.StringIO(text), index_col=False) if text.strip() else pd.DataFrame()
+    except (ValueError, pd.errors.ParserWarning) as error:
+        raise UserError(
+            f"{path} is not a table: rows differ in length, or a quotation mark is open"
+        ) from error
+    if table.empty:
+        return pd.DataFrame({column: [] for column in columns}, dtype=float)
+    numbers = {}
+    for column in (*columns, *(name for name in optional if name in table)):
+        if column not in table:
+            raise UserError(f"{path} lacks the column {column}")
+        values = pd.to_numeric(table[column], errors="coerce").astype(float)
+        missing = table[column].isna() & (column != "steps")
+        wrong = ~(values.abs() <= _LARGEST) & ~missing | (values < 0.0) & (column == "steps")
+        if wrong.any():
+            row = int(wrong.to_numpy().argmax())
+            value = shown(table[column].iloc[row], 40)
+            raise UserError(f"{path}: {column} is {value} in row {row + 1}, which is not a valid value")
+        numbers[column] = values
+    return pd.DataFrame(numbers)
+
+
+def learning_curves(runs: Sequence[str | Path]) -> Figure:
+    """Return a figure of score, curriculum level, episode length and reward over environment steps.
+
+    runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
+    median is a thick line and the range from the lowest to the highest a band, as far as all runs
+    reach. The curriculum's level and the episodes' length are left out where they never change. Shaded: the
+    steps in which the level still moves, during which a policy that learns may have less reward.
+    Raises UserError for no runs, runs of different tasks and folders that are not runs.
+    """
+    if not runs:
+        raise UserError("learning curves need at least one run folder")
+    loaded = [_read_run(folder) for folder in runs]
+    tasks = sorted({run.task for run in loaded})
+    if len(tasks) > 1:
+        raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one task")
+    score = _score_curve(tasks[0])
+    curves = [(score, BLUE, [run.evaluations for run in loaded])]
+    for curve, colour in _LEARNING.items():
+        if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
+            curves.append((curve, colour, [run.learning for run in loaded]))
+    with styled():
+        columns = 2 if len(curves) == 4 else len(curves)  # two to four
+        rows = len(curves) // columns
+        figure = Figure(figsize=(3.4 * columns, 0.45 + 2.05 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+        for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
+            columns_of = _score_columns(curve, tables) if curve is score else {curve.column: ""}
+            for (column, name), shade in zip(columns_of.items(), (colour, ORANGE)):
+                _draw_curves(axes, dataclasses.replace(curve, column=column), shade, tables)
+                if name:
+                    axes.plot([], [], color=shade, lw=2.0, label=name)
+            _format_axes(axes, curve)
+        for axes in grid[-1]:
+            axes.set_xlabel("environment steps [10⁶]")
+        final = max(run.learning["steps"].max() for run in loaded) / 1e6
+        grid[0, 0].set_xlim(0, 1.01 * final)
+        if changing := max(_curriculum_end(run.learning) for run in loaded):
+            for axes in grid.ravel():
+                axes.axvspan(0, changing / 1e6, color=PURPLE, alpha=0.1, lw=0, gid="curriculum")
+            label = "curriculum level still rising: the task gets harder, and the reward may fall"
+            patch = Patch(color=PURPLE, alpha=0.1, lw=0, label=label)
+            figure.legend(handles=[patch], loc="outside lower center")
+        if len(loaded) > 1:
+            handles = [
+                *grid[0, 0].plot([], [], color=MUTED, lw=2.2, label=f"median of {len(loaded)} seeds"),
+                grid[0, 0].fill_between([], [], color=MUTED, alpha=0.25, lw=0, label="lowest to highest"),
+                *grid[0, 0].plot([], [], color=MUTED, lw=0.7, alpha=0.7, label="each seed"),
+            ]
+            figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _curriculum_end(learning: pd.DataFrame) -> float:
+    """Return the steps after which the curriculum's level is constant, 0 if it never moves."""
+    rows = learning[["steps", "level"]].dropna().to_numpy(float)
+    moving = np.flatnonzero(rows[:, 1] != rows[-1:, 1])
+    return float(rows[moving[-1] + 1, 0]) if len(moving) else 0.0
+
+
+def final_scores(runs: Sequence[str | Path]) -> list[str]:
+    """Return a sentence for each task of the runs: the score of the last evaluation, median and range.
+
+    Others say which tables are cut short.
+    """
+    loaded = [_read_run(folder) for folder in runs]
+    found = []
+    for task in dict.fromkeys(run.task for run in loaded):
+        curve = _score_curve(task)
+        tables = [run.evaluations for run in loaded if run.task == task]
+        count = f"{len(tables)} run{'s' * (len(tables) != 1)} of {task}"
+        parts = []
+        for column, name in _score_columns(curve, tables).items():
+            ends = [curve.factor * x.iloc[-1] for table in tables if len(x := table[column].dropna())]
+            if ends:
+                spread = f" ({min(ends):.3g} to {max(ends):.3g})" if len(ends) > 1 else ""
+                parts.append(f"{np.median(ends):.3g}{spread}{f' with the {name}' * bool(name)}")
+        found.append(
+            f"{count}; {curve.label} at the end: {' and '.join(parts)}."
+            if parts
+            else f"{count}, not evaluated yet."
+        )
+    cut = [path for run in loaded for path in run.cut]
+    return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
+
+
+def _score_columns(curve: ScoreCurve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
+    """Return the columns to show of evaluations, and the vehicles of each; "" for all flights."""
+    of_kind = {f"{curve.column}_{kind}": name for kind, name in VEHICLE_KINDS.items()}
+    return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
+
+
+def _draw_curves(axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame]) -> None:
+    """Draw the curves of several seeds: a thin line each, from two on their median and range."""
+    lines = []
+    for table in tables:
+        rows = table[["steps", curve.column]].dropna()
+        if len(rows):
+            values = rows.to_numpy(float)
+            lines.append((values[:, 0] / 1e6, curve.factor * values[:, 1]))
+    several = len(lines) > 1
+    for x, y in lines:
+        style: dict[str, Any] = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
+        style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
+        axes.plot(x, y, color=colour, gid="run", **style)
+    if several:
+        x, middle, low, high = median_and_range(lines)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
+        axes.plot(x, middle, color=colour, lw=2.2, gid="median")
+
+
+def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
+    """Set labels, limits and scale of axes, and draw the reference value of their curve."""
+    axes.grid(True)
+    axes.set_ylabel(curve.label)
+    if not axes.lines:
+        axes.text(0.5, 0.5, "no evaluations yet", transform=axes.transAxes, ha="center", color=MUTED)
+    if curve.reference:
+        value, text = curve.reference
+        axes.axhline(value, color="black", lw=1.1, ls=(0, (5, 2)), zorder=1.5, gid="reference", label=text)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="upper right" if curve.logarithmic else "lower right")
+    if curve.limits:
+        axes.set_ylim(*curve.limits)
+    if curve.logarithmic:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def median_and_range(
+    lines: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return common abscissae (m,) of curves (x, y), and their median, lowest and highest values there.
+
+    Curves are interpolated linearly; only the range that all of them cover is used.
+    """
+    start, end = max(x[0] for x, _ in lines), min(x[-1] for x, _ in lines)
+    steps = np.unique(np.concatenate([x for x, _ in lines]))
+    steps = steps[(steps >= start) & (steps <= end)]
+    values = np.array([np.interp(steps, x, y) for x, y in lines])
+    return steps, np.median(values, axis=0), values.min(axis=0), values.max(axis=0)

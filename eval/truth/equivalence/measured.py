@@ -1,0 +1,57 @@
+"""The vehicle in MuJoCo against the paper's equations: all sections of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from matplotlib.figure import Figure
+
+from inclined_landing.envs.policy import Policy
+from inclined_landing.envs.tasks import frozen as landing_starts
+from inclined_landing.eval.base.claims import Section
+from inclined_landing.eval.truth.equivalence import (
+    bandwidth,
+    check_cases,
+    closed_loop,
+    convergence,
+    flying,
+    inconsistencies,
+    isolated,
+    levels,
+    motor,
+    twin,
+)
+
+SEQUENCES, STATES = 16, 1000  # of each family and dimension; random states of a forward pass
+QUICK_SEQUENCES, QUICK_STATES = 4, 200
+QUICK_STARTS = 4  # every fourth of the frozen grid
+
+
+def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section], dict[str, Figure]]:
+    """Return all the sections, and the figures by file name. `tick` is called with what comes next."""
+    v = policy.task.vehicle
+    n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
+    starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
+    flights = flying.all_sequences(v, n, seed, policy)
+    by_label = {s.label: s for s in flights}
+    full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
+    work: dict[str, Callable[[], Section | tuple[Section, Figure]]] = {
+        "three levels": lambda: levels.section(v, flights, states, seed),
+        "single terms": lambda: isolated.section(v, states // 2, seed),
+        "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
+        "motor function": lambda: motor.section(v, seed),
+        "convergence": lambda: convergence.section(v, full.commands),
+        "bandwidth": lambda: bandwidth.section(v, full, recorded),
+        "closed loop": lambda: closed_loop.section(policy, starts),
+        "check cases": lambda: check_cases.section(v),
+        "inconsistencies": lambda: inconsistencies.section(v, recorded),
+    }
+    sections, figures = [], {}
+    for what, measured in work.items():
+        tick(what)
+        found = measured()
+        part, figure = found if isinstance(found, tuple) else (found, None)
+        if figure is not None:
+            figures[f"{part.key}.png"] = figure
+        sections.append(part)
+    return sections, figures
