@@ -33,20 +33,27 @@ def landing_policy(tmp_path_factory):
 
 
 def test_options_are_known_without_their_machinery():
-    """Only NumPy and tyro are imported before a command does its work."""
-    code = (
-        "import sys; from inclined_landing.eval import cli\n"
-        "heavy = {'torch', 'mujoco', 'numba', 'scipy', 'pandas', 'matplotlib', 'PIL', 'pyarrow', 'jinja2', 'rich'}\n"
-        "cli.main(['--help'])\n"
-        "assert not (heavy | {'tyro', 'numpy'}) & set(sys.modules), 'the list of commands'\n"
-        "for name in cli.COMMANDS:\n"
-        "    cli.find(name)\n"
-        "    assert not heavy & set(sys.modules), (name, heavy & set(sys.modules))\n"
-        "from inclined_landing.train import cli\n"
-        "for words in ('--help', '--help-all'), ('--sed', '3'), ('sweep', '--help'):\n"
-        "    cli.main([*words])\n"
-        "    assert not heavy & set(sys.modules), (words, heavy & set(sys.modules))\n"
-    )
+    """Nothing but NumPy and tyro is imported before a command does its work; in a process of its own."""
+    code = """
+import sys
+from inclined_landing.eval import cli
+from inclined_landing.train import cli as training
+
+def check(what, *light):
+    heavy = {"torch", "mujoco", "numba", "scipy", "pandas", "matplotlib", "PIL", "pyarrow", "jinja2", "rich"}
+    assert not (found := {*heavy, *light} & set(sys.modules)), (what, found)
+
+cli.main(["--help"])
+check("the list of commands", "tyro", "numpy")
+for name in cli.COMMANDS:
+    cli.find(name)
+    check(name)
+    assert cli.main([name, "--sed", "3"]) == 2
+    check(name + " --sed")
+for words in ["--help-all"], ["--sed", "3"], ["sweep", "landing", "--sed", "3"]:
+    training.main(words)
+    check(words)
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert all(name in done.stdout for names in cli.GROUPS.values() for name in names)
