@@ -6,6 +6,7 @@ from inclined_landing.models.effects.effect import Effect, Parameter, added
 from inclined_landing.models.vehicle import Vehicle
 
 _PLACES = ("front right", "back right", "back left", "front left")
+_TURNS = (-1.0, 1.0, -1.0, 1.0)  # sign of the reaction torque: M2 and M4 turn clockwise
 _NAMES = tuple(f"weak_rotor_{k}" for k in range(1, 5))
 
 
@@ -13,17 +14,22 @@ def _weak_rotor(k: int) -> Effect:
     """Return the effect of the rotor M1 to M4, k from 0."""
 
     def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-        # Losses of one rotor multiply: 1 - loss
-        losses = list(vehicle.effects_rotor_loss)
-        losses[k] = 1.0 - (1.0 - losses[k]) * (1.0 - values.get("loss", 0.0))
-        return vehicle.changed(effects_rotor_loss=tuple(losses))
+        # Losses of one rotor multiply: 1 - loss. At the thrust that it had before, its torque is
+        # (1 - torque loss)/(1 - loss) times as large: the requests differ in yaw by s loss (torque - 1)/4.
+        losses, loss = list(vehicle.effects_rotor_loss), values.get("loss", 0.0)
+        losses[k] = 1.0 - (1.0 - losses[k]) * (1.0 - loss)
+        turn = 0.25 * _TURNS[k] * loss * (values.get("torque", 1.0) - 1.0)
+        return vehicle.changed(
+            effects_rotor_loss=tuple(losses), effects_yaw_imbalance=vehicle.effects_yaw_imbalance + turn
+        )
 
     return Effect(
         name=_NAMES[k],
         description=f"The rotor of motor M{k + 1} ({_PLACES[k]}) gives less thrust than the others at the "
         "same request: a cut or worn propeller, a weak motor. The controller requests more from it, and "
         "from some of the others to balance the yawing moment, which a weight at its arm would not change.",
-        formula="f_i = F_t/4 (1 - loss) of this rotor; request r_i ~ (1 + relative torques)/(1 - loss)",
+        formula="f_i = F_t/4 (1 - loss) of this rotor, its reaction torque 1 - torque loss times as large; "
+        "request r_i ~ (1 + relative torques)/(1 - loss)",
         source="momentum theory: thrust with the fourth power of the propeller's diameter; CrazyPAD, data "
         "2024: propellers cut by up to 8 mm",
         parameters=(
@@ -36,6 +42,16 @@ def _weak_rotor(k: int) -> Effect:
                 one_signed=True,
                 adds_to=f"effects_rotor_loss.{k}",
             ),
+            # Torque lost over thrust lost: 1 of a weak motor; of a cut propeller, whose thrust goes with the
+            # fourth power of the diameter and whose torque with the fifth, 1.25 and more (CrazyPAD: 2).
+            Parameter(
+                "torque",
+                neutral=1.0,
+                bounds=(0.0, 2.2),
+                plausible=1.25,
+                negligible=0.1,
+                is_reference=True,
+            ),
         ),
         regimes=("hover", "climb", "lateral"),
         confused_with=(*(n for n in _NAMES if n != _NAMES[k]), "com_offset", "yaw_imbalance", "thrust_scale"),
@@ -45,8 +61,8 @@ def _weak_rotor(k: int) -> Effect:
         says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust",
         requires={"request_differences": 0.0},
         identified=False,
-        forms=("requests yaw",),
-        form=0.7,
+        forms=("requests slope",),
+        form=0.2,
     )
 
 

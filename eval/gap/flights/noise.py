@@ -26,6 +26,7 @@ TIMES = np.geomspace(0.05, 1.6, 6)  # s
 SIZE_FACTORS = np.geomspace(0.02, 3.0, 36)
 NOISE_VARIANCES = np.geomspace(0.5, 8.0, 13)  # grid of noise variances over those estimated from the log
 BOOTSTRAP_SAMPLES = 200
+OUTLYING = 4.0  # medians of the mean squares of a flight's windows, as which larger ones count
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,9 +237,13 @@ def _simultaneous_modes(flight, windows: np.ndarray, channel: int):
 def _mean_squares(values: np.ndarray) -> np.ndarray:
     """Return mean squares (q,) of values (w, q), outlying windows winsorised."""
     squares = values**2
-    total = squares.mean(axis=1)
-    most = 4.0 * np.median(total) + 1e-300
-    return (squares * np.minimum(1.0, most / np.maximum(total, 1e-300))[:, None]).mean(axis=0)
+    return (squares * winsorised(squares.mean(axis=1))[:, None]).mean(axis=0)
+
+
+def winsorised(squares: np.ndarray) -> np.ndarray:
+    """Return the weights (w,) at which outlying mean squares (w,) count as OUTLYING times their median."""
+    most = OUTLYING * np.median(squares) + 1e-300
+    return np.minimum(1.0, most / np.maximum(squares, 1e-300))
 
 
 def _log_likelihood(part, sizes: np.ndarray) -> np.ndarray:

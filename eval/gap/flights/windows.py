@@ -121,6 +121,11 @@ class MeasuredFlight:
         whitening = Whitening.of(error_responses, noise, self.acceleration_noise, of.size, of.time)
         return dataclasses.replace(self, error_responses=error_responses, whitening=whitening)
 
+    def with_request_slope(self, slope: float) -> MeasuredFlight:
+        """Return the flight with another power of the thrust over the motors' requests in hover."""
+        assert self.requests is not None
+        return dataclasses.replace(self, requests=dataclasses.replace(self.requests, slope=slope))
+
     def attitude_of(self, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mid-step attitudes, their rotations, and the first attitude, as the rotors were.
 
@@ -149,6 +154,8 @@ class MotorRequests:
 
     differences: np.ndarray  # (m, 3) in roll, pitch and yaw, over the sum of all four: see `REQUEST_SIGNS`
     torques: np.ndarray  # (m, 3) about body x and y over arm and weight, for the smoothed motion; z: 0
+    # By what power of its request a rotor's thrust goes in hover; None: as of the vehicle that is predicted.
+    slope: float | None = None
 
     @staticmethod
     def of(

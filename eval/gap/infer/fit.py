@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from inclined_landing.eval.gap.flights.noise import estimate
+from inclined_landing.eval.gap.flights.noise import estimate, winsorised
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian, Spread
 from inclined_landing.eval.gap.model.columns import (
     BASE,
@@ -179,7 +179,13 @@ def model_error_weights(
     variance = 1.0 + MODEL_ERRORS[:, None, None] ** 2 * signal
     deviance = (problem.rows[:, None] * problem.logged * (np.log(variance) + error / variance)).sum(axis=1)
     best = np.argmin(deviance, axis=0)
-    return problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
+    weights = problem.logged / np.take_along_axis(variance, best[None, None], axis=0)[0]
+    # A turn asks for a torque about z that is not predicted: such windows say nothing of a steady one, and
+    # count for no more than in the noise's estimate.
+    for k in range(len(problem.flights)) if problem.requested else ():
+        own = problem.flight_of == k
+        weights[own, -1] *= winsorised(error[own, -1] * weights[own, -1])
+    return weights
 
 
 def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:

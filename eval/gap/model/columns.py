@@ -279,8 +279,8 @@ def _form_column(name: str, contribution: np.ndarray, flight: MeasuredFlight) ->
         result[:, own] = LATE**2 * np.gradient(np.gradient(part, flight.dt, axis=0), flight.dt, axis=0)
     elif what == "roll":
         result[:, 3] = contribution[:, 3]
-    elif group == "requests":  # in yaw: a rotor that loses thrust keeps more or less of its torque
-        result[:, -1] = contribution[:, -1]
+    elif what == "slope":  # of the motors' requests over a torque about x or y, as the vehicle's slope is off
+        result[:, -3:-1] = contribution[:, -3:-1]
     elif group == "translation":
         result[:, own] = _moved(np.diff(part, 2, axis=0), what, flight)
     else:

@@ -153,15 +153,17 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
 
     They are relative to the sum of all four; see `REQUEST_SIGNS`.
     """
-    # With the centre of mass at (x, y), the torques over arm and weight that the rotors must give:
-    #   t_roll = J_x p'/(arm m g) + y/arm,  t_pitch = J_y q'/(arm m g) - x/arm,  t_yaw = imbalance
-    # and the request of a motor that has lost the share l_i:  r_i ~ ((1 + sum_k s_ki t_k) / (1 - l_i))^(1/e),
-    # e = d log F / d log PWM in hover
+    # With the centre of mass at (x, y), the steady torques over arm and weight that the rotors must give:
+    #   t_roll = y/arm,  t_pitch = -x/arm,  t_yaw = imbalance
+    # the request of a motor that has lost the share l_i:  r_i ~ ((1 + sum_k s_ki t_k) / (1 - l_i))^(1/e),
+    # e = d log F / d log PWM in hover, and the differences with the motion's torques J w'/(arm m g), to first
+    # order in these:  d_k = J_k w_k'/(arm m g e) + sum_i s_ki r_i / sum_i r_i. Products of both depend on how
+    # the thrust bends over its command, which no vehicle file says so exactly.
     x, y = np.array(vehicle.effects_com_offset) / vehicle.rotor_arm
-    wanted = flight.requests.torques + [y, -x, vehicle.effects_yaw_imbalance]
-    needed = (1.0 + wanted @ REQUEST_SIGNS) / (1.0 - np.array(vehicle.effects_rotor_loss))
-    requested = np.maximum(needed, 0.0) ** (1.0 / thrust_elasticity(vehicle))
-    return requested @ REQUEST_SIGNS.T / requested.sum(axis=1, keepdims=True)
+    slope = flight.requests.slope or thrust_elasticity(vehicle)
+    needed = 1.0 + np.array([y, -x, vehicle.effects_yaw_imbalance]) @ REQUEST_SIGNS
+    requested = np.maximum(needed / (1.0 - np.array(vehicle.effects_rotor_loss)), 0.0) ** (1.0 / slope)
+    return flight.requests.torques / slope + REQUEST_SIGNS @ requested / requested.sum()
 
 
 def thrust_elasticity(vehicle: Vehicle) -> float:

@@ -28,7 +28,7 @@ from inclined_landing.eval.gap.model.columns import (
     ParameterColumn,
     Values,
 )
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions, thrust_elasticity
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.model.swing import stretches
 from inclined_landing.models.effects import Effect
@@ -88,6 +88,11 @@ class Problem(Candidates):
             del kept["wind"]
         if channels > len(CHANNELS):
             kept = {name: effect.seen_in_requests() for name, effect in kept.items()}
+            if reference is not None:
+                # Hover shows what errors of bias, scale and sag make together, and hardly each of them: what
+                # they would do to the slope of the requests must not scale moments.
+                slope = thrust_elasticity(vehicle)
+                flights = [f.with_request_slope(slope) for f in flights]
         windows = np.concatenate([np.tile(f.logged, (len(f.starts), 1)) for f in flights])
         return Problem(
             vehicle=vehicle,
@@ -281,7 +286,9 @@ class Problem(Candidates):
             of_windows, groups = flight.starts[:, None] + np.arange(flight.rows), self.group_of[own]
             for channel, matrix in enumerate(flight.whitening.matrices):
                 series = stack[:, :, channel]
-                live = np.flatnonzero((series != series[:, :1]).any(axis=1))
+                # A constant of the pose goes with the start state; of the requests it is a moment.
+                constant = series[:, :1] if channel < len(CHANNELS) else 0.0
+                live = np.flatnonzero((series != constant).any(axis=1))
                 windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
                 white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
                 white *= share[own, channel, None]
