@@ -7,8 +7,11 @@ Two models, after Kooi and Babuska (IROS 2021):
   d2(angle)/dt2 = B (rate_wanted - rate) + d(rate_wanted)/dt, the latter at a held command, -rate/tau: poles
   exactly -1/tau and -B; with a damping other than 1 the rate terms are that many times as large.
 
-With integral gains, k_i = integral/tau, both want the rate (k command - angle + integral I)/tau for roll and
-pitch, dI/dt = k command - angle. I is held where it would grow beyond +-integral_limit (anti-windup). With a
+With integral gains both want the rate (k command - angle + integral I)/tau + hold (I/tau - angle) for roll
+and pitch, dI/dt = k command - angle. `integral` is of the angle, k_i = integral/tau: a step overshoots, and a
+steady moment leaves no tilt. `hold` is of the rate loop: I/tau - angle sums up what the rate has fallen short
+of error/tau, which is for moments and hardly for commands. A moment then tilts the vehicle as without
+integrals, times s/(s + hold). I is held where it would grow beyond +-integral_limit (anti-windup). With a
 saturation no larger rate is wanted than 1/saturation.
 
 Symbols of the comments: phi, theta, psi roll, pitch and yaw.
@@ -50,18 +53,26 @@ def angle_errors(roll, pitch, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
-def loop_rates(errors, integrals, u, v, p):
+def loop_rates(roll, pitch, errors, integrals, u, v, p):
     """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
 
-    errors: see `angle_errors`; integrals: their integrals over time [rad s]; u: command (4,).
+    roll, pitch: of the onboard estimate; errors: see `angle_errors`; integrals: their integrals over time
+    [rad s]; u: command (4,).
     """
-    # dphi/dt = (error + integral I)/tau, theta alike; dpsi/dt = k_psi r_c + drift
-    tau, integral = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_integral
+    # dphi/dt = (error + integral I)/tau + hold (I/tau - phi), theta alike; dpsi/dt = k_psi r_c + drift
+    tau, hold = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_hold
+    integral = v.effects.attitude_integral + hold
     return (
-        (errors[0] + integral * integrals[0]) / tau,
-        (errors[1] + integral * integrals[1]) / tau,
+        (errors[0] + integral * integrals[0]) / tau - hold * roll,
+        (errors[1] + integral * integrals[1]) / tau - hold * pitch,
         v.attitude.yaw_gain * u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
     )
+
+
+@numba.njit(cache=True, inline="always")
+def integrates(v):
+    """Return whether the loops of roll and pitch have integral gains."""
+    return v.effects.attitude_integral != 0.0 or v.effects.attitude_hold != 0.0
 
 
 @numba.njit(cache=True, inline="always")
@@ -88,13 +99,14 @@ def integral_rate(integral, error, v):
 def rate_loop_acceleration(wanted, rate, integrated, tau, v):
     """Return the angular acceleration [rad/s2] of the loop whose poles are -1/tau and -B with damping 1.
 
-    wanted: rate [rad/s] of `loop_rates`; integrated: integral dI/dt [rad/s], with which the poles of the
-    first-order loop stay too.
+    wanted: rate [rad/s] of `loop_rates`; integrated: its dI/dt [rad], with which the poles of the first-order
+    loop stay too.
     """
     # d2phi/dt2 = B (rate_w - rate) + d(rate_w)/dt - (damping - 1) (B + 1/tau) rate
-    # d(rate_w)/dt = (integral dI/dt - rate)/tau, 0 where saturated
-    over = excess(wanted, v)
-    following = (integrated - rate) / tau if over == 1.0 else 0.0
+    # d(rate_w)/dt = ((integral + hold) dI/dt - rate)/tau - hold rate, 0 where saturated
+    over, hold = excess(wanted, v), v.effects.attitude_hold
+    following = ((v.effects.attitude_integral + hold) * integrated - rate) / tau - hold * rate
+    following = following if over == 1.0 else 0.0
     beyond = (v.attitude.damping - 1.0) * (v.attitude.bandwidth + 1.0 / tau)
     return v.attitude.bandwidth * (wanted / over - rate) + following - beyond * rate
 
@@ -108,7 +120,7 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
     [rad/s2] are held for `dt` [s] each.
     """
     v = vehicle[0]
-    if v.effects.attitude_integral != 0.0 or v.effects.attitude_saturation != 0.0:
+    if integrates(v) or v.effects.attitude_saturation != 0.0:
         return integrated_steps(axis, command, twist, start, dt, vehicle)[:, 0].copy()
     gain, trim = v.attitude.gain, v.effects.attitude_trim[axis]
     tau = v.attitude.time_constant
@@ -159,23 +171,38 @@ def held_angle(off, rate, step):
 
 @numba.njit(cache=True, nogil=True)
 def integrated_steps(axis, command, twist, start, dt, vehicle):
-    """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of any loop, integrated by RK4.
+    """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of any loop.
 
-    Arguments as of `angle_steps`. The integral starts where it holds the first twist.
+    Arguments as of `angle_steps`. The integral starts where it holds the first twist. Exact without
+    saturation while the integral is within its limit; integrated by RK4 with one.
     """
     v = vehicle[0]
-    rates, limit = 1.0 / v.attitude.time_constant + v.attitude.bandwidth, v.attitude.integral_limit
+    tau, limit, hold = v.attitude.time_constant, v.attitude.integral_limit, v.effects.attitude_hold
+    gain, trim, integral = v.attitude.gain, v.effects.attitude_trim[axis], v.effects.attitude_integral + hold
+    out, x, w, i = np.empty((len(command) + 1, 2)), start, 0.0, 0.0
+    if integral != 0.0:  # no error and no rate:  B (integral I/tau - hold x) + twist = 0
+        i = (hold * x - twist[0] / v.attitude.bandwidth) * tau / integral
+        i = min(limit, max(-limit, i))
+    out[0] = x, i
+    if v.effects.attitude_saturation == 0.0:
+        step = _linear_step(dt, v)
+        for k in range(len(command)):
+            wanted, t = gain * (command[k] + trim), twist[k]
+            x, w, i = (
+                step[0, 0] * x + step[0, 1] * w + step[0, 2] * i + step[0, 3] * wanted + step[0, 4] * t,
+                step[1, 0] * x + step[1, 1] * w + step[1, 2] * i + step[1, 3] * wanted + step[1, 4] * t,
+                step[2, 0] * x + step[2, 1] * w + step[2, 2] * i + step[2, 3] * wanted + step[2, 4] * t,
+            )
+            i = min(limit, max(-limit, i))
+            out[k + 1] = x, i
+        return out
+    rates = 1.0 / tau + v.attitude.bandwidth
     parts = math.ceil(
         4.0 * max(1.0, v.attitude.damping) * rates * dt
     )  # 0.25^5/120: 8e-6 of the quickest change
-    h, integral = dt / parts, v.effects.attitude_integral
-    out, x, w, i = np.empty((len(command) + 1, 2)), start, 0.0, 0.0
-    if integral != 0.0:  # a b integral I + twist = 0
-        i = -twist[0] * v.attitude.time_constant / (v.attitude.bandwidth * integral)
-        i = min(limit, max(-limit, i))
-    out[0] = x, i
+    h = dt / parts
     for k in range(len(command)):
-        wanted, t = v.attitude.gain * (command[k] + v.effects.attitude_trim[axis]), twist[k]
+        wanted, t = gain * (command[k] + trim), twist[k]
         for _ in range(parts):
             x1, w1, i1 = _loop_derivative(x, w, i, wanted, t, v)
             x2, w2, i2 = _loop_derivative(x + 0.5 * h * x1, w + 0.5 * h * w1, i + 0.5 * h * i1, wanted, t, v)
@@ -188,13 +215,32 @@ def integrated_steps(axis, command, twist, start, dt, vehicle):
     return out
 
 
+@numba.njit(cache=True, nogil=True)
+def _linear_step(dt, v):
+    """Return the step (5, 5) by `dt` [s] of angle, rate, integral, wanted angle and twist of a loop."""
+    # z' = A z, so that z <- exp(A dt) z: by its series at dt/2^n, squared n times
+    a, unit = np.zeros((5, 5)), 1e-6 * min(1.0, v.attitude.integral_limit) * np.eye(5)
+    for j in range(5):
+        x, w, i, wanted, t = unit[j]
+        a[0, j], a[1, j], a[2, j] = _loop_derivative(x, w, i, wanted, t, v)
+    a /= unit[0, 0]
+    halvings = max(0, math.ceil(math.log2(max(1e-9, np.abs(a).sum(axis=0).max() * dt)))) + 1
+    part, step, term = a * (dt / 2.0**halvings), np.eye(5), np.eye(5)
+    for k in range(1, 14):  # 0.5^14/14!: 1e-15
+        term = term @ part / k
+        step += term
+    for _ in range(halvings):
+        step = step @ step
+    return step
+
+
 @numba.njit(cache=True, inline="always")
 def _loop_derivative(angle, rate, integral, wanted, twist, v):
     """Return the derivatives of angle, rate and integral of a loop at a wanted angle [rad]."""
-    error, tau, gain = wanted - angle, v.attitude.time_constant, v.effects.attitude_integral
+    error, tau, hold = wanted - angle, v.attitude.time_constant, v.effects.attitude_hold
     moved = integral_rate(integral, error, v)
-    demanded = (error + gain * integral) / tau
-    return rate, rate_loop_acceleration(demanded, rate, gain * moved, tau, v) + twist, moved
+    demanded = (error + (v.effects.attitude_integral + hold) * integral) / tau - hold * angle
+    return rate, rate_loop_acceleration(demanded, rate, moved, tau, v) + twist, moved
 
 
 @numba.njit(cache=True, nogil=True)

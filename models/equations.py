@@ -35,6 +35,7 @@ from inclined_landing.models.attitude_loops import (
     angle_errors,
     estimated_angles,
     integral_rate,
+    integrates,
     loop_rates,
     rate_loop_acceleration,
     saturated,
@@ -148,16 +149,15 @@ def _derivative(y, s, v):
     dy[OMEGA] = lag_derivative(y[OMEGA], u[PWM], v, p)
     roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
     errors, integrals = angle_errors(roll, pitch, u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
-    wanted = loop_rates(errors, integrals, u, v, p)
+    wanted = loop_rates(roll, pitch, errors, integrals, u, v, p)
     for k in range(2):
         dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
         phid, thetad, psid = y[RATES], y[RATES + 1], y[RATES + 2]
         tau = v.attitude.time_constant * p[TIME_CONSTANT_SCALE]
         dy[_PHI], dy[_THETA], dy[_PSI] = phid, thetad, psid
-        integral = v.effects.attitude_integral
-        dy[RATES] = rate_loop_acceleration(wanted[0], phid, integral * dy[_INTEGRAL], tau, v)
-        dy[RATES + 1] = rate_loop_acceleration(wanted[1], thetad, integral * dy[_INTEGRAL + 1], tau, v)
+        dy[RATES] = rate_loop_acceleration(wanted[0], phid, dy[_INTEGRAL], tau, v)
+        dy[RATES + 1] = rate_loop_acceleration(wanted[1], thetad, dy[_INTEGRAL + 1], tau, v)
         dy[RATES + 2] = v.attitude.yaw_bandwidth * (wanted[2] - psid)
         tz = 0.0
         if s.limited:
@@ -244,7 +244,7 @@ def disturb(s, perturbation, push, i):
 @numba.njit(cache=True, inline="always")
 def take_states(s, load, integral, i, v):
     """Write slung load and integrals of vehicle i, with the record v, into a STEP; as of `Conditions`."""
-    s.integrated = len(integral) > 0 and v.effects.attitude_integral != 0.0
+    s.integrated = len(integral) > 0 and integrates(v)
     for k in range(2):
         s.y[_INTEGRAL + k] = integral[i, k] if s.integrated else 0.0
     s.loaded = len(load) > 0 and v.effects.load_mass != 0.0
@@ -296,7 +296,7 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
             roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
             errors = angle_errors(roll, pitch, s.command, v, s.perturbation)
             integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
-            rates = loop_rates(errors, integrals, s.command, v, s.perturbation)
+            rates = loop_rates(roll, pitch, errors, integrals, s.command, v, s.perturbation)
             y[RATES], y[RATES + 1], y[RATES + 2] = saturated(rates, v)
         unpack_state(y, state, i)
         give_states(s, conditions.load, conditions.integral, i)

@@ -85,6 +85,7 @@ class Vehicle:
     effects_thrust_delay: float
     effects_attitude_delay: float
     effects_attitude_integral: float
+    effects_attitude_hold: float
     effects_attitude_saturation: float
     effects_attitude_trim: tuple[float, float]
     effects_estimator_lean: float

@@ -1,6 +1,6 @@
 """Effects of the vehicle's mass and where it sits."""
 
-from inclined_landing.models.effects.effect import Effect, Parameter, added, scaled
+from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, scaled
 
 
 def _slung_load(vehicle, values):
@@ -11,6 +11,16 @@ def _slung_load(vehicle, values):
     if mass > 0.0:  # two loads are none of one string: what lies between, by their masses
         length = (present * length + mass * values.get("length", length)) / (present + mass)
     return vehicle.changed(effects_load_mass=max(0.0, present + mass), effects_load_length=length)
+
+
+def _com_offset(vehicle, values):
+    offset = values.get("x", 0.0), values.get("y", 0.0)
+    if offset == (0.0, 0.0):
+        return vehicle
+    moved = tuple(old + new for old, new in zip(vehicle.effects_com_offset, offset))
+    return vehicle.changed(
+        effects_com_offset=moved, effects_attitude_hold=values.get("hold", vehicle.effects_attitude_hold)
+    )
 
 
 EFFECTS = (
@@ -90,7 +100,7 @@ EFFECTS = (
                 "x",
                 unit="m",
                 bounds=(-0.015, 0.015),
-                plausible=0.0025,
+                plausible=0.001,
                 negligible=1e-4,
                 placement=2e-4,
                 along_the_arm=True,
@@ -99,10 +109,29 @@ EFFECTS = (
                 "y",
                 unit="m",
                 bounds=(-0.015, 0.015),
-                plausible=-0.0025,
+                plausible=-0.001,
                 negligible=1e-4,
                 placement=2e-4,
                 along_the_arm=True,
+            ),
+            # By which the loops take the moment over: of the firmware kp ki'/(kp kp' + ki') with its gains 6
+            # of the angle and 250, 500 of the rate; of loops without integrals nearly 0.
+            Parameter(
+                "hold",
+                unit="1/s",
+                neutral=1.5,
+                bounds=(0.02, 8.0),
+                plausible=0.05,
+                negligible=0.2,
+                is_reference=True,
+                linear=False,
+                adds_to="effects_attitude_hold",
+                constant=FittedConstant(
+                    "rate at which the attitude loops take over a moment",
+                    field="effects_attitude_hold",
+                    unit="1/s",
+                    share=True,
+                ),
             ),
         ),
         regimes=("climb", "hover", "attitude_step"),
@@ -117,7 +146,7 @@ EFFECTS = (
         remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
         "changing thrust distinguish it from a trim, which does not grow with the thrust.",
         channels=("attitude", "requests"),
-        apply=added("effects_com_offset", "x", "y"),
+        apply=_com_offset,
         forms=("requests slope",),
         form=0.2,
         says="the centre of mass is {x} forward and {y} left of the middle of the rotors",

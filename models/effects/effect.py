@@ -47,6 +47,9 @@ class FittedConstant:
 
 
 AIR_DENSITY = 1.2  # kg/m3
+# A centre of mass that the motors are asked to hold may well be this many times as far off as one that makes
+# the vehicle stand askew: a deck of 3 g at an arm moves it by 3 mm.
+HELD = 2.5
 OFF = 8.0  # negligible sizes by which the reference of an effect may well be off
 
 
@@ -168,6 +171,8 @@ class Parameter:
         present = 0.0
         if field:
             present = float(getattr(vehicle, field)[int(part)] if part else getattr(vehicle, field))
+        if self.is_reference and present > 0.0:
+            return dataclasses.replace(self, neutral=present)
         if self.one_signed and present > 0.0:
             bounds = self.neutral - present, self.bounds[1]
             return dataclasses.replace(self, bounds=bounds, one_signed=False)
@@ -310,7 +315,12 @@ class Effect:
     def seen_in_requests(self) -> Effect:
         """Return the effect for flights whose logs have the requests of the motors."""
         parameters = (
-            dataclasses.replace(p, manoeuvre=max(p.manoeuvre, p.placement)) for p in self.parameters
+            dataclasses.replace(
+                p,
+                manoeuvre=max(p.manoeuvre, p.placement),
+                plausible=p.plausible * (HELD if p.along_the_arm else 1.0),
+            )
+            for p in self.parameters
         )
         # A controller that asks for the moment leaves nothing of it in the attitude.
         unseen = {"attitude"} if "requests" in self.channels else set()

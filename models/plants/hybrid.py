@@ -71,8 +71,8 @@ _TURN = 0.1  # rad
 _OF_THE_PLACE = forces.columns_besides(
     (
         *held.SOLVED,
-        *("effects_estimator_lean", "effects_attitude_integral", "effects_attitude_saturation"),
-        "effects_load_mass",
+        *("effects_estimator_lean", "effects_attitude_integral", "effects_attitude_hold"),
+        *("effects_attitude_saturation", "effects_load_mass"),
     )
 )
 

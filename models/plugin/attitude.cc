@@ -54,6 +54,8 @@ double IntegralRate(const mjModel* m, const mjData* d, const AttitudeAttributes&
   return std::abs(integral) >= config.integral_limit && integral * error > 0 ? 0 : error;
 }
 
+bool Integrates(const AttitudeAttributes& config) { return config.integral != 0 || config.hold != 0; }
+
 void ActDot(const mjModel* m, mjData* d, int instance) {
   const AttitudeAttributes* config = CachedConfig<AttitudeAttributes>(m, instance, kName);
   if (!config) return;
@@ -61,7 +63,7 @@ void ActDot(const mjModel* m, mjData* d, int instance) {
     if (m->actuator_plugin[i] != instance || m->actuator_actnum[i] == 0) continue;
     const int address = m->actuator_actadr[i], body = m->site_bodyid[m->actuator_trnid[2 * i]];
     d->act_dot[address] = 0;
-    if (config->integral == 0 || !ActuatorEnabled(m, i)) continue;
+    if (!Integrates(*config) || !ActuatorEnabled(m, i)) continue;
     d->act_dot[address] = IntegralRate(m, d, *config, i, AngleError(m, d, *config, body, AxisOf(m, i), i));
   }
 }
@@ -104,8 +106,9 @@ void Compute(const mjModel* m, mjData* d, int instance) {
     double tau = config->time_constant, error = AngleError(m, d, *config, body, axis, actuator), integrated = 0;
     if (actuator >= 0) tau *= Hooks(m, actuator).time_scale;
     if (actuator >= 0 && m->actuator_actnum[actuator] > 0) {
-      integrated = config->integral * IntegralRate(m, d, *config, actuator, error);
-      error += config->integral * d->act[m->actuator_actadr[actuator]];
+      const double integral = config->integral + config->hold, held = config->hold * tau;
+      integrated = integral * IntegralRate(m, d, *config, actuator, error) - held * rate;
+      error += integral * d->act[m->actuator_actadr[actuator]] - held * Held(m, d, *config, body, axis);
     }
     const double wanted = error / tau;
     const double beyond = (config->damping - 1) * (config->bandwidth + 1 / tau);
@@ -168,8 +171,8 @@ bool CheckAxes(const mjModel* m, const AttitudeAttributes& config, int instance,
       *error = plugin + ": the gear of an actuator must be one rotational component, such as "
                         "\"0 0 0 1 0 0\" for roll";
     } else if (m->actuator_actnum[i] > (axis != kYaw) ||
-               m->actuator_actnum[i] < (axis != kYaw && config.integral != 0)) {
-      *error = plugin + ": roll and pitch actuators must have actdim=\"1\" with the attribute 'integral', "
+               m->actuator_actnum[i] < (axis != kYaw && Integrates(config))) {
+      *error = plugin + ": roll and pitch actuators must have actdim=\"1\" with the attribute 'integral' or 'hold', "
                         "and may have it without; a yaw actuator must have none";
     } else if (taken[axis]) {
       *error = plugin + ": two actuators of one instance must not drive the same axis";

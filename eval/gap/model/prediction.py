@@ -51,7 +51,7 @@ _NEUTRAL = np.array(NEUTRAL)
 _NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 # Constants that act in the attitude loops alone, beside those of the table `attitude`.
 _OF_THE_LOOPS = {
-    *(f"effects_attitude_{n}" for n in ("delay", "integral", "saturation", "trim")),
+    *(f"effects_attitude_{n}" for n in ("delay", "hold", "integral", "saturation", "trim")),
     *("effects_estimator_lean", "effects_yaw_drift"),
 }
 _translation = attrgetter(  # of a vehicle: all constants that its translation may depend on
@@ -99,7 +99,7 @@ def predictions(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
 
 def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch along a flight's prediction."""
-    if vehicle.effects_attitude_integral == 0.0:
+    if vehicle.effects_attitude_integral == vehicle.effects_attitude_hold == 0.0:
         return np.zeros((flight.samples, 2))
     return _integrals(_Measured.of(flight, vehicle), _packed(flight, [vehicle]))
 

@@ -218,7 +218,7 @@ def digest(vehicle: Vehicle) -> str:
 
     So it stays what it was when the library grows.
     """
-    neutral, idle = load_vehicle(), not vehicle.effects_attitude_integral
+    neutral, idle = load_vehicle(), not (vehicle.effects_attitude_integral or vehicle.effects_attitude_hold)
     values = {
         name: value
         for name, value in vars(vehicle).items()

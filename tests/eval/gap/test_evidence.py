@@ -297,7 +297,7 @@ def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
     wrong = [f.measured - [0, 0, 1, 0, 0, 0] + 0.05 * m for f, m in zip(flights, moved)]
     count = sum(len(f.starts) for f in flights)
     rows = np.concatenate([np.full(len(f.starts), f.rows - 2) for f in flights])
-    problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)))
+    problem = types.SimpleNamespace(flights=flights, rows=rows, logged=np.ones((count, 6)), requested=False)
     weight = model_error_weights(problem, moved, wrong)
     rests = np.arange(count) < count // 2
     white = [f.whitening(f.cut(e)) for f, e in zip(flights, wrong)]
