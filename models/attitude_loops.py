@@ -53,18 +53,18 @@ def angle_errors(roll, pitch, u, v, p):
 
 
 @numba.njit(cache=True, inline="always")
-def loop_rates(roll, pitch, errors, integrals, u, v, p):
+def loop_rates(angles, errors, integrals, u, v, p):
     """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
 
-    roll, pitch: of the onboard estimate; errors: see `angle_errors`; integrals: their integrals over time
-    [rad s]; u: command (4,).
+    angles: roll and pitch of the onboard estimate; errors: see `angle_errors`; integrals: their integrals
+    over time [rad s]; u: command (4,).
     """
     # dphi/dt = (error + integral I)/tau + hold (I/tau - phi), theta alike; dpsi/dt = k_psi r_c + drift
     tau, hold = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.effects.attitude_hold
     integral = v.effects.attitude_integral + hold
     return (
-        (errors[0] + integral * integrals[0]) / tau - hold * roll,
-        (errors[1] + integral * integrals[1]) / tau - hold * pitch,
+        (errors[0] + integral * integrals[0]) / tau - hold * angles[0],
+        (errors[1] + integral * integrals[1]) / tau - hold * angles[1],
         v.attitude.yaw_gain * u[YAW_RATE_COMMAND] + v.effects.yaw_drift,
     )
 
@@ -73,6 +73,18 @@ def loop_rates(roll, pitch, errors, integrals, u, v, p):
 def integrates(v):
     """Return whether the loops of roll and pitch have integral gains."""
     return v.effects.attitude_integral != 0.0 or v.effects.attitude_hold != 0.0
+
+
+def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
+    """Return the integrals (k, 2) [rad s] that hold no moment at roll and pitch (k, 2) without an error.
+
+    vehicles (k,) or (1,): from `forces.pack`.
+    """
+    # integral I/tau + hold (I/tau - angle) = 0
+    hold = vehicles["effects"]["attitude_hold"]
+    total = vehicles["effects"]["attitude_integral"] + hold
+    share = np.divide(hold, total, out=np.zeros_like(total), where=total != 0.0)
+    return angles * (share * vehicles["attitude"]["time_constant"])[:, None]
 
 
 @numba.njit(cache=True, inline="always")

@@ -147,9 +147,9 @@ def _derivative(y, s, v):
         _swing(y, dy, mass, v)
     dy[VZ] -= v.environment.gravity
     dy[OMEGA] = lag_derivative(y[OMEGA], u[PWM], v, p)
-    roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-    errors, integrals = angle_errors(roll, pitch, u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
-    wanted = loop_rates(roll, pitch, errors, integrals, u, v, p)
+    angles = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+    errors, integrals = angle_errors(angles[0], angles[1], u, v, p), (y[_INTEGRAL], y[_INTEGRAL + 1])
+    wanted = loop_rates(angles, errors, integrals, u, v, p)
     for k in range(2):
         dy[_INTEGRAL + k] = integral_rate(integrals[k], errors[k], v) if s.integrated else 0.0
     if s.rate_loop:
@@ -293,10 +293,10 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
             rk4(s, v, dt)
         y = s.y
         if not rate_loop:
-            roll, pitch = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
-            errors = angle_errors(roll, pitch, s.command, v, s.perturbation)
+            angles = estimated_angles(y[_PHI], y[_THETA], y[_PSI], y[VX], y[VX + 1], y[VZ], v)
+            errors = angle_errors(angles[0], angles[1], s.command, v, s.perturbation)
             integrals = y[_INTEGRAL], y[_INTEGRAL + 1]
-            rates = loop_rates(roll, pitch, errors, integrals, s.command, v, s.perturbation)
+            rates = loop_rates(angles, errors, integrals, s.command, v, s.perturbation)
             y[RATES], y[RATES + 1], y[RATES + 2] = saturated(rates, v)
         unpack_state(y, state, i)
         give_states(s, conditions.load, conditions.integral, i)

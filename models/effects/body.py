@@ -1,6 +1,6 @@
 """Effects of the vehicle's mass and where it sits."""
 
-from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, scaled
+from inclined_landing.models.effects.effect import Effect, Parameter, scaled
 
 
 def _slung_load(vehicle, values):
@@ -90,10 +90,11 @@ EFFECTS = (
     Effect(
         name="com_offset",
         description="The centre of mass is off the line of the thrust by an offset in the body frame: a "
-        "battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, so "
-        "flights show the offset over the loop's stiffness: its size is as accurate as the model's inertia, "
-        "bandwidth and time constant.",
-        formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant",
+        "battery or deck out of the middle. The moment tilts the vehicle against its attitude loop, until "
+        "the rate loop's integral holds it. Without the requests of the motors, flights show the offset over "
+        "the loop's stiffness: its size is as accurate as the model's inertia, bandwidth and time constant.",
+        formula="torque = (-y F_t, x F_t, 0); stiffness = inertia bandwidth/time_constant; the loops take it "
+        "over by the factor s/(s + hold)",
         source="rigid-body mechanics",
         parameters=(
             Parameter(
@@ -126,12 +127,6 @@ EFFECTS = (
                 is_reference=True,
                 linear=False,
                 adds_to="effects_attitude_hold",
-                constant=FittedConstant(
-                    "rate at which the attitude loops take over a moment",
-                    field="effects_attitude_hold",
-                    unit="1/s",
-                    share=True,
-                ),
             ),
         ),
         regimes=("climb", "hover", "attitude_step"),
@@ -143,12 +138,14 @@ EFFECTS = (
             "weak_rotor_3",
             "weak_rotor_4",
         ),
-        remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Climbs with "
-        "changing thrust distinguish it from a trim, which does not grow with the thrust.",
+        remedy="Balance the vehicle on two fingers under the motor arms and shift the battery. Where "
+        "the commands of the four motors are not logged, its direction is right and its size relative. "
+        "Climbs with changing thrust distinguish it from a trim, which does not grow with the thrust.",
         channels=("attitude", "requests"),
         apply=_com_offset,
         forms=("requests slope",),
         form=0.2,
-        says="the centre of mass is {x} forward and {y} left of the middle of the rotors",
+        says="the centre of mass is {x} forward and {y} left of the middle of the rotors, and the attitude "
+        "loops take its moment over at {hold}",
     ),
 )

@@ -58,7 +58,8 @@ def _weak_rotor(k: int) -> Effect:
         remedy=f"Replace the propeller of M{k + 1}, and clean or replace its motor.",
         channels=("translation", "attitude", "requests"),
         apply=apply,
-        says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust",
+        says=f"the {_PLACES[k]} rotor has lost a share of {{loss}} of its thrust and {{torque}} "
+        "times as much of its torque",
         requires={"request_differences": 0.0},
         identified=False,
         forms=("requests slope",),

@@ -10,7 +10,8 @@ import numpy as np
 from msgspec import Meta
 
 from inclined_landing.models import forces, geometry, perturbation, schema
-from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, WZ, YAW, Z
+from inclined_landing.models.attitude_loops import resting_integrals
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.errors import UserError, shown
@@ -282,7 +283,9 @@ class Plant:
 
     def _begin(self, ids, state: np.ndarray) -> None:
         """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
-        self.state[ids], self.integral[ids] = state, 0.0
+        constants = self._constants[ids] if len(self._constants) > 1 else self._constants
+        self.state[ids] = state
+        self.integral[ids] = resting_integrals(state[:, ROLL:YAW], constants)
         if len(self.load):
             self.load[ids] = HANGING
         self.delays.reset(ids, state)

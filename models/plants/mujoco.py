@@ -484,6 +484,6 @@ def _synchronise_rates(engine, at, commands, vehicle, p, kept):
         shown = attitude_loops.estimated_angles(roll, pitch, yaw, x, y, z, v)
         errors = attitude_loops.angle_errors(shown[0], shown[1], commands[i], v, p[i])
         integrals = row[at.act + 1], row[at.act + 2]
-        rates = attitude_loops.loop_rates(errors, integrals, commands[i], v, p[i])
+        rates = attitude_loops.loop_rates(shown, errors, integrals, commands[i], v, p[i])
         a, b, d = attitude_loops.saturated(rates, v)
         row[at.qvel + 3], row[at.qvel + 4], row[at.qvel + 5] = body_rates(roll, pitch, a, b, d)

@@ -647,6 +647,24 @@ def test_an_integral_trims_a_moment_away_up_to_its_limit(kind):
         assert plant.integral[0, 1] * rate == pytest.approx(pitch[-1] - tilt, rel=1e-2)
 
 
+@pytest.mark.parametrize("kind", ["analytic", "mujoco", "hybrid"])
+def test_the_loops_take_over_the_moment_of_a_centre_of_mass(kind):
+    """It tilts the vehicle at first, and no more after a few times 1/hold; a vehicle that stands so stays."""
+    vehicle = changed("com_offset", x=0.001, y=0.0, hold=2.0)
+    tilt = 0.001 * WEIGHT * V.attitude_time_constant / (V.attitude_bandwidth * V.body_inertia[1])
+    own = {"attitude": "rate_loop", "substeps": 5} if kind == "analytic" else {"threads": 1}
+    pitch = hold(make_plant(kind, 1, vehicle, **own), 350, V.hover_pwm)[:, PITCH]
+    # tilt (exp(-hold t) - exp(-t/tau))/(1 - hold tau) is 0.56 tilt at most; exp(-2 * 7) = 8e-7 is left.
+    assert 0.3 * tilt < pitch.max() < 0.7 * tilt and abs(pitch[-1]) < 1e-4 * tilt
+    still, state = (
+        make_plant(kind, 1, V.changed(effects_attitude_hold=2.0), **own),
+        start_states(1, vehicle=V),
+    )
+    state[0, PITCH] = 0.1
+    pitch = hold(still, 50, V.hover_pwm, state, pitch=0.1 / V.attitude_gain)[:, PITCH]
+    np.testing.assert_allclose(pitch, 0.1, atol=1e-6)
+
+
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize("attitude", ["rate_loop", "kinematic"])
 def test_a_saturated_loop_turns_at_its_largest_rate(kind, attitude):

@@ -150,12 +150,21 @@ def test_damping_moves_the_poles_to_the_roots_of_its_equation(damping):
     assert end[PITCH] == pytest.approx(exact[-1], rel=1e-8)  # (B h)^4 / 120 of each step's change
 
 
-@pytest.mark.parametrize("damping, saturation, error", [(0.6, 0.0, 1e-5), (1.0, 1.0, 4e-4)])
-def test_the_angle_step_of_any_loop_follows_the_equations(damping, saturation, error):
+@pytest.mark.parametrize(
+    "damping, integral, hold, saturation, error",
+    [
+        (0.6, 2.0, 0.0, 0.0, 1e-8),
+        (1.0, 0.0, 1.5, 0.0, 1e-8),
+        (0.8, 0.5, 2.0, 0.0, 1e-8),
+        (1.0, 2.0, 1.0, 1.0, 4e-4),
+    ],
+)
+def test_the_angle_step_of_any_loop_follows_the_equations(damping, integral, hold, saturation, error):
     """Against the integrator with 40 steps a period, from an integral that holds the centre of mass."""
     v = dataclasses.replace(
         V,
-        effects_attitude_integral=2.0,
+        effects_attitude_integral=integral,
+        effects_attitude_hold=hold,
         effects_attitude_saturation=saturation,
         effects_com_offset=(0.0, 0.0005),
         attitude_damping=damping,
@@ -164,17 +173,37 @@ def test_the_angle_step_of_any_loop_follows_the_equations(damping, saturation, e
     commands = np.random.default_rng(3).uniform(-0.4, 0.4, 30)
     moment = -v.effects_com_offset[1] * v.body_mass * v.environment_gravity / v.body_inertia[0]
     twist = column(np.full(30, moment))
-    angle, integral = attitude_loops.integrated_steps(0, commands, twist, 0.1, dt, packed).T
-    state, held = hovering(), np.array([[-moment / (a * b * 2.0), 0.0]])
+    angle, held_by = attitude_loops.integrated_steps(0, commands, twist, 0.1, dt, packed).T
+    state, held = hovering(), np.array([[(hold * 0.1 - moment / b) / (a * (integral + hold)), 0.0]])
     state[0, ROLL], flown = 0.1, []
     conditions = equations.Conditions(packed, neutral(1), forces.free_air(1), integral=held)
     for command in commands:
         row = np.array([[v.hover_pwm, command, 0.0, 0.0]])
         equations.advance(state, row, conditions, True, dt / 40, 40)
         flown.append([state[0, ROLL], held[0, 0]])
-    # Angles change within 1/B by some 0.4 rad/(B tau) = 0.04 rad; 8e-6 of it, 30 times, are 1e-5 at most. A
-    # saturation that begins within a step of 4 ms errs by 4 ms of 1 rad/s / tau, over B 4e-4 rad.
-    np.testing.assert_allclose(np.array(flown), np.array([angle, integral]).T[1:], atol=error)
+    # The one is exact, the other errs by (B h)^4/120 = 1e-9 of each step's change. A saturation that begins
+    # within a step of 4 ms errs by 4 ms of 1 rad/s / tau, over B 4e-4 rad.
+    np.testing.assert_allclose(np.array(flown), np.array([angle, held_by]).T[1:], atol=error)
+
+
+def test_a_held_moment_tilts_as_without_integrals_through_a_high_pass():
+    """The answer to a moment, differentiated, is that without `hold` convolved with exp(-hold t)."""
+    hold, dt, n = 1.5, 0.01, 400
+    twist, zero = column(np.full(n, 8.0)), np.zeros(n)
+    twist[0] = 0.0  # begins after the first step: nothing is held yet
+    free, held = (
+        attitude_loops.angle_steps(0, zero, twist, 0.0, dt, forces.pack(V.changed(effects_attitude_hold=k)))
+        for k in (0.0, hold)
+    )
+    # x_held' = x_free' - hold x_held:  x_held(t) = integral of exp(-hold (t - s)) x_free'(s) ds
+    decay = np.exp(-hold * dt)
+    expected = np.zeros(n + 1)
+    for k in range(n):  # x_free' constant within a step: errs by its change, (B dt)^2/12 of 0.06 rad, once
+        rate = (free[k + 1] - free[k]) / dt
+        expected[k + 1] = decay * expected[k] + rate * (1.0 - decay) / hold
+    assert free[-1] > 0.025
+    np.testing.assert_allclose(held, expected, atol=1e-3 * free[-1])
+    assert abs(held[-1]) < 0.01 * free[-1]  # exp(-1.5 * 4) = 0.0025
 
 
 def test_the_exact_angle_step_where_the_poles_meet():

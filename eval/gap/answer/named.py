@@ -38,6 +38,8 @@ from inclined_landing.models.vehicle import Vehicle
 
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
 
+DIAGONAL = 0.5  # offset along one axis over the larger along the other, from which it may be a rotor's moment
+
 
 @dataclasses.dataclass(frozen=True)
 class Displacement:
@@ -164,7 +166,7 @@ def relevant_values(found: SetPosterior) -> FittedValues:
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
     ahead = _Ahead.of(found, fitted_values)
-    by = _judged_by(found.problem.library[name])
+    by = _judged_by(found.problem.library[name], values[name])
     if ahead is None or not by:
         return False
     here, without = (ahead.fitted(names)[0][by] for names in (frozenset(values), frozenset(values) - {name}))
@@ -188,7 +190,7 @@ def useful_values(
     if ahead is None:
         return values
     errors, fitted = ahead.errors, ahead.fitted
-    by = {name: _judged_by(found.problem.library[name]) for name in values}
+    by = {name: _judged_by(found.problem.library[name], values[name]) for name in values}
     here, values, left_out = fitted(frozenset(values))
     while values:
         fewer = []
@@ -248,8 +250,15 @@ class _Ahead:
         return self.errors(left_out), there, left_out
 
 
-def _judged_by(effect: Effect) -> list[int]:
-    """Return which of position, tilt and heading (0, 1, 2) an effect acts on; motor requests are none."""
+def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
+    """Return which of position, tilt and heading (0, 1, 2) an effect acts on; motor requests are none.
+
+    Nor is there one for a moment that the loops take over within the second ahead: it takes from the range of
+    control, and from the motion little.
+    """
+    hold = [values[p.name] for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
+    if hold and hold[0] * rollout.HORIZON > 1.0:
+        return []
     acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
     return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
 
@@ -277,7 +286,8 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights,
     or make a moment too, or are a part of it; or reproduce all but all of it (TIED), whatever their
-    probabilities; or are together the same by their definition (`same_as`).
+    probabilities; or are together the same by their definition (`same_as`). Without requests of the motors a
+    centre of mass towards a corner may be a weak rotor.
     """
     local, library = found.local, found.problem.library
     effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
@@ -290,7 +300,20 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
     same = [o for o in effect.same_as if o in library]
+    if name == "com_offset" and not found.problem.requested and name in found.values:
+        same += _rotor_of_moment(found.values[name]["x"], found.values[name]["y"])
     return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))
+
+
+def _rotor_of_moment(x: float, y: float) -> list[str]:
+    """Return the rotor that, giving less thrust, makes the moment of a centre of mass at (x, y), if one does.
+
+    It is the one towards which the centre of mass lies.
+    """
+    if min(abs(x), abs(y)) < DIAGONAL * max(abs(x), abs(y)):
+        return []
+    corners = {(True, False): 1, (False, False): 2, (False, True): 3, (True, True): 4}  # x forward, y left
+    return [f"weak_rotor_{corners[x > 0.0, y > 0.0]}"]
 
 
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:

@@ -78,9 +78,7 @@ class Spread:
         #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
         count = np.array([self.excitation.get(c.key, problem.groups) for c in columns])
         placement = [problem.parameter(c).placement if problem.requested else 0.0 for c in columns]
-        shared = np.square(placement) / [
-            2.0 if at_an_end(c) else 1.0 for c in columns
-        ]  # two columns share it
+        shared = np.square(placement) / [2.0 if at_an_end(c) else 1.0 for c in columns]  # of both together
         each = np.maximum(self.between_deviations(problem, columns) ** 2 - shared, 0.0)
         negligible = _negligible_sizes(problem, columns, self.confounded)
         spike = np.sqrt((SPIKE * negligible) ** 2 + shared + each / count)

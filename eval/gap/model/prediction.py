@@ -167,7 +167,10 @@ def requested_differences(flight, vehicle: Vehicle) -> np.ndarray:
 
 
 def thrust_elasticity(vehicle: Vehicle) -> float:
-    """Return by what power of its command a rotor's thrust goes in hover, at the same voltage."""
+    """Return by what power of its command a rotor's thrust goes in hover, at the same voltage.
+
+    It is kept to what propellers and batteries do: flights at one height show the thrust, not its slope.
+    """
     # F = (k u + bias) (1 - sag (u / reference - 1)):  e = k u / (k u + bias) - sag u / reference / (1 - ...)
     u = vehicle.hover_pwm
     for _ in range(3):  # the command at which this is the weight
@@ -178,7 +181,7 @@ def thrust_elasticity(vehicle: Vehicle) -> float:
     load = u / vehicle.effects_battery_reference
     slope = line / (line + vehicle.effects_thrust_bias)
     slope -= vehicle.effects_battery_sag * load / max(1.0 - vehicle.effects_battery_sag * (load - 1.0), 0.1)
-    return min(max(slope, 0.3), 3.0)
+    return min(max(slope, 0.7), 1.4)
 
 
 class _Measured(NamedTuple):

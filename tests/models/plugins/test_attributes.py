@@ -32,6 +32,7 @@ V = dataclasses.replace(
     effects_ground_fading=2.0,
     effects_rotor_loss=(0.02, 0.05, 0.01, 0.1),
     effects_attitude_integral=1.0,
+    effects_attitude_hold=1.5,
     attitude_integral_limit=0.005,
     effects_attitude_saturation=1.0,
     effects_attitude_trim=(0.02, -0.01),
