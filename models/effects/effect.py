@@ -319,10 +319,11 @@ class Effect:
                 p,
                 manoeuvre=max(p.manoeuvre, p.placement),
                 plausible=p.plausible * (HELD if p.along_the_arm else 1.0),
+                bounds=(p.neutral, p.neutral) if p.adds_to == "effects_attitude_hold" else p.bounds,
             )
             for p in self.parameters
         )
-        # A controller that asks for the moment leaves nothing of it in the attitude.
+        # A controller that asks for the moment leaves nothing of it, and of taking it over, in the attitude.
         unseen = {"attitude"} if "requests" in self.channels else set()
         channels = tuple(c for c in self.channels if c not in unseen)
         return dataclasses.replace(self, parameters=tuple(parameters), channels=channels)
