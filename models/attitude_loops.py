@@ -84,7 +84,8 @@ def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
     hold = vehicles["effects"]["attitude_hold"]
     total = vehicles["effects"]["attitude_integral"] + hold
     share = np.divide(hold, total, out=np.zeros_like(total), where=total != 0.0)
-    return angles * (share * vehicles["attitude"]["time_constant"])[:, None]
+    limit = vehicles["attitude"]["integral_limit"][:, None]
+    return np.clip(angles * (share * vehicles["attitude"]["time_constant"])[:, None], -limit, limit)
 
 
 @numba.njit(cache=True, inline="always")
