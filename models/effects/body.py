@@ -121,7 +121,7 @@ EFFECTS = (
                 "hold",
                 unit="1/s",
                 neutral=1.5,
-                bounds=(0.02, 8.0),
+                bounds=(0.001, 8.0),
                 plausible=0.05,
                 negligible=0.2,
                 is_reference=True,
@@ -143,6 +143,7 @@ EFFECTS = (
         "Climbs with changing thrust distinguish it from a trim, which does not grow with the thrust.",
         channels=("attitude", "requests"),
         apply=_com_offset,
+        starts=({"hold": 0.002},),
         forms=("requests slope",),
         form=0.2,
         says="the centre of mass is {x} forward and {y} left of the middle of the rotors, and the attitude "

@@ -256,7 +256,7 @@ def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
     Nor is there one for a moment that the loops take over within the second ahead: it takes from the range of
     control, and from the motion little.
     """
-    hold = [values[p.name] for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
+    hold = [values.get(p.name, 0.0) for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
     if hold and hold[0] * rollout.HORIZON > 1.0:
         return []
     acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})

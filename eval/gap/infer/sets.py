@@ -223,6 +223,23 @@ def _far_starts(problem: Problem, values: Values) -> dict[str, tuple[FittedValue
     return result
 
 
+def _other_references(problem: Problem, spread: Spread) -> list[FittedValues]:
+    """Return single effects about the references of their starts, sized by the slopes there."""
+    result = []
+    for name, effect in problem.library.items():
+        for about in effect.starts:
+            start = {name: {**effect.neutral, **about}}
+            within = all(
+                effect.parameter(p).possible[0] <= x <= effect.parameter(p).possible[1]
+                for p, x in about.items()
+            )
+            if within and not np.any(problem.sizes(name, start)):
+                linear = problem.linearise(start, problem.columns([*problem.library, BASE]))
+                local = LinearGaussian.of(problem, spread, linear, start)
+                result.append({name: {**posterior_mode(problem, local, frozenset(start))[name], **about}})
+    return result
+
+
 def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
     """Return the sets that differ by one effect added, removed or exchanged, or by two added."""
     names = list(problem.library)
@@ -256,6 +273,10 @@ def _greedy_search(
 ) -> dict[EffectSet, FittedSet]:
     """Return the sets fitted by a greedy search from the empty set and from `eliminated`."""
     nodes = {names: _fit_set(problem, spread, names, values) for names in (frozenset[str](), eliminated)}
+    for start in _other_references(problem, spread):
+        node = _fit_set(problem, spread, frozenset(start), start)
+        if node.score > nodes.get(node.names, node).score or node.names not in nodes:
+            nodes[node.names] = node
     predicted: dict[EffectSet, tuple[float, FittedSet]] = {}
     expanded: set[EffectSet] = set()
     far: dict[EffectSet, FittedValues] = {}
