@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import tomllib
 import zipfile
 from importlib import resources
 from pathlib import Path
@@ -22,16 +23,26 @@ def command(out: RunFolder) -> None:
     """Write twenty example flights with hidden effects, as input for gap.
 
     Args:
-        out: new folder for fit/*.csv, heldout/*.csv and hidden.toml, which lists the hidden effects.
+        out: new folder for fit/*.csv, heldout/*.csv, hidden.toml, which lists the hidden effects, and
+            truth.toml, the vehicle with them, to test policies on.
     """
     from inclined_landing.envs.shared import runs
-    from inclined_landing.models import storage
 
     flights = resources.files(__package__).joinpath("example_flights.zip")
     with runs.staged_run(out) as folder, flights.open("rb") as file, zipfile.ZipFile(file) as archive:
         archive.extractall(folder)
-        storage.write_text(folder / "hidden.toml", HIDDEN)
+        write_hidden(folder)
     introduce(out)
+
+
+def write_hidden(folder: Path) -> None:
+    """Write what is hidden in the flights: its names and sizes, and the vehicle as it is."""
+    from inclined_landing.models import storage
+    from inclined_landing.models.effects import apply
+    from inclined_landing.models.parameters import load_vehicle, write_vehicle
+
+    storage.write_text(folder / "hidden.toml", HIDDEN)
+    write_vehicle(folder / "truth.toml", apply(load_vehicle(), tomllib.loads(HIDDEN)))
 
 
 def introduce(out: Path) -> None:
@@ -42,5 +53,6 @@ def introduce(out: Path) -> None:
     print(f"To name the effects that the model lacks: {command}")
     say(
         f"{out} contains twenty flights with hidden effects; those in its folder heldout are for evaluation. "
-        f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards."
+        f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards. {out / 'truth.toml'} is the vehicle "
+        "as it is, to test policies on."
     )

@@ -8,8 +8,7 @@ import numpy as np
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
-from inclined_landing.eval.gap.gap_example import HIDDEN, introduce
-from inclined_landing.models import storage
+from inclined_landing.eval.gap.gap_example import HIDDEN, introduce, write_hidden
 from tests.proof.gap_blind.causes import Drawn
 from tests.proof.gap_blind.generate import fly_all, write_csv
 
@@ -25,7 +24,7 @@ def command(out: Folder, seed: Seed = 0) -> None:
     """Write twenty flights with hidden effects, from an independent simulator.
 
     Args:
-        out: new folder for fit/*.csv, heldout/*.csv and hidden.toml.
+        out: new folder for fit/*.csv, heldout/*.csv, hidden.toml and truth.toml.
         seed: of paths and noise.
     """
     with runs.staged_run(out) as folder:
@@ -34,5 +33,5 @@ def command(out: Folder, seed: Seed = 0) -> None:
             recordings = fly_all(DRAWN, np.random.default_rng((seed, k)), count=count)
             for j, recording in enumerate(recordings):
                 write_csv(recording, folder / name / f"{name}_{j + 1:02d}.csv")
-        storage.write_text(folder / "hidden.toml", HIDDEN)
+        write_hidden(folder)
     introduce(out)
