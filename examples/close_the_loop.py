@@ -2,11 +2,12 @@
 
     python examples/close_the_loop.py DIR [--seed N] [--simulated]
 
-Without --simulated the flights are the bundled ones, which a separate program made; with it, a simulated
-Crazyflie is identified, changed, flown, diagnosed, flown by plan and landed again. Every step is a command as a
-user types it. Policies are tested on the vehicle as it is, which no other step reads: DIR/flights/truth.toml or
-DIR/changed.toml. Results are printed at the end and written to DIR/loop.json, the picture to DIR/loop.png.
-Needs the extras train and, with --simulated, fly.
+Without --simulated the flights are the bundled ones, which a separate program made. With it, a simulated
+Crazyflie is identified, flown with worn propellers, diagnosed and landed by the retrained policy; then a
+planned flight finds what a landing does not show. Every step is a command as a user types it. Policies are
+tested on the vehicle as it is, DIR/flights/truth.toml or DIR/truth.toml, which diagnosis and training never
+read. Results are printed at the end and written to DIR/loop.json, the
+picture to DIR/loop.png. Needs the extras train and, with --simulated, fly.
 """
 
 from __future__ import annotations
@@ -21,14 +22,15 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
+from inclined_landing.eval.base import style
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 
-# A Crazyflie that differs from the shipped model, and what happens to it afterwards: worn propellers, and a
-# ground effect that the model lacks.
+# A Crazyflie that differs from the shipped model, what wears it, and what it meets at another place.
 MINE = {"rotor_drag": {"lateral": 1.6, "axial": 1.0}, "attitude_time_constant": {"scale": 1.2}}
-CHANGE = {"thrust_scale": {"scale": 0.85}, "ground_effect": {"strength": 6.0, "fading": 3.0}}
-LANDINGS = 12  # of the simulated Crazyflie, before and after, from the paper's three starts in turn
+WORN = {"thrust_scale": {"scale": 0.85}}
+PLACE = {"ground_effect": {"strength": 8.0}}
+LANDINGS = 6  # of the simulated Crazyflie, before and after, from the paper's three starts in turn
 
 POLICY = "landing-nominal"
 
@@ -37,12 +39,18 @@ def main() -> None:
     """Go around once, into a new folder."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--seed", type=int, default=0, help="seed of the training and of the simulated flights")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the training and of the simulated flights"
+    )
     parser.add_argument("--simulated", action="store_true", help="fly a simulated Crazyflie")
     given = parser.parse_args()
     given.out.mkdir(parents=True)
     loop = Loop(given.out, given.seed)
-    loop.fly_simulated() if given.simulated else loop.use_bundled_flights()
+    if given.simulated:
+        loop.fly_simulated()
+        loop.plan()
+    else:
+        loop.use_bundled_flights()
     loop.finish()
 
 
@@ -64,41 +72,53 @@ class Loop:
         self.teach(flights / "truth.toml")
 
     def fly_simulated(self) -> None:
-        """Identify a simulated Crazyflie, change it, find the change in a landing and a planned flight."""
-        out = self.out
+        """Identify a simulated Crazyflie, wear its propellers, find that in three landings, and retrain."""
+        out, seed = self.out, 10 * self.seed  # the flights of every command have a seed of their own
         mine = apply(load_vehicle(), MINE)
         write_vehicle(out / "mine.toml", mine)
-        write_vehicle(out / "changed.toml", apply(mine, CHANGE))
-        # Seeds of the flights: another one for every command, and none that another run of this script uses.
-        seed = 10 * self.seed
+        write_vehicle(out / "truth.toml", apply(mine, WORN))
         self.fly(POLICY, "mine.toml", seed, "healthy", flights=6)
         self.run("landing-eval", "identify", *self.logs("healthy"), "--platform", "--out", out / "identified")
-        reference = ("--vehicle", out / "identified" / "vehicle.toml", "--platform")
-        self.fly(POLICY, "changed.toml", seed + 1, "first")
-        self.run("landing-eval", "gap", *self.logs("first"), *reference, "--out", out / "first_report")
-        self.run("landing-eval", "plan", out / "first_report", "--out", out / "plan")
-        if (out / "plan" / "flight.csv").exists():  # otherwise no flight would help
-            plan = ("--plan", out / "plan" / "flight.csv")
-            self.fly(None, "changed.toml", seed + 2, "planned", *plan)
-        self.run("landing-eval", "gap", *self.logs("first"), *self.logs("planned"), *reference,
-                 "--out", out / "report")  # fmt: skip
-        taught = self.teach(out / "changed.toml")
-        before = self.fly(POLICY, "changed.toml", seed + 3, "before", flights=LANDINGS)
-        after = self.fly(taught, "changed.toml", seed + 3, "after", flights=LANDINGS)
+        self.fly(POLICY, "truth.toml", seed + 1, "worn", flights=3)
+        self.diagnose("worn", out="report")
+        taught = self.teach(out / "truth.toml")
+        before = self.fly(POLICY, "truth.toml", seed + 2, "before", flights=LANDINGS)
+        after = self.fly(taught, "truth.toml", seed + 2, "after", flights=LANDINGS)
         self.results["landings"] = {"before": clean(before), "after": clean(after), "of": LANDINGS}
-        first = json.loads((out / "first_report" / "report.json").read_text("utf-8"))
-        self.results["named after one landing"] = named(first)
+
+    def plan(self) -> None:
+        """Find by a planned flight what one landing does not show: a ground effect at another place."""
+        out, seed = self.out, 10 * self.seed
+        write_vehicle(out / "place.toml", apply(apply(load_vehicle(), MINE), PLACE))
+        self.fly(POLICY, "place.toml", seed + 3, "first")
+        self.diagnose("first", out="first_report")
+        self.run("landing-eval", "plan", out / "first_report", "--out", out / "plan")
+        self.fly(None, "place.toml", seed + 4, "planned", "--plan", out / "plan" / "flight.csv")
+        self.diagnose("first", "planned", out="planned_report")
+        for name in ("first_report", "planned_report"):
+            report = json.loads((out / name / "report.json").read_text("utf-8"))
+            sets = (one["probability"] for one in report["sets"] if "ground_effect" in one["effects"])
+            self.results[name] = {"named": named(report), "probability of ground_effect": sum(sets)}
+
+    def diagnose(self, *names: str, out: str) -> None:
+        """Name what these flights of the simulated Crazyflie show beyond the identified vehicle."""
+        logs = [log for name in names for log in self.logs(name)]
+        vehicle = self.out / "identified" / "vehicle.toml"
+        self.run("landing-eval", "gap", *logs, "--vehicle", vehicle, "--platform", "--out", self.out / out)
 
     def teach(self, truth: Path) -> Path:
         """Retrain the policy on the corrected vehicle; fly both policies on the vehicle as it is."""
         policy = self.out / "policy"
-        self.run("landing-train", "landing", "--nominal", "--from", POLICY, "--no-report", "--seed", self.seed,
-                 "--vehicle", self.out / "report" / "vehicle.toml", "--out", policy)  # fmt: skip
+        corrected = self.out / "report" / "vehicle.toml"
+        self.run("landing-train", "landing", "--nominal", "--from", POLICY, "--vehicle", corrected,
+                 "--seed", self.seed, "--no-report", "--out", policy)  # fmt: skip
         self.run("landing-eval", "success", f"before={POLICY}", f"after={policy}", "--vehicle", truth,
                  "--plant", "hybrid", "--out", self.out / "success")  # fmt: skip
         return policy
 
-    def fly(self, policy: Path | str | None, vehicle: str, seed: int, name: str, *more, flights: int = 1) -> list[dict]:
+    def fly(
+        self, policy: Path | str | None, vehicle: str, seed: int, name: str, *more, flights: int = 1
+    ) -> list[dict]:
         """Fly the simulated Crazyflie; return the flights as in fly.json."""
         what = () if policy is None else (policy,)
         self.run("landing-eval", "fly", *what, *more, "--simulated", "--vehicle", self.out / vehicle,
@@ -106,7 +126,7 @@ class Loop:
         return json.loads((self.out / name / "fly.json").read_text("utf-8"))["flights"]
 
     def logs(self, name: str) -> list[Path]:
-        """Return the logs in a folder of flights, if it exists."""
+        """Return the logs in a folder of flights."""
         return sorted((self.out / name).glob("flight_*.csv"))
 
     def run(self, *words: object, may_fail: bool = False) -> None:
@@ -122,11 +142,68 @@ class Loop:
             sys.exit(f"{typed[0]} {typed[1]} ended with {done.returncode}")
 
     def finish(self) -> None:
-        """Print and write the results, and draw them."""
+        """Print the results, write them to loop.json and draw them."""
         report = json.loads((self.out / "report" / "report.json").read_text("utf-8"))
-        error = report["gap"]["analytic"]
-        success = next((self.out / "success").glob("success*.json"))
-        print(success)
+        rows = json.loads((self.out / "success" / "success.json").read_text("utf-8"))["rows"]
+        grid = [row for row in rows if (row["starts"], row["measure"]) == ("frozen grid", "strict")]
+        success = {
+            row["policy"]: {key: row[key] for key in ("count", "flights", "value", "low", "high")}
+            for row in grid
+        }
+        error = {key: report["gap"]["analytic"][key] for key in ("before", "after", "floor")}
+        seconds = sum(step["cpu_seconds"] for step in self.steps)
+        self.results |= {"seed": self.seed, "named": named(report), "error": error, "success": success,
+                         "cpu_seconds": round(seconds), "steps": self.steps}  # fmt: skip
+        (self.out / "loop.json").write_text(json.dumps(self.results, indent=2) + "\n", "utf-8")
+        draw(success, error, self.out / "loop.png")
+
+        print()
+        for name, effect in self.results["named"].items():
+            sizes = (
+                f"{key} {size:.3g} [{low:.3g}, {high:.3g}]"
+                for key, (size, low, high) in effect["sizes"].items()
+            )
+            print(f"named: {name}, {'sure' if effect['sure'] else 'possible'} ({', '.join(sizes)})")
+        print(
+            f"position error one second ahead: {100 * error['before']:.1f} to {100 * error['after']:.1f} cm"
+        )
+        before, after = (f"{row['count']} of {row['flights']}" for row in success.values())
+        print(f"goal box without a touch, on the vehicle as it is: {before} before, {after} after")
+        if landings := self.results.get("landings"):
+            counts = f"{landings['before']} before, {landings['after']} after, of {landings['of']}"
+            print(f"the same in flights of the simulated Crazyflie: {counts}")
+        for name in ("first_report", "planned_report"):
+            if report := self.results.get(name):
+                print(f"{name}: ground effect {report['probability of ground_effect']:.0%}")
+        print(f"{seconds:.0f} s of processor time; the picture is {self.out / 'loop.png'}")
+
+
+def draw(success: dict, error: dict, path: Path) -> None:
+    """Draw success on the vehicle as it is, and the error of the model, before and after."""
+    with plt.rc_context(style.STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 2.6), layout="constrained")
+        names, colours = ("before", "after"), (style.ORANGE, style.BLUE)
+        rows = [success[name] for name in names]
+        share = [100 * row["value"] for row in rows]
+        ends = [
+            [100 * (row["value"] - row["low"]) for row in rows],
+            [100 * (row["high"] - row["value"]) for row in rows],
+        ]
+        bars = left.bar(names, share, yerr=ends, color=colours, width=0.55, capsize=4, ecolor=style.INK)
+        left.bar_label(
+            bars, [f"{row['count']} of {row['flights']}" for row in rows], label_type="center", color="white"
+        )
+        left.set(
+            ylabel="starts that reach the goal box [%]", ylim=(0, 105), title="Policy on the vehicle as it is"
+        )
+        lengths = [100 * error[name] for name in names]
+        bars = right.bar(names, lengths, color=colours, width=0.55)
+        right.bar_label(bars, [f"{length:.1f} cm" for length in lengths], padding=2)
+        right.axhline(100 * error["floor"], color=style.MUTED, linewidth=1, linestyle="--")
+        right.set(
+            ylabel="position error after 1 s [cm]", ylim=(0, 1.15 * lengths[0]), title="Model on the flights"
+        )
+        figure.savefig(path, dpi=style.PNG_DPI)
 
 
 def clean(flights: list[dict]) -> int:
@@ -135,11 +212,12 @@ def clean(flights: list[dict]) -> int:
 
 
 def named(report: dict) -> dict:
-    """Return the named effects with probability and sizes."""
+    """Return the named effects with their probabilities and sizes (value and 95 % interval)."""
     return {
         effect["name"]: {
             "probability": effect["probability"],
-            **{key: [value["value"], *value["ci95"]] for key, value in effect["parameters"].items()},
+            "sure": effect["sure"],
+            "sizes": {key: (size["value"], *size["ci95"]) for key, size in effect["parameters"].items()},
         }
         for effect in report["effects"]
     }
