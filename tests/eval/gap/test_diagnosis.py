@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from inclined_landing.eval.gap import diagnose, measure_gap
+from inclined_landing.eval.gap import diagnose, gap_example, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.answer.named import useful_values
 from inclined_landing.eval.gap.answer.touchdown import dersimonian_laird
@@ -28,7 +28,7 @@ from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
 from inclined_landing.eval.gap.pipeline import steady_force
 from inclined_landing.eval.gap.report.words import how_much
-from inclined_landing.eval.logs import FlightLog
+from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models import effects, equations, forces
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
@@ -536,3 +536,11 @@ def test_landings_and_hands_are_no_crash(matched):
     attitude[-50:, 0] = 3.0
     lands = dataclasses.replace(log, position=position, attitude=attitude, command=command, contact=contact)
     assert usable_flights([lands], [], VEHICLE, True).set_aside == ()
+
+
+def test_the_example_gives_the_vehicle_as_it_is(tmp_path):
+    """Of the error 2 % are left: the other program's formulas have 6 % more drag."""
+    gap_example.command(tmp_path / "example")
+    flights = [read_log(tmp_path / "example" / "heldout" / f"heldout_{k:02d}.csv") for k in (1, 2)]
+    truth = load_vehicle(tmp_path / "example" / "truth.toml")
+    assert measure_gap(truth, flights)["error"] < 0.05 * measure_gap(load_vehicle(), flights)["error"]
