@@ -37,7 +37,8 @@ _OPERATORS = ("&", "&&", "||", ";", "|")
 def documents() -> list[str]:
     """Every Markdown file that people read, as a path in the repository."""
     files = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-    files += [file for floor in ("models", "envs", "eval", "train") for file in ROOT.glob(f"{floor}/**/*.md")]
+    folders = ("models", "envs", "eval", "train", "examples")
+    files += [file for folder in folders for file in ROOT.glob(f"{folder}/**/*.md")]
     return sorted(file.relative_to(ROOT).as_posix() for file in files)
 
 

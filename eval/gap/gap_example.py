@@ -53,6 +53,6 @@ def introduce(out: Path) -> None:
     print(f"To name the effects that the model lacks: {command}")
     say(
         f"{out} contains twenty flights with hidden effects; those in its folder heldout are for evaluation. "
-        f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards. {out / 'truth.toml'} is the vehicle "
-        "as it is, to test policies on."
+        f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards. "
+        f"{out / 'truth.toml'} is the vehicle as it is, to test policies on."
     )
