@@ -1,11 +1,11 @@
-"""From flights that disagree with the model to a policy that lands the vehicle as it is.
+"""From flights that disagree with the model to a policy that lands the true vehicle.
 
     python examples/close_the_loop.py DIR [--seed N] [--simulated]
 
 Without --simulated the flights are the bundled ones, which a separate program made. With it, a simulated
 Crazyflie is identified, flown with worn propellers, diagnosed and landed by the retrained policy; then a
 planned flight finds what a landing does not show. Every step is a command as a user types it. Policies are
-tested on the vehicle as it is, DIR/flights/truth.toml or DIR/truth.toml, which diagnosis and training never
+tested on the true vehicle, DIR/flights/truth.toml or DIR/truth.toml, which diagnosis and training never
 read. Results are printed at the end and written to DIR/loop.json, the
 picture to DIR/loop.png. Needs the extras train and, with --simulated, fly.
 """
@@ -109,7 +109,7 @@ class Loop:
         self.run("landing-eval", "gap", *logs, "--vehicle", vehicle, "--platform", "--out", self.out / out)
 
     def teach(self, truth: Path) -> Path:
-        """Retrain the policy on the corrected vehicle; fly both policies on the vehicle as it is."""
+        """Retrain the policy on the corrected vehicle; fly both policies on the true vehicle."""
         policy = self.out / "policy"
         corrected = self.out / "report" / "vehicle.toml"
         self.run("landing-train", "landing", "--nominal", "--from", POLICY, "--vehicle", corrected,
@@ -170,7 +170,7 @@ class Loop:
             f"position error one second ahead: {100 * error['before']:.1f} to {100 * error['after']:.1f} cm"
         )
         before, after = (f"{row['count']} of {row['flights']}" for row in success.values())
-        print(f"goal box without a touch, on the vehicle as it is: {before} before, {after} after")
+        print(f"goal box without a touch, on the true vehicle: {before} before, {after} after")
         if landings := self.results.get("landings"):
             counts = f"{landings['before']} before, {landings['after']} after, of {landings['of']}"
             print(f"the same in flights of the simulated Crazyflie: {counts}")
@@ -181,7 +181,7 @@ class Loop:
 
 
 def draw(success: dict, error: dict, path: Path) -> None:
-    """Draw success on the vehicle as it is, and the error of the model, before and after."""
+    """Draw success on the true vehicle, and the error of the model, before and after."""
     with plt.rc_context(style.STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(6.4, 2.6), layout="constrained")
         names, colours = ("before", "after"), (style.ORANGE, style.BLUE)
@@ -196,7 +196,7 @@ def draw(success: dict, error: dict, path: Path) -> None:
             bars, [f"{row['count']} of {row['flights']}" for row in rows], label_type="center", color="white"
         )
         left.set(
-            ylabel="starts that reach the goal box [%]", ylim=(0, 105), title="Policy on the vehicle as it is"
+            ylabel="starts that reach the goal box [%]", ylim=(0, 105), title="Policy on the true vehicle"
         )
         lengths = [100 * error[name] for name in names]
         bars = right.bar(names, lengths, color=colours, width=0.55)

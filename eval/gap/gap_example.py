@@ -36,7 +36,7 @@ def command(out: RunFolder) -> None:
 
 
 def write_hidden(folder: Path) -> None:
-    """Write what is hidden in the flights: its names and sizes, and the vehicle as it is."""
+    """Write what is hidden in the flights: its names and sizes, and the true vehicle."""
     from inclined_landing.models import storage
     from inclined_landing.models.effects import apply
     from inclined_landing.models.parameters import load_vehicle, write_vehicle
@@ -54,5 +54,5 @@ def introduce(out: Path) -> None:
     say(
         f"{out} contains twenty flights with hidden effects; those in its folder heldout are for evaluation. "
         f"{out / 'hidden.toml'} lists the hidden effects; read it afterwards. "
-        f"{out / 'truth.toml'} is the vehicle as it is, to test policies on."
+        f"{out / 'truth.toml'} is the true vehicle, to test policies on."
     )
