@@ -270,7 +270,7 @@ def card(name: str, described: dict, judged: list[dict]) -> str:
     parts = [
         f"## {name}\n",
         described["about"] + "\n",
-        table(["", ""], [list(pair) for pair in facts.items()]),
+        table(["property", "value"], [list(pair) for pair in facts.items()]),
     ]
     shown = [row for done in judged for row in done["rows"] if "group" not in row]
     rows = [[_what(row), _shown(row), str(row.get("of", ""))] for row in shown]

@@ -135,10 +135,17 @@ def help_page(target: Callable, prog: str) -> str:
 def _tidy(page: str) -> str:
     """Return a page of tyro with its paragraphs wrapped, and without uninformative defaults."""
     page = re.sub(r"\s*(\(default:\s*(None|False|)\)|\(repeatable\))", "", page)
+    page = re.sub(r"^ ([\w-]+) options *$", lambda m: f" {_heading(m[1])}", page, flags=re.MULTILINE)
     width = shutil.get_terminal_size().columns
     lines = [line.rstrip() for line in page.splitlines()]
     text = "\n".join(line if line.startswith(" ") else textwrap.fill(line, width) for line in lines)
     return re.sub(r"\n{3,}", "\n\n", _wrapped_helps(text, width)).strip()
+
+
+def _heading(group: str) -> str:
+    """Return the heading of a group of options, which tyro calls by the name of its argument."""
+    known = {"flown": "flight conditions", "look": "rendering", "real": "hardware", "source": "flight logs"}
+    return known.get(group, group.replace("-", " "))
 
 
 def _wrapped_helps(page: str, width: int) -> str:

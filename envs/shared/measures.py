@@ -109,7 +109,8 @@ STRICT = share_of(
     "strict",
     "strict",
     said="reached the goal box",
-    note="strict: the vehicle reaches the goal box within 300 steps without touching anything first",
+    note="strict: the vehicle reaches the goal box within 300 steps without touching anything first "
+    "(where success, with touches, is the same, it has no column)",
 )
 TOUCHED = share_of("touched", "touched", cell=counted, shown_unit="")
 TIME_TO_GOAL = median_of("time_to_goal", "time", "s")

@@ -59,7 +59,7 @@ class FlightOptions:
         no_platform: there is no platform in the arena; only with --plan.
     """
 
-    policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
+    policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]")] = None
     setpoint: PolicyName = "setpoint"
     start: Starts = ()
     inclination: Degrees = None

@@ -22,6 +22,7 @@ from inclined_landing.models import storage
 
 _SENSITIVE = ("peak_force", "slide_distance", "settling_time")
 _CSS_PIXELS = 0.55  # per pixel of a figure, so that all have one text size
+_ROUNDING = 1e-9  # of a quantity in a table
 _MATTERS = 0.02  # a first-order index below this is not worth a sentence
 
 
@@ -82,6 +83,8 @@ def discussion(summary: dict) -> list[str]:
     ]
     if names:
         said.append(f"Share of the outcome's variance explained by each parameter alone: {', '.join(names)}.")
+        if (total := sum(index for index, _, _ in rows)) > 1.0:
+            said.append(f"These shares are estimates: together they come to {100 * total:.0f} %.")
     return said
 
 
@@ -116,7 +119,13 @@ def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str,
         start_height=f"{1e3 * fixed['start_height']:g}" if "start_height" in fixed else "a few",
         sensitive=("rests", *_SENSITIVE),
         figures=pictures,
+        number=_number,
     )
+
+
+def _number(x: float) -> str:
+    """Return a number with three digits; 0 for rounding errors of either sign."""
+    return f"{0.0 if abs(x) < _ROUNDING else x:.3g}"
 
 
 def show(summary: dict, out: Path) -> None:

@@ -41,6 +41,7 @@ class _Run(NamedTuple):
     cut: list[Path]  # its tables that end within a row
 
 
+_LEAST = 3  # evaluations of a run that make a curve
 _LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
 _LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
 _REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
@@ -115,8 +116,9 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
 
     runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
     median is a thick line and the range from the lowest to the highest a band, as far as all runs
-    reach. The curriculum's level and the episodes' length are left out where they never change. Shaded: the
-    steps in which the level still moves, during which a policy that learns may have less reward.
+    reach. The curriculum's level and the episodes' length are left out where they never change, and the score
+    of runs that reach the end of their curriculum with fewer than three evaluations. Shaded: the steps in
+    which the level still moves, during which a policy that learns may have less reward.
     Raises UserError for no runs, runs of different tasks and folders that are not runs.
     """
     if not runs:
@@ -127,6 +129,10 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one task")
     score = _score_curve(tasks[0])
     curves = [(score, BLUE, [run.evaluations for run in loaded])]
+    if any(run.learning["level"].nunique() > 1 for run in loaded) and not any(
+        len(run.evaluations) >= _LEAST for run in loaded
+    ):
+        curves.clear()  # the level shows how the runs learned
     for curve, colour in _LEARNING.items():
         if curve is _REWARD or any(run.learning[curve.column].nunique() > 1 for run in loaded):
             curves.append((curve, colour, [run.learning for run in loaded]))
@@ -137,10 +143,10 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         for axes, (curve, colour, tables) in zip(grid.ravel(), curves):
             columns_of = _score_columns(curve, tables) if curve is score else {curve.column: ""}
-            for (column, name), shade in zip(columns_of.items(), (colour, ORANGE)):
-                _draw_curves(axes, dataclasses.replace(curve, column=column), shade, tables)
+            for (column, name), shade, dashes in zip(columns_of.items(), (colour, ORANGE), ("-", "--")):
+                _draw_curves(axes, dataclasses.replace(curve, column=column), shade, tables, dashes)
                 if name:
-                    axes.plot([], [], color=shade, lw=2.0, label=name)
+                    axes.plot([], [], color=shade, lw=2.0, ls=dashes, label=name)
             _format_axes(axes, curve)
         for axes in grid[-1]:
             axes.set_xlabel("environment steps [10⁶]")
@@ -201,7 +207,9 @@ def _score_columns(curve: ScoreCurve, tables: Sequence[pd.DataFrame]) -> dict[st
     return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
 
 
-def _draw_curves(axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame]) -> None:
+def _draw_curves(
+    axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame], dashes: str = "-"
+) -> None:
     """Draw the curves of several seeds: a thin line each, from two on their median and range."""
     lines = []
     for table in tables:
@@ -213,11 +221,11 @@ def _draw_curves(axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd
     for x, y in lines:
         style: dict[str, Any] = {"lw": 0.7, "alpha": 0.6} if several else {"lw": 2.0}
         style |= {"marker": "o", "ms": 3.5} if not several and len(x) < 16 else {}
-        axes.plot(x, y, color=colour, gid="run", **style)
+        axes.plot(x, y, color=colour, ls=dashes, gid="run", **style)
     if several:
         x, middle, low, high = median_and_range(lines)
         axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0, gid="band")
-        axes.plot(x, middle, color=colour, lw=2.2, gid="median")
+        axes.plot(x, middle, color=colour, lw=2.2, ls=dashes, gid="median")
 
 
 def _format_axes(axes: Axes, curve: ScoreCurve) -> None:

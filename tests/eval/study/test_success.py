@@ -13,7 +13,7 @@ import pytest
 from inclined_landing.envs.flights import record_flight, record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import statistics
-from inclined_landing.envs.shared.measures import SUCCESS, TOUCHED
+from inclined_landing.envs.shared.measures import STRICT, SUCCESS, TOUCHED
 from inclined_landing.envs.tasks import StepContext, frozen, make_task, slopes
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
@@ -107,6 +107,9 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     table = table_of(landing, flights)
     counts = {measure.name: measure.of(table)["count"] for measure in landing.measures[:3]}
     assert counts == {"strict": 1, "success": 2, "touched": 1}
+    row = {measure.name: measure.of(table) for measure in landing.measures[:2]}
+    assert not show._equal(SUCCESS, STRICT, {(): row})  # each has its column
+    assert show._equal(SUCCESS, STRICT, {(): row | {"success": row["strict"]}})
 
 
 def test_a_recorded_flight_replays(landing):
