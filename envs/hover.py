@@ -6,11 +6,11 @@ import numpy as np
 
 HAND_OVER = (-1.0, 1.8)  # m, x and z: before the platform's lower edge, higher than the upper one
 TOLERANCE = 0.05  # m from the goal, of the set-point task
-# A landing may begin within this tolerance of the point, slower than this, for so long.
+# A landing may begin after this time within the tolerance of the point, slower than this speed.
 HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s
 YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some
-# Of the trim:
+# The trim:
 TRIM_GAIN = 0.5  # 1/s: how fast it is learnt
 TRIM_LIMIT = 0.3  # m
 TRIM_REACH = 0.3  # m from the target within which it is

@@ -190,7 +190,7 @@ class Mission(Track):
 
     @property
     def success(self) -> bool:
-        """Whether it ended at rest on the feet with motors at idle."""
+        """Return whether the mission ended at rest on the feet with motors at idle."""
         return self.end == ENDS[AT_REST]
 
     @property

@@ -250,7 +250,7 @@ class _Unknown(type):
 
 
 class _MayChange(metaclass=_Unknown):
-    """Every wrapper but the harmless ones, for `env_is_wrapped`, which asks in other processes too."""
+    """Every wrapper except the harmless ones, for `env_is_wrapped`, which also asks in other processes."""
 
 
 def _not_held(name: str) -> UserError:

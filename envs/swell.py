@@ -16,7 +16,7 @@ from inclined_landing.models.motion import MODES, Motion
 WAVES = 2  # per mode
 PERIODS = (1.2, 6.0)  # s, evenly in their logarithm
 _LOGARITHMS = np.log(PERIODS)
-# Of a swell of 1, each wave evenly from 0 to these.
+# For a swell of 1, each wave is drawn uniformly from 0 to these limits.
 HEAVE_SPEED = 0.35  # m/s
 HEAVE = 0.12  # m, at most
 TILT = math.radians(8.0)  # rad, of roll and of pitch

@@ -70,7 +70,7 @@ def euler_rates(roll, pitch, wx, wy, wz):
 
 @numba.njit(cache=True, inline="always")
 def euler_rates_at(roll, pitch, wx, wy, wz):
-    """As `euler_rates`, with (sine, cosine) of roll and pitch."""
+    """Return what `euler_rates` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     yaw_rate = (cp * wz - sp * wx) / away_from_zero(cr)
     return cp * wx + sp * wz, wy - sr * yaw_rate, yaw_rate
@@ -84,7 +84,7 @@ def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
 
 @numba.njit(cache=True, inline="always")
 def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
-    """As `body_rates`, with (sine, cosine) of roll and pitch."""
+    """Return what `body_rates` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     return (
         roll_rate * cp - yaw_rate * cr * sp,
@@ -101,7 +101,7 @@ def body_accelerations(roll, pitch, rates, accelerations):
 
 @numba.njit(cache=True, inline="always")
 def body_accelerations_at(roll, pitch, rates, accelerations):
-    """As `body_accelerations`, with (sine, cosine) of roll and pitch."""
+    """Return what `body_accelerations` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     roll_rate, pitch_rate, yaw_rate = rates
     roll_acc, pitch_acc, yaw_acc = accelerations

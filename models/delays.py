@@ -93,7 +93,7 @@ class Delays:
 
 
 def attitude_age(vehicle: Vehicle) -> float:
-    """How much older the measured attitude is than its time stamp [s]."""
+    """Return how much older the measured attitude is than its time stamp [s]."""
     return max(0.0, vehicle.effects_mocap_delay + vehicle.effects_estimator_delay)
 
 

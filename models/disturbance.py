@@ -51,7 +51,7 @@ class Disturbance:
         self.held = np.zeros((n, 6))  # what `push` returns
 
     def assign(self, ids, choice: np.ndarray) -> None:
-        """Give the vehicles `ids` the disturbance of other ones of `vehicles`, by their numbers (k,)."""
+        """Copy the disturbances of the vehicles numbered `vehicles` (k,) to the vehicles `ids` (k,)."""
         for name, values in self._of_each.items():
             getattr(self, name)[ids] = values[choice]
 
@@ -68,7 +68,7 @@ class Disturbance:
         self._random = np.random.Generator(self._bits)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Everything that a replay needs; `resume` when it has been overwritten."""
+        """Return everything that a replay needs; call `resume` after overwriting it."""
         self._stream[:] = self._bits.state["state"]["state"]
         return {"disturbance": self.now, "disturbance_stream": self._stream}
 
@@ -83,7 +83,7 @@ class Disturbance:
         self.now[ids] = self._own(self._size, ids) * self._random.standard_normal(self.now[ids].shape)
 
     def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
-        """What is held from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's axes.
+        """Return the push held from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's axes.
 
         state (n, 13); torque: whether it has an effect, else it is 0.
         """

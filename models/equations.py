@@ -55,7 +55,7 @@ STILL = np.empty((0, 6))  # no push; None would be another type, and compile eve
 
 
 class Conditions(NamedTuple):
-    """What n vehicles fly under."""
+    """The conditions under which n vehicles fly."""
 
     vehicle: np.ndarray  # from `pack`: (1,) for all, or (n,) with a record for each
     perturbation: np.ndarray  # (n, 7), see `perturbation.py`

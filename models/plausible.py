@@ -178,7 +178,7 @@ def _disturbance(v: Vehicle) -> Iterator[str]:
 
 
 def _steps(v: Vehicle) -> Iterator[str]:
-    """What the control period, one step of the equations, and the engine's step can follow."""
+    """Yield what the control period, one step of the equations, or the engine's step cannot follow."""
     period, mass = v.command_control_period, v.body_mass
     steps = period / ENGINE_STEP
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:

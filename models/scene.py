@@ -265,7 +265,7 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
 
 
 def _samples(delay: float, spec: mujoco.MjSpec) -> int:
-    """How many past time steps a delay [s] reaches back."""
+    """Return how many past time steps a delay [s] reaches back."""
     return max(1, math.ceil(delay / spec.option.timestep - 1e-9))
 
 

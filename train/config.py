@@ -309,14 +309,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
         raise UserError("--nominal and --randomise cannot be combined")
     randomise = config.randomise or preset.randomise
 
-    # The task's training defaults, but for what is given.
+    # The task's training defaults, except where options are given.
     named = [field.name for field in dataclasses.fields(training)]
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
     values: dict[str, Any] = {name: getattr(learning, name) for name in named if name not in ENDING}
 
-    # A policy to go on from flies as before: of the same task with its history, and with its actions and net.
+    # Training that continues from a policy keeps its actions and network; for the same task, its history too.
     policy = None if learning.start_from == DESCENT else learning.start_from
     same = policy if policy is not None and trained_task(policy) == kind.name else None
     before = {} if same is None else trained_options(same)

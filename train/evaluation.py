@@ -24,10 +24,11 @@ ENDING_STARTS = 256  # of evaluations that end a run
 
 
 class PeriodicEvaluation:
-    """Random starts of a stream of its own, others each time, hybrid plant in RK4, no training aids.
+    """Evaluate from new random starts each time, in the hybrid plant with RK4, without training aids.
 
-    Of a randomised run two of three flights have a vehicle with one deviation, see `Ranges.each_alone`, and
-    hover at first: the score is that of all flights, followed by that of each kind.
+    The starts have a random stream of their own. In a randomised run two of three flights have a vehicle with
+    one deviation, see `Ranges.each_alone`, and begin in hover; the score of all flights comes first, then
+    that of each kind.
     """
 
     def __init__(self, config: TrainConfig):

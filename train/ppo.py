@@ -76,8 +76,7 @@ def build_task(config: TrainConfig) -> Task:
             vehicle.check_inclination(options["inclination"])
         except UserError as error:
             raise UserError(f"--inclination: {error}") from error
-    # What a policy's actions command must not depend on the vehicle that it is flown with later, unless that
-    # is asked for.
+    # The PWM that an action commands must not depend on the vehicle flown later, unless the user asks for it.
     if config.vehicle and config.pwm_centre != OWN:
         options["pwm_centre"] = resolve_pwm_centre(config.pwm_centre, vehicle)
     return make_task(config.task, vehicle, **options)

@@ -68,7 +68,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
 def take_over(model: PPO, policy: Policy) -> None:
     """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
 
-    Of a policy for the same task the exploration noise too, and the critic if it is in the file. The model
+    For the same task, the exploration noise is copied too, and the critic if the file has it. The model
     may be given a longer history than the policy: the weights of its new inputs are 0 at first. Where the
     task commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset,
     and the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one. Where the

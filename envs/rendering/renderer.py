@@ -19,7 +19,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class Drawing:
-    """What is drawn besides the scene itself."""
+    """The items drawn in addition to the scene itself."""
 
     trail: np.ndarray | None  # (k, 3) m, k > 1
     trail_colour: np.ndarray | None  # (3,) or (k, 3)

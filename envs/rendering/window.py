@@ -100,7 +100,7 @@ class Window:
 
     @property
     def open(self) -> bool:
-        """Whether the window is open, in the process that opened it."""
+        """Return whether the window is open, in the process that opened it."""
         return self._viewer is not None and self._process == os.getpid() and self._viewer.is_running()
 
     def show(

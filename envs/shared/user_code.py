@@ -27,7 +27,7 @@ def would_import(text: object) -> TypeGuard[str]:
 
 
 def import_named(path: str, what: str, kind: str):
-    """What `path`, `module:NAME` or `file.py:NAME`, names, imported; None where the module has no such name.
+    """Import and return the object named by `module:NAME` or `file.py:NAME`; None if the module lacks it.
 
     what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
     """

@@ -62,7 +62,7 @@ class TaskOptions(Record):
     history: Annotated[int, Meta(ge=0, le=LONGEST_HISTORY)] = option(0, trained_with=True)
     """Number of past steps, each an observation and an action, in the policy's input."""
     observe_vehicle: bool = option(False, trained_with=True)
-    """Whether the policy observes six parameters of its vehicle."""
+    """Let the policy observe six parameters of its vehicle."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -168,7 +168,7 @@ class FlightSource(LogSource):
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).
-        platform: the platform of the vehicle file stood in the arena (detected in logs with contacts).
+        platform: the platform of the vehicle file was present in the flights (logs with contacts show it).
     """
 
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()

@@ -27,7 +27,7 @@ _MATTERS = 0.02  # a first-order index below this is not worth a sentence
 
 
 def write(study: Study, table: pa.Table, out: Path) -> dict:
-    """Write everything that is made from the results; returns the summary."""
+    """Write all derived outputs and return the summary."""
     columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
     outcome = np.array([OUTCOMES.index(name) for name in columns["outcome"]])
     known = known_parameters(study.vehicle)

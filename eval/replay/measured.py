@@ -22,8 +22,8 @@ def from_log(
 ) -> tuple[list[Recording], list[str]]:
     """Return the measured flight with, where the log suffices, its simulation; and notes on what is missing.
 
-    platform: the vehicle file's slab stood there. horizon: s after which the simulation begins again at the
-    measured state, see `gap.answer.rollout`.
+    platform: whether the vehicle file's slab was present. horizon: s after which the simulation begins again
+    at the measured state, see `gap.answer.rollout`.
     """
     notes = [f"{log.name}: {note}" for note in log.notes]
     platform = platform or log.contact is not None

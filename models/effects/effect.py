@@ -99,7 +99,7 @@ class Parameter:
     # Field of Vehicle, or `field.k` for its number k: one-signed, it may shrink by what is there.
     adds_to: str = ""
     is_reference: bool = False  # where another parameter acts about; no size of its own, any value is neutral
-    # A reference about both ends of which two sizes together do what one does about a value between.
+    # Of a reference: two sizes, one about each of its bounds, act like one size about a value between them.
     linear: bool = True
     constant: FittedConstant | None = None
     # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
@@ -113,7 +113,7 @@ class Parameter:
 
     @property
     def is_factor(self) -> bool:
-        """Whether it multiplies (neutral is 1) instead of adding (neutral is 0)."""
+        """Return whether the parameter multiplies (neutral is 1) instead of adding (neutral is 0)."""
         return self.neutral == 1.0 and not self.is_reference
 
     @property
@@ -201,7 +201,7 @@ class Parameter:
 
     @property
     def is_ratio(self) -> bool:
-        """Whether it is fitted in its logarithm: a factor that is never zero."""
+        """Return whether the parameter is fitted in its logarithm, as a factor that is never zero is."""
         return self.is_factor and self.bounds[0] > 0.0
 
     def coordinate(self, value: float) -> float:
@@ -309,7 +309,7 @@ class Effect:
 
     @property
     def contact(self) -> bool:
-        """Whether it shows in touchdowns only."""
+        """Return whether the effect shows in touchdowns only."""
         return self.channels == ("touchdown",)
 
     def seen_in_requests(self) -> Effect:

@@ -33,7 +33,7 @@ _SHARED = (
 
 
 def _differ(field: str, member: Vehicle, other: Vehicle) -> bool:
-    """By more than rounding."""
+    """Return whether a field of two vehicles differs by more than rounding."""
     return not np.allclose(getattr(member, field), getattr(other, field), rtol=1e-9, atol=0.0)
 
 
@@ -234,7 +234,7 @@ class Plant:
 
     @property
     def motion(self) -> Motion | None:
-        """Of the n platforms; None in a plant whose platforms cannot move."""
+        """The motion of the n platforms; None in a plant whose platforms cannot move."""
         return None
 
     def set_motion(self, ids, motion: Motion, time=0.0) -> None:
@@ -282,7 +282,7 @@ class Plant:
         """Hook for plants that keep the perturbation elsewhere too."""
 
     def _begin(self, ids, state: np.ndarray) -> None:
-        """Everything of a new episode of the vehicles `ids`, from `state` (k, 13), that both plants have."""
+        """Begin a new episode of the vehicles `ids` at `state` (k, 13), as far as both plants share it."""
         constants = self._constants[ids] if len(self._constants) > 1 else self._constants
         self.state[ids] = state
         self.integral[ids] = resting_integrals(state[:, ROLL:YAW], constants)

@@ -102,7 +102,7 @@ def read_contacts(sensors, ids, addresses, zone, near, touch, force):
 
 
 def contact_sensors(model: mujoco.MjModel) -> np.ndarray:
-    """Where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
+    """Return where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
 
     At the address: the number of contacts found; behind it the net force (3,) [N] of the geom on the part.
     """

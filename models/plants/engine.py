@@ -25,7 +25,7 @@ _locked: list[Engine] = []  # during a fork
 
 
 class Columns(NamedTuple):
-    """Where in a row of `Engine.state` (n, s) its components begin, for kernels.
+    """The places in a row of `Engine.state` (n, s) at which its components begin, for kernels.
 
     They take whole rows, because views of the columns have another layout where n is 1, for which everything
     would be compiled once more.

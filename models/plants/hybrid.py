@@ -13,10 +13,10 @@ RK4, whose positions are within one step of the speeds of that step: the speeds 
 difference for what the acceleration does between. Over a moving platform all of this is seen along with it,
 at the velocity that its centre has at the period's beginning, and it is taken nearer by what any of its
 points can stray from there since: at a speed that its motion never exceeds (`platforms.MOST`), or, where that
-is too near, at one that it does not exceed in this period (`strays`). There a vehicle whose sphere is too
-near is as flat as its parts about its axis, and must have room for its turning too. So no contact that the
-engine would see is missed, and contacts, forces and the zone are always the engine's own. In the engine a
-platform is put where it belongs when the engine flies the vehicle, or the plant is saved.
+is too near, at one that it does not exceed in this period (`strays`). Where even then the sphere is too near,
+the vehicle is replaced by a disc as flat as its parts, whose rotation during the period must have room too.
+So no contact that the engine would see is missed, and contacts, forces and the zone are always the engine's
+own. A platform is moved to its place in the engine when the engine flies the vehicle, or the plant is saved.
 
 The equations fly only attitudes and rates for which they are as exact as the engine: roll short of the
 Euler angles' singularity at 90 deg, turns in a time step of less than `_TURN`. Torque limits, clamped
@@ -78,7 +78,7 @@ _OF_THE_PLACE = forces.columns_besides(
 
 
 class _Period(NamedTuple):
-    """What one control period happens under."""
+    """The conditions of one control period."""
 
     commands: np.ndarray  # (substeps, n, 4) that act in each time step, or (1, n, 4) in all of them
     push: np.ndarray  # (n, 6) or STILL, see `equations.Conditions`
@@ -200,7 +200,7 @@ class HybridPlant(MujocoPlant):
             self.platforms.follow(self._everyone[ids])
 
     def save(self):
-        """Everything a later bit-for-bit replay needs."""
+        """Return everything that a later bit-for-bit replay needs."""
         super()._place_platforms(self._everyone)
         return super().save()
 
@@ -434,7 +434,7 @@ def _write(row, state, substeps, dt, engine):
 
 @numba.njit(cache=True, inline="always")
 def _note(row, begin, count, command, time):
-    """Write the command of an actuator at a time [s] into its history, which begins there in the row.
+    """Append a timestamped command [s] to the history buffer of an actuator, which begins there in the row.
 
     Its layout: a user's number, index of the newest sample, times, values of `count` samples; none where it
     has no delay.

@@ -351,7 +351,7 @@ class MujocoPlant(Plant):
         return seen
 
     def _give(self, commands: np.ndarray, ids) -> np.ndarray:
-        """What holds for the control period that begins for the vehicles `ids`: commands (n, 4), disturbance.
+        """Set commands (n, 4) and disturbance for the control period that begins for the vehicles `ids`.
 
         Returns the disturbance's push (n, 6), see `Disturbance.push`, or `equations.STILL`.
         """

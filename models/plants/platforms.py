@@ -51,7 +51,7 @@ class _Joints(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """What kernels need to know of n moving platforms; of none in a plant whose platforms stand still."""
+    """The data of n moving platforms that kernels read; n is 0 in a plant whose platforms stand still."""
 
     courses: np.ndarray  # (n, c) what every control period reads of a motion, see `_write_course`
     waves: motion.Waves

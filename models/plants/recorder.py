@@ -137,9 +137,9 @@ class Recorder:
         return ~np.isnan(self.touch.time)
 
     def touch_speeds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Speeds (n,) [m/s] of the centre of mass into the surface, and along it, unsigned, at the touch.
+        """Return the speeds (n,) [m/s] of the centre of mass into and along the surface at the touch.
 
-        Of moving platforms: relative to their points where the vehicles are.
+        The speed along it is unsigned. On moving platforms both are relative to the point at the vehicle.
         """
         platform = self.plant.platform_at(self.touch.time - self.plant.model.opt.timestep)
         seen = np.zeros((self.plant.n, WZ + 1))

@@ -33,7 +33,7 @@ class Attribute:
         self.rules = [rule] * len(self.values) if isinstance(rule, str) else rule
 
     def condition(self) -> str:
-        """Of the numbers `x`, in C++."""
+        """Return the condition on the numbers `x` in C++."""
         parts = []
         for k, rule in enumerate(self.rules):
             if rule.startswith("whole "):
@@ -42,7 +42,7 @@ class Attribute:
         return " && ".join(parts) or "true"
 
     def rule(self) -> str:
-        """What the numbers must be, in words that go on after 'must be'."""
+        """Return the rule for the numbers in words that follow 'must be'."""
         words = []
         for rule in dict.fromkeys(self.rules) if len(set(self.rules)) == 1 else self.rules:
             *whole, sign, number = rule.split()
@@ -53,7 +53,7 @@ class Attribute:
         return each + ", ".join(words) + unit if words else ""
 
     def member(self) -> str:
-        """Of the C++ struct."""
+        """Return the member of the C++ struct."""
         if self.names:
             values = ", ".join(json.dumps(name) for name in self.names)
             return f"  std::vector<std::string> {self.name} = {{{values}}};  // {self.meaning}"
@@ -63,14 +63,14 @@ class Attribute:
         return f"  double {self.name}[{len(self.values)}] = {{{numbers}}};  // {self.unit}: {self.meaning}"
 
     def taken(self, begin: int) -> list[str]:
-        """C++ that takes its numbers from `x`, where they begin at `begin`."""
+        """Return C++ that copies its numbers from `x`, where they begin at `begin`."""
         places = (
             [self.name] if len(self.values) == 1 else [f"{self.name}[{k}]" for k in range(len(self.values))]
         )
         return [f"    {place} = x[{begin + k}];" for k, place in enumerate(places)]
 
     def line(self) -> str:
-        """Of the C++ table."""
+        """Return the line of the C++ table."""
         if self.names:
             return f'        {{"{self.name}", nullptr, 0, nullptr, "", &{self.name}}},'
         address = self.name if len(self.values) > 1 else f"&{self.name}"
@@ -78,7 +78,7 @@ class Attribute:
         return f'        {{"{self.name}", {address}, {len(self.values)}, {check}, "{self.rule()}", nullptr}},'
 
     def row(self) -> str:
-        """Of the manual."""
+        """Return the row of the manual."""
         if self.names:
             return f"| `{self.name}` | `{' '.join(self.names)}` | names | | {self.meaning} |"
         table, key = self.entry.split(".")

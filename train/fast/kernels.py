@@ -49,7 +49,7 @@ class Learner(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Of the actions."""
+    """The bounds of the actions."""
 
     low: np.ndarray  # (a,) float32
     high: np.ndarray  # (a,) float32
@@ -74,7 +74,7 @@ class Rollout(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Of an update."""
+    """The settings of an update."""
 
     batch: np.uint64  # samples in a minibatch
     actor_learns: bool

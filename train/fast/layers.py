@@ -34,7 +34,7 @@ inlined = numba.njit(**_OPTIONS, forceinline=True)
 
 
 class Scaling(NamedTuple):
-    """How observations o are scaled: clip((o - centre)/scale, -limit, limit)."""
+    """The scaling of observations o: clip((o - centre)/scale, -limit, limit)."""
 
     centre: np.ndarray  # (o,) float32
     scale: np.ndarray  # (o,) float32

@@ -65,7 +65,7 @@ def measure(vehicle: Vehicle, commands: np.ndarray) -> list[Convergence]:
 
 @panels(2, 4.6, 4.0)
 def draw(found: list[Convergence], *axes: Axes) -> None:
-    """Draw the error over the step for every integrator and both modes."""
+    """Plot the error against the step size for every integrator and both modes."""
     looks = {"RK4": (BLUE, "o", "-"), "implicitfast": (ORANGE, "s", "-"), "Euler": (GREEN, "^", "--")}
     looks["equations, RK4"] = MUTED, "x", "-"
     for axis, attitude in zip(axes, ATTITUDES):
