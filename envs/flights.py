@@ -92,11 +92,19 @@ def record_flights(
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
     States have the platforms that `Task.start` gives them; starts have their own, and their contact.
-    plant: a plant of n vehicles, or a name ("mujoco", "hybrid", "analytic") for a plain one of the task's
-    vehicle.
-    steps: fly at most this many control steps (default: the task's limit).
-    Raises UserError when the number of states is not the plant's, and FloatingPointError when the engine
-    diverges. Flights of vehicles from a pool that diverge far outside the arena, where
+
+    Args:
+        policy: a policy, as `load_policy` returns it.
+        plant (Plant | str): a plant of n vehicles, or "mujoco", "hybrid" or "analytic" for one of the task's
+            vehicle.
+        states: states (n, 13) or n starts.
+        steps: fly at most this many control steps (default: the task's limit).
+
+    Raises:
+        UserError: when the number of states is not the plant's.
+        FloatingPointError: when the engine diverges.
+
+    Flights of vehicles from a pool that diverge far outside the arena, where
     drawn effects of the air may add thrust without limit, end there without success instead.
     """
     if not isinstance(getattr(policy, "task", None), Task):

@@ -30,9 +30,17 @@ def make_batch(
 ) -> BatchEnv:
     """Return n vehicles on a task as a `BatchEnv`, which `BatchVecEnv` wraps for Stable-Baselines3.
 
-    task: by name, also of one imported with `import_task`; options: of its class, such as `inclination` or
-    `pwm_centre`. plant, plant_options: the physics, {"integrator": "implicitfast"} for example. vehicle: one,
-    or the path of a file; by default the shipped one. Raises UserError for anything else.
+    Args:
+        task: name of a task, also of one imported with `import_task`.
+        n: number of vehicles.
+        plant: "mujoco", "hybrid" or "analytic".
+        plant_options: options of the plant, {"integrator": "implicitfast"} for example.
+        vehicle: a vehicle or the path of a vehicle file; by default the shipped one.
+        seed: seed of the starts and of all noise.
+        **options (object): options of the task's class, such as `inclination` or `pwm_centre`.
+
+    Raises:
+        UserError: for unknown names and options.
     """
     if not (is_whole(n) and 1 <= n <= MOST_VEHICLES):
         raise UserError(f"num_envs must be an integer from 1 to {MOST_VEHICLES}, not {shown(repr(n), 40)}")

@@ -146,14 +146,21 @@ def load_policy(
 ) -> Policy:
     """Read a policy file, the final policy of a run folder, or a shipped policy by name.
 
-    task: the task it must be for, by name or as an object, such as that of an environment (which then is
-        the policy's task); needed when the file has none. By name, and by default, the task is
-        built from the metadata.
-    vehicle, inclination, azimuth [rad]: of the task that is built, where they differ from the training's.
-        The PWM of an action stays that of the training or, with `pwm_centre="own"`, is about the
-        hover of each vehicle.
-    Raises UserError when the file is not a policy or does not fit the task: a task object must have the
-    metadata's PWM, options of slopes, dimensions and angles, and its one inclination, or the one given.
+    The PWM of an action stays that of the training or, with `pwm_centre="own"`, is about the hover of each
+    vehicle.
+
+    Args:
+        path: policy file, run folder, or name of a shipped policy.
+        task: the task it must be for, by name or as an object, such as that of an environment (which then is
+            the policy's task); needed when the file has none. By name, and by default, the task is built from
+            the metadata.
+        vehicle: vehicle of the task that is built, if it differs from the training's.
+        inclination: inclination [rad] of its slope, if it differs from the training's.
+        azimuth: azimuth [rad] of its slope, if it differs from the training's.
+
+    Raises:
+        UserError: when the file is not a policy or does not fit the task: a task object must have the
+            metadata's PWM, options of slopes, dimensions, angles, and its one inclination or the given one.
     """
     if not (task is None or isinstance(task, (str, Task))):
         raise UserError(f"task must be a Task or the name of one, not {shown(repr(task), 40)}")

@@ -35,14 +35,16 @@ def read_log(
 ) -> FlightLog:
     """Return one flight from its file, or from several files of the same flight with the same clock.
 
-    path: CSV (packed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string with
-        the names joined by `+`, as for the client's one file per log block.
-    mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
-    units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
-    where: the rows to take of a table of several vehicles, {"name": "cf1"}.
-    check: refuse flights that `check_log` refuses, and add its limits to the notes.
+    Args:
+        path: CSV (packed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string with
+            the names joined by `+`, as for the client's one file per log block.
+        mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
+        units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
+        where: the rows to take of a table of several vehicles, {"name": "cf1"}.
+        check: refuse flights that `check_log` refuses, and add its limits to the notes.
 
-    Raises UserError, naming file and column, when the flight cannot be used.
+    Raises:
+        UserError: naming file and column, when the flight cannot be used.
     """
     paths = _paths(path)
     stated = _dictionary("units", units, "units by column")
