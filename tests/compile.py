@@ -28,8 +28,8 @@ def training() -> None:
 def flights() -> None:
     """A flight of the independent simulator, then the diagnosis of one."""
     from tests.eval.gap import test_diagnosis
-    from tests.proof.simulator import control, flight
-    from tests.proof.simulator.vehicle import World
+    from tests.validation.simulator import control, flight
+    from tests.validation.simulator.vehicle import World
 
     path = np.zeros((10, control.REF_SIZE))
     path[:, control.REF_POSITION + 2] = 1.0

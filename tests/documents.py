@@ -19,16 +19,16 @@ from inclined_landing.eval import cli
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.sweep.command import command as sweep
 from tests import ROOT
-from tests.proof import __main__ as proof
+from tests.validation import __main__ as validation
 
 sys.path.insert(0, str(ROOT / "docs" / "site"))
 import generated  # noqa: F401  (the pages that the site makes)
 
 SHELLS = ("sh", "console", "bash")
 PROGRAMS = ("landing-eval", "landing-train")
-PROOF = ["python", "-m", "tests.proof"]
+VALIDATION = ["python", "-m", "tests.validation"]
 BLOCK = RawFencedCodeBlockLexer(re.compile(r'(?P<language>[a-z]+)(?: title="(?P<title>[^"]+)")?[ \t]*\n'))
-SPAN = re.compile(r"`((?:landing-eval|landing-train|python -m tests\.proof) [^`]+)`")
+SPAN = re.compile(r"`((?:landing-eval|landing-train|python -m tests\.validation) [^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 FENCE = re.compile(r"^( *)(`{3,}|~{3,}).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
 _OPERATORS = ("&", "&&", "||", ";", "|")
@@ -119,9 +119,9 @@ def check(words: list[str]) -> None:
     elif program == "make":
         known = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert all(word in known or "=" in word for word in rest), words
-    elif words[:3] == PROOF:
-        assert words[3] in proof.COMMANDS, words
-        parse(bound(proof.find(words[3])), " ".join(words[:4]), words[4:])
+    elif words[:3] == VALIDATION:
+        assert words[3] in validation.COMMANDS, words
+        parse(bound(validation.find(words[3])), " ".join(words[:4]), words[4:])
     elif program == "python" and rest[0].endswith(".py"):
         assert (ROOT / rest[0]).is_file(), words
     elif "pytest" in program:
@@ -137,8 +137,8 @@ def check(words: list[str]) -> None:
 
 def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
-    if program == "tests.proof":
-        return bound(proof.find(rest[0]))
+    if program == "tests.validation":
+        return bound(validation.find(rest[0]))
     if rest and rest[0] in ("--version", "--print-completion"):  # of either program
         return None
     if program == "landing-train" and rest[:1] == ["sweep"]:

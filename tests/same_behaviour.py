@@ -16,6 +16,7 @@ import hashlib
 import io
 import json
 import math
+import os
 import subprocess
 import sys
 import time
@@ -23,7 +24,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-EVAL, TRAIN, PROOF = "inclined_landing.eval", "inclined_landing.train", "tests.proof"
+EVAL, TRAIN, VALIDATION = "inclined_landing.eval", "inclined_landing.train", "tests.validation"
 # Name of the record -> module, arguments ({out} is a new folder), files whose content is compared.
 COMMANDS = {
     "success_landing": (EVAL, "success landing --thrust-scale 1 1.05 0.95 0.88 --json", ()),
@@ -41,7 +42,7 @@ COMMANDS = {
     "gap_example": (EVAL, "gap-example --out {out}", ("fit", "heldout")),
     "gap": (EVAL, "gap {flights} --out {out}", ("report.json",)),
     "identify": (EVAL, "identify {flights} --out {out}", ("report.json",)),
-    "blind": (PROOF, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
+    "blind": (VALIDATION, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
     "success_effects": (EVAL, "success landing --effects --json", ()),
 }
 SKIPPED = {
@@ -73,17 +74,17 @@ def record(folder: Path, names: list[str]) -> None:
 
 
 def _run(module: str, words: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run a command of the installed version, whose gap-blind may still be one of landing-eval."""
-    place = None
-    if module == PROOF:
+    """Run a command of the installed version; what makes evidence, from its repository."""
+    place, environment = None, dict(os.environ)
+    if module == VALIDATION:
         from inclined_landing import models
 
         roots = [Path(path).resolve().parent for path in models.__path__]
-        place = next((root for root in roots if (root / "tests" / "proof").is_dir()), None)
-        module = EVAL if place is None else PROOF
-    return subprocess.run(
-        [sys.executable, "-P", "-m", module, *words], capture_output=True, text=True, cwd=place
-    )
+        place = next(root for root in roots if (root / "tests").is_dir())
+        environment["PYTHONPATH"] = str(place)
+        module = VALIDATION if (place / "tests" / "validation" / "__main__.py").is_file() else "tests.proof"
+    command = [sys.executable, "-P", "-m", module, *words]
+    return subprocess.run(command, capture_output=True, text=True, cwd=place, env=environment)
 
 
 def _content(path: Path):

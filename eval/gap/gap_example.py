@@ -1,6 +1,6 @@
 """`landing-eval gap-example`: twenty flights that come with the package, to try the gap workflow on.
 
-`python -m tests.proof gap-example`, in the repository, made them with an independent simulator.
+`python -m tests.validation gap-example`, in the repository, made them with an independent simulator.
 """
 
 from __future__ import annotations

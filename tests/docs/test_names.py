@@ -90,8 +90,8 @@ def known() -> frozenset[str]:
     words |= documents.options("landing-train", None) | {path.name for path in ROOT.glob("*")}
     for name in documents.cli.COMMANDS:
         words |= documents.options("landing-eval", name)
-    for name in documents.proof.COMMANDS:
-        words |= documents.options("tests.proof", name)
+    for name in documents.validation.COMMANDS:
+        words |= documents.options("tests.validation", name)
     return frozenset(words | {word.replace("-", "_") for word in words} | FOREIGN)
 
 

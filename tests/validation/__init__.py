@@ -1,1 +1,1 @@
-"""Scripts that make evidence, run as `python -m tests.validation.NAME` from the root of the repository."""
+"""Evidence that takes minutes, with an independent simulator, simulators by others and recorded flights."""

@@ -1,4 +1,4 @@
-"""`python -m tests.validation.flights`: sources of public flights, and their files as documented CSV."""
+"""`flights`: sources of public flights, and their files as documented CSV."""
 
 from __future__ import annotations
 
@@ -6,20 +6,18 @@ import gzip
 import hashlib
 import io
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.command_line import bound, exit_code, parse
 from inclined_landing.eval.base.options import NewFolder
 from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError, shown
 from tests.validation.convert import PublicSet, convert, public_sets
 
-PROGRAM = "python -m tests.validation.flights"
+PROGRAM = "python -m tests.validation flights"
 SetAndFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SET [FILE ...]]")]
 
 
@@ -62,12 +60,6 @@ def command(public: SetAndFiles = (), /, *, out: NewFolder = None) -> None:
     print(f"{len(seen)} flights were converted into {out}.")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    return exit_code(PROGRAM, lambda: parse(bound(command), PROGRAM, words)())
-
-
 def _packed(text: bytes) -> bytes:
     """Return gzipped bytes, always the same for the same text."""
     packed = io.BytesIO()
@@ -87,7 +79,3 @@ def _where(name: str, known: PublicSet) -> str:
             f"  cite: {known.cite}",
         )
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

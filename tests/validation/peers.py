@@ -1,6 +1,6 @@
-"""`python -m tests.validation.peers`: other quadrotor simulators and the plants of this package, in one run.
+"""`peers`: other quadrotor simulators and the plants of this package, in one run.
 
-SCIPY_ARRAY_API=1 python -m tests.validation.peers --out DIR writes DIR/peers.json and DIR/peers.md. Crazyflow
+SCIPY_ARRAY_API=1 python -m tests.validation peers --out DIR writes DIR/peers.json and DIR/peers.md. Crazyflow
 needs the variable before SciPy is imported.
 
 Each function of `PEERS` builds a simulation and returns a call that advances it, with what the call contains.
@@ -13,16 +13,14 @@ import dataclasses
 import importlib
 import importlib.metadata
 import os
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.envs.shared.command_line import bound, exit_code, parse
 from inclined_landing.envs.shared.options import NewFolder, Seed
 from inclined_landing.envs.shared.runs import staged_run, versions
 from inclined_landing.envs.shared.statistics import spread
@@ -246,14 +244,3 @@ def command(*, vehicles: int = VEHICLES, seed: Seed = 0, out: NewFolder = None) 
         with staged_run(out) as folder:
             storage.write_json(folder / "peers.json", report)
             storage.write_text(folder / "peers.md", page)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    program = "python -m tests.validation.peers"
-    return exit_code(program, lambda: parse(bound(command), program, words)())
-
-
-if __name__ == "__main__":
-    sys.exit(main())

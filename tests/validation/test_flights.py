@@ -9,8 +9,8 @@ import pytest
 from inclined_landing.eval.logs import read_log
 from tests import ROOT
 from tests.log_files import sd_card
+from tests.validation.__main__ import main
 from tests.validation.convert import convert, public_sets
-from tests.validation.flights import main
 
 DATA = ROOT.parent / "shared" / "data"
 
@@ -110,7 +110,7 @@ def test_command_writes_flights_that_can_be_read_once_each(tmp_path, capsys):
         table.to_csv(tmp_path / f"{name}.csv", index=False)
     out = tmp_path / "out"
     files = [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
-    assert main(["nanobench", *files, "--out", str(out)]) == 0
+    assert main(["flights", "nanobench", *files, "--out", str(out)]) == 0
     assert "same flight" in capsys.readouterr().err
     assert sorted(p.name for p in out.iterdir()) == ["nb_a.csv.gz", "source.txt"]
     assert "BSD-3-Clause" in (out / "source.txt").read_text()
@@ -133,14 +133,14 @@ def test_command_writes_flights_that_can_be_read_once_each(tmp_path, capsys):
 )
 def test_wrong_input_is_one_sentence(tmp_path, capsys, words, says):
     (tmp_path / "f.csv").write_text("t,px\n0,1\n1,2\n")
-    assert main([w.format(tmp_path) for w in words]) == 2
+    assert main(["flights", *(w.format(tmp_path) for w in words)]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1
     assert not (tmp_path / "o").exists()
 
 
 def test_without_arguments_it_says_where_the_sets_are(capsys):
-    assert main([]) == 0
+    assert main(["flights"]) == 0
     text = capsys.readouterr().out
     for known in public_sets().values():
         assert known.repository in text and known.licence in text

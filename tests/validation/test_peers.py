@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from tests.validation import __main__ as validation
 from tests.validation import peers
 
 
@@ -25,7 +26,7 @@ def test_simulators_are_measured_or_named_with_their_remedy(tmp_path, monkeypatc
     assert rows[1]["missing"] == "not installed (no_such_simulator): pip install it"
     assert rows[2]["missing"] == "does not run: TypeError: no such option"
     monkeypatch.setattr(peers, "rates", lambda vehicles, seed: rows)
-    assert peers.main(["--out", str(tmp_path / "out")]) == 0
+    assert validation.main(["peers", "--out", str(tmp_path / "out")]) == 0
     assert "pip install it" in capsys.readouterr().out
     lines = (tmp_path / "out" / "peers.md").read_text().splitlines()
     assert len({line.count("|") for line in lines[2:]}) == 1 and len(lines) == 7

@@ -1,4 +1,4 @@
-"""Tosses of a real cube against this project's contact: `python -m tests.validation.tosses TABLE [HELD_OUT]`.
+"""`tosses`: those of a real cube against this project's contact.
 
 TABLE is a CSV file with columns toss, t, x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz (SI units, rates in
 the frame of the body, the table's surface at z = 0), such as the tosses of Pfrommer, Halm and Posa (CoRL
@@ -20,17 +20,17 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 import pandas as pd
+import tyro
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.envs.shared.command_line import exit_code
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import contact
 from inclined_landing.models.errors import UserError
@@ -264,11 +264,18 @@ def best_of(settings: Sequence[Contact], tosses: Sequence[np.ndarray]) -> Contac
     return settings[int(np.argmin((found / found.min(axis=0)).sum(axis=1)))]
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Print estimates and errors of the tosses in TABLE, and the errors of those in HELD_OUT."""
-    if not 1 <= len(arguments) <= 2:
-        raise UserError("name the table of tosses, and then, if you like, that of the held-out ones")
-    tosses, *held_out = (read(Path(path)) for path in arguments)
+def command(
+    chosen: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")],
+    held_out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[HELD_OUT]")] = None,
+    /,
+) -> None:
+    """Contact that tosses of a real cube give, and how far predictions with it are off (minutes).
+
+    Args:
+        chosen: tosses that the grid of the engine's settings is chosen on.
+        held_out: tosses whose errors are told as well.
+    """
+    tosses, *others = (read(path) for path in (chosen, held_out) if path is not None)
     interval, windows = interval_of(tosses), windows_of(tosses)
     kinds = {kind: windows.only(which) for kind, which in kinds_of(windows).items() if which.sum() >= LEAST}
     fits = {kind: estimate(some, interval) for kind, some in kinds.items()}
@@ -309,7 +316,7 @@ def main(arguments: Sequence[str]) -> None:
             struck[0], struck[1], float(np.exp(time)), height
         ),
     }
-    for name, some in zip(("TABLE", "HELD_OUT"), (tosses, *held_out)):
+    for name, some in zip(("TABLE", "HELD_OUT"), (tosses, *others)):
         heads = ("position [widths, %]", "median", "attitude [deg]", "median", "from the table's velocity")
         table = new_table(f"Mean error over whole tosses of {name} ({len(some)})", "contact", *heads)
         for setting_name, setting in settings.items():
@@ -318,7 +325,3 @@ def main(arguments: Sequence[str]) -> None:
             cells = (100 * mean[0], 100 * median[0], mean[1], median[1])
             table.add_row(setting_name, *(f"{x:.1f}" for x in cells), f"{100 * given[0]:.1f}, {given[1]:.1f}")
         show_table(table)
-
-
-if __name__ == "__main__":
-    sys.exit(exit_code("python -m tests.validation.tosses", lambda: main(sys.argv[1:])))

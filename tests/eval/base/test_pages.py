@@ -18,12 +18,10 @@ from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.report import identified
 from inclined_landing.eval.replay.page import _as_script
 from inclined_landing.models.parameters import load_vehicle
-from tests import proof
 from tests.pages import EVIL, check_page
 
 ROOM = Path(rooms.__path__[0])
-PROOF = Path(proof.__file__).parent
-TEMPLATES = [*sorted(ROOM.rglob("*.html.j2")), *PROOF.rglob("*.html.j2")]
+TEMPLATES = sorted(ROOM.rglob("*.html.j2"))
 UNESCAPED = {"safe", "forceescape", "xmlattr", "tojson"}  # filters that write markup, or other than text
 IN_STYLE = {"{{ super() }}", "{{ paper }}", "{{ style }}"}  # of the program, not from outside
 IN_SCRIPTS = {"{{ script }}", "{{ content }}"}  # the program's own, and JSON that is escaped

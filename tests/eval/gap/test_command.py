@@ -19,8 +19,8 @@ from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.result import REFERENCE
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.gap.test_report import example
-from tests.proof.gap_blind.causes import Drawn
-from tests.proof.gap_blind.generate import fly_all, table
+from tests.validation.gap_blind.causes import Drawn
+from tests.validation.gap_blind.generate import fly_all, table
 
 HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})
 FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "vehicle.toml"}

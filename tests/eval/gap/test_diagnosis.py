@@ -34,9 +34,9 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import neutral
-from tests.proof import simulator
-from tests.proof.gap_blind import generate
-from tests.proof.gap_blind.causes import Drawn
+from tests.validation import simulator
+from tests.validation.gap_blind import generate
+from tests.validation.gap_blind.causes import Drawn
 
 STEP, SUBSTEPS = 0.01, 5
 NOISE = np.array([1e-3] * 3 + [0.005] * 3)

@@ -15,9 +15,9 @@ from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.proof import gap_agreement
-from tests.proof.gap_blind import generate
-from tests.proof.gap_blind.causes import Drawn
+from tests.validation import gap_agreement
+from tests.validation.gap_blind import generate
+from tests.validation.gap_blind.causes import Drawn
 
 NAMES = ("thrust_scale", "mass", "attitude_gain", "attitude_trim", "mocap_tilt")
 OTHER_VEHICLE = {"thrust_scale": 0.85, "attitude_gain_scale": 1.15}

@@ -22,8 +22,8 @@ from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProble
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.proof.gap_blind import cases
-from tests.proof.gap_blind.generate import landings, logs
+from tests.validation.gap_blind import cases
+from tests.validation.gap_blind.generate import landings, logs
 
 VEHICLE = load_vehicle()
 

@@ -14,8 +14,8 @@ from inclined_landing.eval.flying.simulated.firmware import State
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, VX, X, Z
 from inclined_landing.models.plants import make_plant
-from tests.proof import flight_table as faults
-from tests.proof.flight_table import Flown, fly_once, truth_of
+from tests.validation import flight_table as faults
+from tests.validation.flight_table import Flown, fly_once, truth_of
 
 
 @pytest.fixture(scope="module")

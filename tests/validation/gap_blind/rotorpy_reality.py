@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from inclined_landing.models.errors import optional
-from tests.proof.simulator import (
+from tests.validation.simulator import (
     KINDS,
     Build,
     Constants,
@@ -29,7 +29,7 @@ from tests.proof.simulator import (
     control,
     ordinary,
 )
-from tests.proof.simulator.vehicle import PILOT_RATE
+from tests.validation.simulator.vehicle import PILOT_RATE
 
 from . import interface
 from .causes import Drawn

@@ -31,7 +31,7 @@ from inclined_landing.models import storage
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.proof.shared import cell, table_of
+from tests.validation.shared import cell, table_of
 
 SETS = ("utias_fmpc", "nanobench", "crazypad", "arp_sysid")
 SMOOTHING = 0.1  # s to either side

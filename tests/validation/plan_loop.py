@@ -22,8 +22,8 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models import storage
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from tests.proof.gap_blind.accepted import accepted, entailed
-from tests.proof.shared import check_known, table
+from tests.validation.gap_blind.accepted import accepted, entailed
+from tests.validation.shared import check_known, table
 
 # Small enough that one landing leaves them in doubt, as looked at with seed 100; the last one because
 # ordinary flights do not go where it is.

@@ -1,4 +1,4 @@
-"""The commands of `python -m tests.proof`, and what they were run for: flights, vehicles, a page."""
+"""The commands of `python -m tests.validation`, and what they were run for: flights, vehicles, a page."""
 
 import re
 import subprocess
@@ -11,25 +11,25 @@ from inclined_landing.eval import cli
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
-from tests.proof import __main__ as proof
-from tests.proof import from_logs, gap_example
-from tests.proof.causes import _expanded
-from tests.proof.identified import vehicles
-from tests.proof.simulator import World
+from tests.validation import __main__ as validation
+from tests.validation import from_logs, gap_example
+from tests.validation.causes import _expanded
 from tests.validation.convert import public_sets
+from tests.validation.identified import vehicles
+from tests.validation.simulator import World
 
 
 def test_one_command_runs_them_from_the_root():
-    words = [sys.executable, "-m", "tests.proof", "-h"]
+    words = [sys.executable, "-m", "tests.validation", "-h"]
     done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0 and done.stderr == ""
-    assert all(name in done.stdout and proof.find(name).__doc__ for name in proof.COMMANDS)
+    assert all(name in done.stdout and validation.find(name).__doc__ for name in validation.COMMANDS)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; see python -m tests.proof --help"),
+        ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; see python -m tests.validation --help"),
         ("gap-agreement --out {out} --family moon", "unknown family 'moon'; choose from dev, fresh"),
         ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
         ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),
@@ -40,7 +40,7 @@ def test_one_command_runs_them_from_the_root():
 def test_wrong_words_are_one_sentence(words, sentence, tmp_path, capsys):
     (tmp_path / "file").touch()
     places = {"out": tmp_path / "out", "file": tmp_path / "file", "folder": tmp_path}
-    assert proof.main(words.format(**places).split()) == 2
+    assert validation.main(words.format(**places).split()) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1
     assert sentence.format(**places) in printed.err

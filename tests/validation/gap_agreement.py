@@ -22,11 +22,11 @@ from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.models import storage
 from inclined_landing.models.parameters import load_vehicle
-from tests.proof import simulator
-from tests.proof.gap_blind import cases as blind
-from tests.proof.gap_blind import generate
-from tests.proof.gap_blind.causes import Drawn
-from tests.proof.shared import check_known, table
+from tests.validation import simulator
+from tests.validation.gap_blind import cases as blind
+from tests.validation.gap_blind import generate
+from tests.validation.gap_blind.causes import Drawn
+from tests.validation.shared import check_known, table
 
 FLIGHTS = 10
 CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight

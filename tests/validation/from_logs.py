@@ -27,9 +27,9 @@ from inclined_landing.models import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.proof.gap_blind.causes import Drawn
-from tests.proof.gap_blind.generate import fly_all, write_csv
-from tests.proof.shared import check_known
+from tests.validation.gap_blind.causes import Drawn
+from tests.validation.gap_blind.generate import fly_all, write_csv
+from tests.validation.shared import check_known
 
 FLIGHTS, SEED = 10, 7
 # Sizes at which the shipped policy fails, of vehicles that there are: the paper's own gap; the delay of the

@@ -39,7 +39,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     """Vehicles identified from public flights, and how far they predict flights left out (a minute).
 
     Args:
-        data: folder with the clones of the repositories (`python -m tests.validation.flights` says which).
+        data: folder with the clones of the repositories (`python -m tests.validation flights` says which).
         out: folder for NAME.toml and NAME.posterior.json, as they stand in models/vehicles, and table.md.
         only: names of vehicles.
     """
@@ -145,7 +145,7 @@ def heading(name: str, entry: Mapping, found: Identification, judged: Sequence[M
         f"{entry['what']}. Identified from {len(found.flights)} flights of others; not flown by us.",
         f"Flights: {public.repository}, commit {public.commit[:7]}, licence: {public.licence}. "
         f"{', '.join(found.flights)}; {entry['command']}.",
-        f"Made by `python -m tests.proof identified DATA --only {name}` (landing-eval identify from "
+        f"Made by `python -m tests.validation identified DATA --only {name}` (landing-eval identify from "
         f"{entry['base']} with a mass of {entry['mass']:g} kg), version {version('inclined-landing')}, "
         f"{date.today().isoformat()}. Its posterior lies beside it.",
         "Position error one second after an open-loop start, on flights left out, from the base file with "

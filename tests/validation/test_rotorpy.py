@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.proof.gap_blind import cases
-from tests.proof.simulator import World
-from tests.proof.simulator.paths import Path
+from tests.validation.gap_blind import cases
+from tests.validation.simulator import World
+from tests.validation.simulator.paths import Path
 
 rotorpy = pytest.importorskip(
-    "tests.proof.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
+    "tests.validation.gap_blind.rotorpy_reality", exc_type=ImportError, reason="needs rotorpy"
 )
 HOVER = Path([0.0, 0.0, 1.2]).hold(7.0)
 DASH = Path([-1.0, 0.0, 1.0]).hold(0.5).move([1.2, 0.0, 1.0], 1.6).hold(4.9)

@@ -9,8 +9,8 @@ import pytest
 
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
-from tests.proof import simulator
-from tests.proof.simulator import (
+from tests.validation import simulator
+from tests.validation.simulator import (
     FAMILIES,
     Build,
     Reality,
@@ -22,7 +22,7 @@ from tests.proof.simulator import (
     fly,
     ordinary,
 )
-from tests.proof.simulator.vehicle import record
+from tests.validation.simulator.vehicle import record
 
 C = constants()
 SILENT = {"gyro_noise": 0.0, "position_noise": 0.0, "attitude_noise": 0.0, "voltage_noise": 0.0}

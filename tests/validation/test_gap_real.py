@@ -6,7 +6,7 @@ import pytest
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
-from tests.proof import gap_real
+from tests.validation import gap_real
 
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured flights at {DATA}")

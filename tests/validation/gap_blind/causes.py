@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tests.proof.simulator import Reality, World, reference
-from tests.proof.simulator.vehicle import CHEESEMAN
+from tests.validation.simulator import Reality, World, reference
+from tests.validation.simulator.vehicle import CHEESEMAN
 
 SIZES = ("weak", "medium", "strong")
 _TICK = 0.002  # s, delays are whole control periods

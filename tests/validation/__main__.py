@@ -1,4 +1,4 @@
-"""`python -m tests.proof COMMAND`, from the root of the repository: evidence that takes minutes.
+"""`python -m tests.validation COMMAND`, from the root of the repository: evidence that takes minutes.
 
 A command is the function `command` of the module, or of the package with a module `command`, that is called
 like it. Wrong input ends with one sentence on stderr and exit code 2.
@@ -15,10 +15,10 @@ from collections.abc import Callable, Sequence
 from inclined_landing.envs.shared.command_line import bound, exit_code, parse
 from inclined_landing.models.errors import UserError
 
-PROGRAM = "python -m tests.proof"
+PROGRAM = "python -m tests.validation"
 COMMANDS = (
-    *("gap-blind", "gap-agreement", "gap-real", "plan-loop", "flight-table"),
-    *("from-logs", "gap-example", "causes", "trust", "identified"),
+    *("flights", "gap-blind", "gap-agreement", "causes", "trust", "gap-real", "identified"),
+    *("gap-example", "from-logs", "plan-loop", "flight-table", "tosses", "peers"),
 )
 
 
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def find(name: str) -> Callable:
     """Return the function of a command."""
-    path = f"tests.proof.{name.replace('-', '_')}"
+    path = f"tests.validation.{name.replace('-', '_')}"
     spec = importlib.util.find_spec(path)
     if spec is not None and spec.submodule_search_locations is not None:
         path += ".command"

@@ -1,6 +1,6 @@
 """Cases of the blind test: a reality, what is hidden in it, and how a user gets at it.
 
-    from tests.proof.gap_blind import cases
+    from tests.validation.gap_blind import cases
     case = cases.draw("dev", "single", cause="rotor_drag", size="medium", seed=(1, 7))
     flown = case.fly()      # .identify, .gap, .heldout: FlightLogs; .label: what was hidden
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.vehicle import Vehicle
-from tests.proof import simulator
-from tests.proof.simulator import Reality, World
+from tests.validation import simulator
+from tests.validation.simulator import Reality, World
 
 from . import causes, generate
 from .accepted import LEVEL, accepted

@@ -11,7 +11,7 @@ import pytest
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
-from tests.proof import causes, trust
+from tests.validation import causes, trust
 
 ROW = causes.Row(
     *("lab", "a weight", "cause", "development", ("before/*.csv",), ("after/*.csv",), "crazyflie-2.1"),

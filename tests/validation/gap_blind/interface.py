@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tests.proof.simulator import Build, Constants, World
-from tests.proof.simulator.vehicle import PILOT_RATE
+from tests.validation.simulator import Build, Constants, World
+from tests.validation.simulator.vehicle import PILOT_RATE
 
 RATE = 250  # Hz, of the flight controller and of the integration
 _HELD = RATE // PILOT_RATE  # periods for which a command stands

@@ -9,10 +9,10 @@ import pytest
 from inclined_landing.models import effects
 from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from tests.proof.gap_blind import cases, causes, score, tables
-from tests.proof.gap_blind import command as run
-from tests.proof.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
-from tests.proof.simulator import FAMILIES
+from tests.validation.gap_blind import cases, causes, score, tables
+from tests.validation.gap_blind import command as run
+from tests.validation.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
+from tests.validation.simulator import FAMILIES
 
 
 def test_every_cause_is_in_the_library_or_declared_outside():

@@ -1,4 +1,4 @@
-"""What the commands of the proof share: tables in Markdown, names that are known, work in processes."""
+"""What the commands share: tables in Markdown, names that are known, work in processes."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from inclined_landing.models.effects import LIBRARY
-from tests.proof.simulator import constants
+from tests.validation.simulator import constants
 
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
 from .causes import DISTURBANCE, SIZES, UNKNOWN

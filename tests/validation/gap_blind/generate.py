@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.models import storage
-from tests.proof.simulator import (
+from tests.validation.simulator import (
     KINDS,
     Reality,
     Recording,

@@ -9,8 +9,8 @@ import numpy as np
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.gap_example import HIDDEN, introduce, write_hidden
-from tests.proof.gap_blind.causes import Drawn
-from tests.proof.gap_blind.generate import fly_all, write_csv
+from tests.validation.gap_blind.causes import Drawn
+from tests.validation.gap_blind.generate import fly_all, write_csv
 
 _NUMBERS = {name: next(iter(values.values())) for name, values in tomllib.loads(HIDDEN).items()}
 DRAWN = Drawn(

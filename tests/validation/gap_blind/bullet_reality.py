@@ -16,9 +16,9 @@ import numpy as np
 import pybullet as bullet
 from scipy.spatial.transform import Rotation
 
-from tests.proof.simulator import Constants, Reality, Recording, World, control, dynamics, reference
-from tests.proof.simulator.flight import initial_state
-from tests.proof.simulator.vehicle import CONTROL_RATE, PHYSICS_RATE, PILOT_RATE, TRACK_RATE, record
+from tests.validation.simulator import Constants, Reality, Recording, World, control, dynamics, reference
+from tests.validation.simulator.flight import initial_state
+from tests.validation.simulator.vehicle import CONTROL_RATE, PHYSICS_RATE, PILOT_RATE, TRACK_RATE, record
 
 _RESTITUTION, _SLOWEST = 0.1, 0.05  # of touches above so many m/s
 _SPRING = 120.0, 1.3  # N/m, N s/m, of one foot with a `stiffness_scale` just below 1
