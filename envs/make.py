@@ -36,7 +36,7 @@ def make_batch(
         plant: "mujoco", "hybrid" or "analytic".
         plant_options: options of the plant, {"integrator": "implicitfast"} for example.
         vehicle: a vehicle or the path of a vehicle file; by default the shipped one.
-        seed: seed of the starts and of all noise.
+        seed: seed of the random starts.
         **options (object): options of the task's class, such as `inclination` or `pwm_centre`.
 
     Raises:

@@ -70,7 +70,7 @@ def diagnose(
     problem = Problem.of(use.fitted, vehicle, candidates, reference)
     notes = [*use.notes, *_data_notes(problem), *unidentifiable]
     if "wind" in candidates and "wind" not in problem.library:
-        notes.append("the vehicle has almost no drag, so wind cannot be judged")
+        notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
     clock("prepare")
 
     # How probable is every set of effects? In a strong wind the attitude loops are not judged.
@@ -165,17 +165,17 @@ def _data_notes(problem: Problem) -> list[str]:
     if seconds < thresholds.SHORT_FLIGHT:
         notes.append(f"only {seconds:.0f} s of usable flight, so small effects cannot be detected")
     if not problem.logged[:, :2].any():
-        notes.append("roll or pitch is not logged, so only vertical motion can be judged")
+        notes.append("roll or pitch is not logged, so only vertical motion can be diagnosed")
     if not problem.logged[:, 3:5].any():
         notes.append(
-            "attitude commands are not logged: the attitude loops cannot be judged, and translation is "
+            "attitude commands are not logged: the attitude loops cannot be diagnosed, and translation is "
             "predicted along the measured attitude"
         )
     if not problem.logged[:, 5].any():
         notes.append("yaw or its command is not logged, so the yaw channel was not used")
     if problem.flights[0].thrust_is_measured:
         notes.append(
-            "thrust is computed from the measured rotor speeds, so the motors' response cannot be judged"
+            "thrust is computed from the measured rotor speeds, so the motors' response cannot be diagnosed"
         )
     return notes
 

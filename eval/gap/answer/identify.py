@@ -165,7 +165,7 @@ def identify(
         *use.notes,
         *unidentifiable,
         *(
-            f"{one.effect.replace('_', ' ')} is not excited enough in these flights"
+            f"these flights do not excite {one.effect.replace('_', ' ')} enough to identify it"
             for one in identifiable
             if one.share > thresholds.UNIDENTIFIABLE
         ),

@@ -350,7 +350,7 @@ def identifiable_effects(
         else:
             kept[name] = effect
     if not requested:
-        notes.append("the commands of the four motors are not logged, so single rotors cannot be judged")
+        notes.append("the four motor commands are not logged, so individual rotors cannot be diagnosed")
     return kept, notes
 
 
