@@ -1,7 +1,4 @@
-"""The notebook: its cells parse, its commands exist, it is kept with its outputs, and, slowly, it runs.
-
-For new outputs: pip install nbclient ipykernel, and jupyter execute --inplace examples/first_landing.ipynb
-"""
+"""The notebook: its cells parse, its commands exist, it is kept without outputs, and, slowly, it runs."""
 
 import ast
 import json
