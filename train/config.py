@@ -98,7 +98,9 @@ class TrainConfig:
     `landing-train sweep RECIPE` runs the command lines of a recipe for every seed.
     """
 
-    task: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[TASK]")] = ""
+    task: Annotated[
+        tyro.conf.Positional[str], tyro.conf.arg(metavar="[TASK]", help_behavior_hint="(default: landing)")
+    ] = ""
     """landing (default), setpoint, touchdown, or a custom task as module:Class or file.py:Class."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Run folder (default: runs/TASK-seed)."""
