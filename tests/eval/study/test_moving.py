@@ -17,7 +17,7 @@ from inclined_landing.eval.study.platforms.scenario import scenarios
 from tests.eval.study import spectra
 
 VEHICLE = vehicle_flown()
-MOVING = ("robustness", "--over", "moving")
+MOVING = ("robustness", "--over=moving")
 DRAWN = "38373780da98e06d"
 
 
