@@ -17,7 +17,6 @@ from inclined_landing.eval.study.platforms.scenario import scenarios
 from tests.eval.study import spectra
 
 VEHICLE = vehicle_flown()
-MOVING = ("robustness", "--over=moving")
 DRAWN = "38373780da98e06d"
 
 
@@ -65,7 +64,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
-    arguments = [*MOVING, "planner", "--scenario", "ship_5_bow", "--flights", "3"]
+    arguments = ["robustness", "planner", "--over", "moving", "--scenario", "ship_5_bow", "--flights", "3"]
     assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "out/robustness.json").read_text())
@@ -95,5 +94,5 @@ def test_who_does_nothing_does_not_land():
     ],
 )
 def test_wrong_names_are_sentences(arguments, said, capsys):
-    assert main([*MOVING, *arguments]) == 2
+    assert main(["robustness", *arguments, "--over", "moving"]) == 2
     assert said in capsys.readouterr().err
