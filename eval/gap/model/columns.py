@@ -22,6 +22,7 @@ from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
 from inclined_landing.models.equations import derivative
+from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -141,9 +142,9 @@ class Candidates:
     def hover_acceleration(self, values: Values, pwm: float = math.nan) -> np.ndarray:
         """Return the acceleration (3,) [m/s2] of the level vehicle with effects, after a steady command.
 
-        pwm: that command; NaN: the vehicle's hover command without effects.
+        pwm: that command; NaN: the hover command of the vehicle that is diagnosed.
         """
-        pwm = self.vehicle.hover_pwm if math.isnan(pwm) else pwm
+        pwm = settled_hover(self.vehicle) if math.isnan(pwm) else pwm
         state, command = np.zeros(STATE_SIZE), np.array([pwm, 0.0, 0.0, 0.0])
         state[LAG] = pwm / self.vehicle.thrust_lag_rate
         return derivative(state, command, self.corrected(values))["acceleration"]

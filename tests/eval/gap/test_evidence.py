@@ -26,6 +26,7 @@ from inclined_landing.eval.gap.model.columns import (
     LATE,
     SHAPE_COVARIANCE,
     BaseColumn,
+    Candidates,
     FormColumn,
     ParameterColumn,
 )
@@ -557,3 +558,15 @@ def test_every_threshold_says_what_it_decides_and_what_was_measured():
         if not entry.startswith("CONFOUNDED = "):  # with the next one
             said = " ".join(entry.splitlines()[1:]).replace(" # ", " ")
             assert re.search(r"^# larger: .*\. measured: ", said), entry
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.08, -0.05])
+def test_a_thrust_loss_costs_its_share_of_the_scaled_thrust_in_hover(bias):
+    """On an identified vehicle other effects move the command at which it hovers; a bias is not scaled."""
+    vehicle = load_vehicle().changed(effects_thrust_bias=bias)
+    candidates = Candidates.for_vehicle(vehicle, LIBRARY)
+    level = candidates.hover_acceleration({})
+    lost = level - candidates.hover_acceleration({"thrust_scale": {"scale": 0.85}})
+    assert level[2] == pytest.approx(0.0, abs=1e-6)
+    # F = c u + bias = m g in hover, so that 15 % of c u are 0.15 (m g - bias)
+    assert lost[2] == pytest.approx(0.15 * (vehicle.environment_gravity - bias / vehicle.body_mass), rel=1e-6)
