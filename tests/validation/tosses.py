@@ -19,6 +19,7 @@ Three questions:
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,6 +35,7 @@ from scipy.spatial.transform import Rotation
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import contact
 from inclined_landing.models.errors import UserError
+from inclined_landing.models.plants import MujocoPlant
 
 COLUMNS = ("toss", "t", *"xyz", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 POSE, MOTION = slice(1, 8), slice(8, 14)  # columns of a toss: position and quaternion, velocity and rates
@@ -54,6 +56,12 @@ ITERATIONS = 8
 LEAST = 40  # windows of a kind
 
 
+@functools.cache
+def scene_model() -> mujoco.MjModel:
+    """Return the landing scene, whose solver settings the cube gets."""
+    return MujocoPlant(1).model
+
+
 @dataclasses.dataclass(frozen=True)
 class Contact:
     """The contact of cube and table; without restitution and time the engine's default spring."""
@@ -72,7 +80,13 @@ class Contact:
         spec = mujoco.MjSpec()
         spec.option.timestep = interval / SUBSTEPS
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        how = {"friction": [self.friction, 0.005, 0.0001]} | ({} if spring is None else {"solref": spring})
+        how: dict = {"friction": [self.friction, 0.005, 0.0001]}
+        if spring is not None:
+            how["solref"] = spring
+        if self.restitution is not None:  # the project's contact is the whole of it, not the spring alone
+            scene = scene_model()
+            spec.option.impratio = scene.opt.impratio
+            how["solimp"] = scene.geom("slab").solimp
         plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
         spec.worldbody.add_geom(type=plane, size=[5, 5, 0.1], pos=[0, 0, self.height], **how)
         cube = spec.worldbody.add_body()
