@@ -28,7 +28,8 @@ class EventFile(KVWriter):
 
     def __init__(self, folder: Path, resumed_at: int | None = None):
         """resumed_at: steps of the checkpoint; hides what earlier files in the folder show after it."""
-        name = f"events.out.tfevents.{time.time():.0f}.{os.uname().nodename}.{secrets.token_hex(4)}"
+        # TensorBoard reads files in the order of their names: the time in them tells two of one second apart.
+        name = f"events.out.tfevents.{time.time():.6f}.{os.uname().nodename}.{secrets.token_hex(4)}"
         self.path = folder / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
