@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ STAMP_DPI = 500  # of rendered vehicles in a PDF
 PNG_DPI = 200
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, MUTED)
 _MARKERS = ("o", "s", "^", "D", "v")
-_LINES = ("-", "--", "-.", ":")  # from the sixth policy on
 
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib
@@ -68,21 +66,6 @@ def colour(k: int) -> str:
 def marker(k: int) -> str:
     """Return the marker of the k-th policy; it differs where a colour repeats."""
     return _MARKERS[(k + k // len(_COLOURS)) % len(_MARKERS)]
-
-
-def percent(proportions: Sequence[Mapping]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return share, lower and upper end of the interval (n,) of n proportions [%]."""
-    low, high = 100 * np.array([p["interval"] for p in proportions]).T
-    return 100 * np.array([p["share"] for p in proportions]), low, high
-
-
-def share_curve(axes: Axes, x: Sequence[float], proportions: Sequence[Mapping], k: int, name: str) -> list:
-    """Draw the shares of the k-th policy over x with their 95 % intervals; return the line in a list."""
-    share, low, high = percent(proportions)
-    axes.fill_between(x, low, high, color=colour(k), alpha=0.2, lw=0, gid="interval")
-    line = _LINES[k // len(_COLOURS) % len(_LINES)]
-    style: dict[str, Any] = {"color": colour(k), "marker": marker(k), "ms": 4, "gid": "share"}
-    return axes.plot(x, share, line, label=literal(name), **style)
 
 
 def styled():
