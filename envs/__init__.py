@@ -14,7 +14,7 @@ and `import_task`, `load_policy`, `save_policy`, `record_flights`.
 
 from typing import TYPE_CHECKING
 
-from inclined_landing.models.imports import at_first_use
+from inclined_landing.models.base.imports import at_first_use
 
 if TYPE_CHECKING:
     from inclined_landing.envs.batch import BatchEnv

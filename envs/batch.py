@@ -17,7 +17,7 @@ from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.envs.tasks.start import Start, joined
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.plants import Plant
 

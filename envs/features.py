@@ -6,7 +6,7 @@ A policy file then takes the task's raw observation and carries no separate stat
 import numpy as np
 from gymnasium.spaces import Box
 
-from inclined_landing.models.errors import optional
+from inclined_landing.models.base.errors import optional
 
 with optional():
     import torch

@@ -12,7 +12,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, YAW, Z
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants import MujocoPlant, Plant, make_plant
 from inclined_landing.models.plants.base import PLATFORM_SIZE

@@ -51,7 +51,7 @@ from inclined_landing.envs.batch import as_floats, check_seed, is_whole, reset_o
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from types import ModuleType
 
-from inclined_landing.models import imports
+from inclined_landing.models.base import imports
 
 # A task's name, which is that of its module in `tasks/`, and its class.
 TASK_CLASSES = {"landing": "InclinedLanding", "setpoint": "Setpoint", "touchdown": "InclinedTouchdown"}

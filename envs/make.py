@@ -9,7 +9,7 @@ from inclined_landing.envs.batch import BatchEnv, is_whole
 from inclined_landing.envs.ids import TASK_CLASSES
 from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plants import check_plant, make_plant
 from inclined_landing.models.vehicle import Vehicle

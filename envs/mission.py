@@ -43,7 +43,7 @@ from inclined_landing.envs.tasks import (
 )
 from inclined_landing.envs.tasks.setpoint import START_BOX
 from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.vehicle import Vehicle

@@ -19,7 +19,7 @@ from inclined_landing.envs.policy_file import ACTIVATIONS, DEEPEST, METADATA
 from inclined_landing.envs.tasks import TASKS, Task, known, make_task, task_class
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre, resolve_pwm_span
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

@@ -21,8 +21,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, Struct
 
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
 
 ACTIVATIONS = ("Tanh", "ReLU")  # index is the code in the compiled loop of `Policy`
 DEEPEST = 16  # layers

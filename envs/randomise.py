@@ -49,11 +49,11 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
-from inclined_landing.models import schema, storage
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, choices, shown
+from inclined_landing.models.base.schema import Share
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError, choices, shown
 from inclined_landing.models.parameters import Constant, check_vehicle, constants, load_vehicle
-from inclined_landing.models.schema import Share
 from inclined_landing.models.vehicle import Vehicle
 
 Range = tuple[float, float]

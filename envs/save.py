@@ -18,8 +18,8 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks.base import OWN, Task
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, optional, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, optional, shown
 
 with optional():
     from stable_baselines3.common.base_class import BaseAlgorithm

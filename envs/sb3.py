@@ -11,7 +11,7 @@ import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, as_floats, check_seed, is_whole, reset_option
 from inclined_landing.envs.spaces import action_space, observation_space
-from inclined_landing.models.errors import UserError, optional, shown
+from inclined_landing.models.base.errors import UserError, optional, shown
 
 with optional():
     from stable_baselines3.common.vec_env import VecEnv

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.envs.policy_file import ACTIVATIONS, open_zip, read_member, read_table
-from inclined_landing.models.errors import UserError, optional, shown
+from inclined_landing.models.base.errors import UserError, optional, shown
 
 _HEADER, _TENSORS = "data", "policy.pth"  # members that Stable-Baselines3 writes
 _LARGEST_PICKLE = 1_000_000  # bytes

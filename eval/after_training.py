@@ -26,7 +26,7 @@ from inclined_landing.eval.study.options import NOMINAL
 from inclined_landing.eval.study.platforms import controllers
 from inclined_landing.eval.study.platforms.scenario import scenarios
 from inclined_landing.eval.study.show import document, show
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
 
 Stages = Sequence[tuple[str, LandingConditions]]  # titles and conditions

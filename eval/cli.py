@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from inclined_landing.envs.shared.command_line import bound, completion, exit_code, parse, shell_of, versions
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 # Command: the package it is in, and the first line of its docstring.
 COMMANDS = {

@@ -37,7 +37,7 @@ import math
 import numba
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
 MOST_FRICTION = 10.0  # as the vehicle file's range says

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
 # A seed, or a generator that gives one.

@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates, sine_cosine
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg

@@ -20,8 +20,9 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from inclined_landing.models import plausible, schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models import plausible
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
 # Tables and entries that a vehicle file may leave out, whole or in part: the shipped entries are taken.

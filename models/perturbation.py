@@ -5,7 +5,7 @@ A perturbation is one row of an (n, 7) array. The neutral row changes nothing, b
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 NAMES = (
     "thrust_scale",  # total thrust times this

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 ENGINE_STEP = 0.004  # s, of scenes and plants unless told otherwise

@@ -17,10 +17,11 @@ import mujoco
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import geometry, plugins, schema
+from inclined_landing.models import geometry, plugins
 from inclined_landing.models.attitude import quaternion
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.delays import attitude_age
-from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.plausible import ENGINE_STEP
 from inclined_landing.models.vehicle import SOLID_BELOW, Vehicle

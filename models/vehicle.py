@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 SOLID_BELOW = 0.08  # m, of the platform under the slab
 

@@ -9,7 +9,7 @@ import pytest
 from inclined_landing.envs import tasks
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.eval.cli import main as evaluate
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.cli import main as train
 from tests.training import assert_same_policy
 

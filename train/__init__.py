@@ -5,7 +5,7 @@ Public, for custom training with Stable-Baselines3 (examples/): `ppo_kwargs`, `s
 calls.
 """
 
-from inclined_landing.models.imports import at_first_use
+from inclined_landing.models.base.imports import at_first_use
 
 __all__ = [
     "AdaptiveCurriculum",

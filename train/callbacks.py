@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
 
 

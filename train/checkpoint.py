@@ -23,8 +23,8 @@ from msgspec import Meta, Struct
 from stable_baselines3 import PPO
 
 from inclined_landing.envs.sb3 import BatchVecEnv
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import Snapshot
 
 FORMAT = 1

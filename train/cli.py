@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from inclined_landing.envs.shared import command_line
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.train.run import Run

@@ -11,10 +11,10 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared.options import Only, Seed, flag_of
-from inclined_landing.models import schema
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.schema import Many, Real, Share
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
-from inclined_landing.models.schema import Many, Real, Share
 
 if TYPE_CHECKING:
     from inclined_landing.envs.tasks.options import Training

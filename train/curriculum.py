@@ -17,7 +17,7 @@ import numpy as np
 
 from inclined_landing.envs.tasks import setpoint, task_class, touchdown
 from inclined_landing.envs.tasks.landing import AIDED, EASIEST_GOAL_SIZE, GOAL_SIZE, LandingConditions
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 # Environment steps over which the learning rate falls in a run ended by success: usually, and on drawn
 # vehicles in the plane; and its share from then on.

@@ -14,7 +14,7 @@ from inclined_landing.envs.shared.user_code import blame
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo
 from inclined_landing.train.config import TrainConfig

@@ -15,8 +15,8 @@ from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 
 class EventFile(KVWriter):

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
-from inclined_landing.models.errors import UserError, not_installed
+from inclined_landing.models.base.errors import UserError, not_installed
 
 _MODULES = {
     "report": "after_training",  # after a run

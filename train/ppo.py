@@ -16,7 +16,7 @@ from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import Task, make_task
 from inclined_landing.envs.tasks.base import OWN, resolve_pwm_centre
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle

@@ -17,8 +17,8 @@ from typing import Any
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig, flag_of

@@ -29,8 +29,8 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS
 from inclined_landing.envs.tasks.guard import TaskError
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import (

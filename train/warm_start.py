@@ -34,7 +34,7 @@ from inclined_landing.envs.tasks.touchdown import (
 )
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 from inclined_landing.train.config import DESCENT, PLANE
 from inclined_landing.train.descent import Descent

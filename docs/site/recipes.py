@@ -14,7 +14,7 @@ from pathlib import Path
 
 from generated import table  # in this folder
 
-from inclined_landing.models import schema, storage
+from inclined_landing.models.base import schema, storage
 from inclined_landing.train.sweep.recipe import Recipe, read_recipe, shipped
 from inclined_landing.train.sweep.result import HEADS, Result
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from inclined_landing.envs.rendering.camera import View, look_at
 from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, qpos_of_state
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
 BACKENDS = ("auto", "gl", "ray")

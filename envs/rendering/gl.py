@@ -21,7 +21,7 @@ from inclined_landing.envs.rendering import overlay
 from inclined_landing.envs.rendering.camera import View, camera_view
 from inclined_landing.envs.rendering.pose import Ghost, Pose, hang_load
 from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 _REMEDY = (

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from inclined_landing.envs.rendering.camera import View
-from inclined_landing.models.errors import optional
+from inclined_landing.models.base.errors import optional
 
 _BIAS = 0.004  # m; a line this much behind a surface still shows
 _FINE = 4  # arrows are drawn this much larger and averaged

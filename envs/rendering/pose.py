@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.models.attitude import ROLL, YAW, Z, quaternion
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 _PARKED = -10.0  # m; a platform below this height is absent

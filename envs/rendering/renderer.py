@@ -12,7 +12,7 @@ import numpy as np
 from inclined_landing.envs.rendering import overlay, scenery
 from inclined_landing.envs.rendering.camera import View
 from inclined_landing.envs.rendering.pose import Ghost, Pose, as_pose
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

@@ -11,7 +11,7 @@ from inclined_landing.envs.rendering.camera import look_at
 from inclined_landing.envs.rendering.pose import Ghost, Pose, qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.models.attitude import STATE_SIZE
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

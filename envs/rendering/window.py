@@ -20,7 +20,7 @@ from inclined_landing.envs.rendering.camera import look_at
 from inclined_landing.envs.rendering.pose import hang_load, pose_from_state
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, WX, WZ, YAW, X, Y
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.scene import build_spec
 from inclined_landing.models.vehicle import Vehicle

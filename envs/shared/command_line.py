@@ -28,8 +28,8 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from types import ModuleType
 from typing import Any, TextIO
 
-from inclined_landing.models import imports
-from inclined_landing.models.errors import UserError, not_installed, shown
+from inclined_landing.models.base import imports
+from inclined_landing.models.base.errors import UserError, not_installed, shown
 
 SHELLS = ("bash", "zsh", "fish")
 # New objects until Python looks for cycles among them. Imports make 300 000 that stay: at the usual 700 a
@@ -95,7 +95,7 @@ def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> N
 
 def _flat(options: Any, outer: tuple = ()) -> Iterator[tuple[str, tuple[Any, tuple]]]:
     """Yield name, value and marks of each option, those in groups included."""
-    from inclined_landing.models import schema
+    from inclined_landing.models.base import schema
 
     if not isinstance(options, Mapping):
         kinds = schema.kinds_of(type(options))
@@ -213,7 +213,7 @@ def bound(command: Callable) -> Callable:
     @functools.wraps(command)
     def later(*arguments: Any, **options: Any) -> Callable:
         from inclined_landing.envs.shared.options import RUN_FOLDER, flag_of
-        from inclined_landing.models import schema
+        from inclined_landing.models.base import schema
 
         given = inspect.signature(command).bind(*arguments, **options)
         kinds = schema.kinds_of(command)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 
 PLACES = ("local", "ray")
 Item = TypeVar("Item")

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 _PACKAGES = (
     *("mujoco", "gymnasium", "stable-baselines3", "torch", "numpy", "numba"),

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 
 _FILES: dict[str, str] = {}  # what was imported here: what people called it, by the file that it is in
 

@@ -28,8 +28,8 @@ from inclined_landing.envs.tasks.touchdown import (
     SlopeTouchdown,
     SpaceTouchdown,
 )
-from inclined_landing.models import schema
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.errors import UserError, shown
 
 TASKS: dict[str, type[Task]] = {
     name: getattr(import_module(f"{__name__}.{name}"), kind) for name, kind in TASK_CLASSES.items()

@@ -13,7 +13,7 @@ import numpy as np
 
 from inclined_landing.envs.tasks.base import ACTIONS, FARTHEST, Evaluation, Start, StepContext, Task, Training
 from inclined_landing.models.attitude import STATE_SIZE
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import Contacts
 
 _NAME = re.compile("[a-z][a-z0-9_-]{0,40}")

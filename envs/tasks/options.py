@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from inclined_landing.models import schema
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.schema import Many, Share
 from inclined_landing.models.scene import Zone
-from inclined_landing.models.schema import Many, Share
 
 LONGEST_HISTORY = 50  # steps
 

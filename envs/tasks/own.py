@@ -7,7 +7,7 @@ from typing import TypeGuard
 from inclined_landing.envs.shared.user_code import import_named
 from inclined_landing.envs.tasks.base import Task
 from inclined_landing.envs.tasks.guard import check_class
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 
 def is_path(name: object) -> TypeGuard[str]:

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from inclined_landing.envs.tasks.options import TaskOptions, option
 from inclined_landing.models.attitude import X, Y, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 

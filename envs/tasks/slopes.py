@@ -29,7 +29,7 @@ from inclined_landing.envs.tasks.base import Start, StepContext, Task, hover_sta
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, goal_box
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VY, VZ, YAW, X, Y, Z, rotation
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 # Columns of the heading frame, and their typical sizes.
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")

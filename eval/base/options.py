@@ -23,7 +23,7 @@ from inclined_landing.envs.shared.options import (  # noqa: F401
     only_with,
     only_without,
 )
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.models import storage
 from inclined_landing.models.attitude import VX, YAW, X, Z
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
 COLUMNS = (

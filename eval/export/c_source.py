@@ -12,8 +12,8 @@ from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import Vectors
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 
 LARGEST = 512 * 1024  # bytes of constants: half of the flash of an STM32F405, which the firmware shares
 SMALL = 100_000  # bytes that are no burden beside the firmware

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from inclined_landing.eval.base.options import PolicyFile, RunFolder, TaskName, VehicleFile
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
@@ -69,7 +69,7 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
     from inclined_landing.envs.shared.runs import staged_run
     from inclined_landing.eval.export import contract, vectors
     from inclined_landing.eval.export.network import ExportNetwork
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
 
     policy = policy.with_fixed_vehicle()
     network = ExportNetwork.from_policy(policy)

@@ -24,9 +24,9 @@ from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE
-from inclined_landing.models import storage
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS, STATE_UNITS
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

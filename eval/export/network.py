@@ -20,7 +20,7 @@ import dataclasses
 import numpy as np
 
 from inclined_landing.envs.policy import Policy
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 _SMALLEST = float(np.finfo(np.float32).tiny)
 _CLOCK = 168e6  # Hz, of the STM32F405 in a Crazyflie 2.1

@@ -13,8 +13,8 @@ import numpy as np
 from inclined_landing.envs.tasks import Task
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.vectors import Vectors
-from inclined_landing.models import storage
-from inclined_landing.models.errors import optional
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import optional
 
 with optional():
     import onnx

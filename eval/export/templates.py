@@ -6,7 +6,7 @@ import re
 
 import jinja2
 
-from inclined_landing.models.errors import shown
+from inclined_landing.models.base.errors import shown
 
 LONGEST = 2000  # characters of a value
 # What Markdown or HTML would read as its own within a line; `_` not within a word, `]` where a link goes on,

@@ -16,7 +16,7 @@ from inclined_landing.envs.history import History
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.models.attitude import STATE_SIZE
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
 
 TOLERANCE = 1e-5  # of actions: 167 half units in the last place of float32 at 1

@@ -18,7 +18,7 @@ from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.flying.vehicle import CflibLink, Radio
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
-from inclined_landing.models.errors import UserError, not_installed
+from inclined_landing.models.base.errors import UserError, not_installed
 
 CHECK_ATTEMPTS = 3  # times that the checks may take: a second without a glimpse of the markers can happen
 ARM_WORD = "arm"  # typed before the motors may turn

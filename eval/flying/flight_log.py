@@ -21,8 +21,8 @@ import numpy as np
 
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.logs.log import GAP_SECONDS, VOLTAGE_BRIDGED
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 COLUMNS = (
     *("t", "x", "y", "z", "roll", "pitch", "yaw"),

@@ -23,8 +23,8 @@ from inclined_landing.eval.base.options import (
     Starts,
     VehicleFile,
 )
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 if TYPE_CHECKING:

@@ -42,7 +42,7 @@ from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.eval.flying.watchdog import Watchdog, interruptible, uninterruptible
 from inclined_landing.models.attitude import PITCH_COMMAND, PWM, ROLL_COMMAND, VX, VZ, YAW, X, Z
 from inclined_landing.models.attitude import YAW_RATE_COMMAND as YAW_RATE
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 TICKS = 4  # looks at the motion capture per control period: 200 Hz sees every pose of a system of 120 Hz
 APPROACH_SPEED, RETREAT_SPEED = 0.6, 0.4  # m/s, of the point that the set-point policy follows

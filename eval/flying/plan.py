@@ -16,7 +16,7 @@ from inclined_landing.eval.base.tracking import Tracker, Trajectory, read_trajec
 from inclined_landing.eval.flying.safety import SPEED_LIMIT, Phase
 from inclined_landing.eval.flying.surroundings import Surroundings
 from inclined_landing.models.attitude import ROLL, STATE_SIZE, VX, VZ, YAW, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 LEAST_CLEARANCE = 0.03  # m between the planned vehicle and platform or floor

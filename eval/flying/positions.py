@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
-from inclined_landing.models.errors import UserError, not_installed, shown
+from inclined_landing.models.base.errors import UserError, not_installed, shown
 
 CONNECTING = 10.0  # s that a connection to motion capture may take
 _FIRST = 5.0  # s that its first frame may take

@@ -9,7 +9,7 @@ import numpy as np
 from inclined_landing.envs.hover import CLEAR
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import STATE_SIZE
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 

@@ -15,7 +15,7 @@ import numpy as np
 from inclined_landing.eval.flying import frames, positions
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
 from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 STARTING, ENDING = 20.0, 2.0  # s that the other process may take until it listens, and to end
 OPENING = 5.0  # s for which it tries the link: the Crazyradio may not yet be free of the dead process

@@ -6,7 +6,7 @@ shows the gap before and after.
 
 from typing import TYPE_CHECKING
 
-from inclined_landing.models.imports import at_first_use
+from inclined_landing.models.base.imports import at_first_use
 
 if TYPE_CHECKING:
     from inclined_landing.eval.gap.answer.rollout import measure_gap

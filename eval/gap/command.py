@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 if TYPE_CHECKING:
     from inclined_landing.eval.gap.model.reference import VehiclePosterior

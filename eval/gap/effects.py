@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from inclined_landing.models.base.errors import UserError, choices, shown
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError, choices, shown
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -37,7 +37,7 @@ def command(out: RunFolder) -> None:
 
 def write_hidden(folder: Path) -> None:
     """Write what is hidden in the flights: its names and sizes, and the true vehicle."""
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
     from inclined_landing.models.effects import apply
     from inclined_landing.models.parameters import load_vehicle, write_vehicle
 

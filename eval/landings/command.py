@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import Flag, Folder, VehicleFile
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 
 def command(

@@ -18,7 +18,7 @@ from inclined_landing.eval.landings import maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Study
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 
 _SENSITIVE = ("peak_force", "slide_distance", "settling_time")
 _CSS_PIXELS = 0.55  # per pixel of a figure, so that all have one text size

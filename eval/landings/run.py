@@ -22,8 +22,8 @@ from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Study
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 RECORD, RESULTS, PARTS = "study.json", "results.parquet", "parts"
 CHUNK = 500  # landings

@@ -16,10 +16,10 @@ import numpy as np
 from msgspec import Meta, field, structs
 
 from inclined_landing.eval.landings.parameters import UNITS, Parameter, known_parameters
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, choices, shown
+from inclined_landing.models.base.schema import Real, Table
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.schema import Real, Table
 from inclined_landing.models.vehicle import Vehicle
 
 MOST_LANDINGS = 5_000_000

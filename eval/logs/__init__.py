@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from inclined_landing.models.imports import at_first_use
+from inclined_landing.models.base.imports import at_first_use
 
 if TYPE_CHECKING:
     from inclined_landing.eval.logs.checks import check_log

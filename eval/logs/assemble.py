@@ -20,7 +20,7 @@ from inclined_landing.eval.logs.log import (
 )
 from inclined_landing.eval.logs.repeats import percent, without_repeats
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 _POSITION = ("x", "y", "z")
 _VELOCITY = ("vx", "vy", "vz")

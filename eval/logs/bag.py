@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from inclined_landing.eval.logs import mapping
 from inclined_landing.eval.logs.limits import LARGEST, LONGEST, MOST_ROWS
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 LATEST = 1.0  # s that a message may be recorded after its stamp, where other topics have none
 _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")

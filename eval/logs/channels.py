@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.eval.logs import clock, limits, units, vehicles
 from inclined_landing.eval.logs.mapping import AttitudePid, ColumnMap, Mixer, Source, find, patterns
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 FULL_COMMAND = 65535.0  # PWM
 # A share of rows beyond the full command that is saturation, and how far they may be; more is another unit.

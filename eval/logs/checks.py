@@ -12,7 +12,7 @@ from inclined_landing.eval.logs import copies, motion, repeats, values
 from inclined_landing.eval.logs.channels import FULL_COMMAND, Channel
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 _ORDER = {"refuse": 0, "limit": 1, "info": 2}
 HOVER_JUMP = 0.10  # difference of hover thrust between two groups of flights

@@ -10,7 +10,7 @@ import numpy as np
 
 from inclined_landing.eval.logs import limits, units
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 # What time is called, in lower case and without its unit; of several, the first is taken.
 NAMES = (

@@ -9,7 +9,7 @@ from typing import Any
 from inclined_landing.eval.base.options import Flag, Flat, LogSource
 from inclined_landing.eval.logs.findings import Finding, limit, refuse
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog
-from inclined_landing.models.errors import UserError, first_of, shown
+from inclined_landing.models.base.errors import UserError, first_of, shown
 
 
 def command(source: Flat[LogSource], *, json: Flag = False) -> None:
@@ -22,7 +22,7 @@ def command(source: Flat[LogSource], *, json: Flag = False) -> None:
     """
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.logs.checks import check_fleet, without_bad_data
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
 
     options = source.options()
     reports = [_check_file(file, options) for file in source.files]

@@ -18,7 +18,7 @@ from inclined_landing.eval.logs.log import FlightLog
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.repeats import percent
 from inclined_landing.eval.logs.units import COMMANDED_QUATERNION, QUATERNION, REQUESTS, ROTOR_SPEEDS
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 SAME = 0.9  # share of the changes after which two columns are equal
 FEWEST = 20  # changes, to tell

@@ -17,7 +17,7 @@ import pandas
 from inclined_landing.eval.logs.limits import MOST_AT_THE_END, MOST_COLUMNS, read_table
 from inclined_landing.eval.logs.mapping import ColumnMap, is_named, means_time
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 MOST_LABELS = 50  # values of a column that names something
 _COMMENT = ("#", "%", "//")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 _TO_CSV = ".to_csv('flight.csv', index=False) writes a CSV file"
 # Suffixes, the first bytes, and what to do with such a file, where {name} is its name.

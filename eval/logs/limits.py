@@ -17,8 +17,8 @@ import zlib
 from pathlib import Path
 from typing import IO
 
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 
 LARGEST = 2**30  # bytes, unpacked
 LONGEST_LINE = 2**20  # bytes

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 MEASURED = ("x", "y", "z", "roll", "pitch", "yaw")
 COMMANDS = ("cmd_thrust_pwm", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")

@@ -15,9 +15,9 @@ from msgspec import Meta, field, structs
 
 from inclined_landing.eval.logs import clock as clocks
 from inclined_landing.eval.logs import limits, units
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, choices, shown
-from inclined_landing.models.schema import Table
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, choices, shown
+from inclined_landing.models.base.schema import Table
 
 
 class Source(Table, frozen=True):

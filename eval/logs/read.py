@@ -18,8 +18,8 @@ from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_log
 from inclined_landing.eval.logs.mapping import ColumnMap
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.eval.logs.units import COLUMNS, REQUESTS, ROTOR_SPEEDS, factor
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, choices, shown
 
 BAGS = (".bag", ".mcap", ".db3")
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from inclined_landing.eval.logs.clock import LATEST_ROW
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 MAGIC = 0xBC
 _TIME = {1: ("<u4", 1e-3), 2: ("<u8", 1e-6)}  # version -> type, seconds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 COMMANDED_QUATERNION = ("cmd_qw", "cmd_qx", "cmd_qy", "cmd_qz")

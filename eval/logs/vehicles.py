@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.base.errors import UserError, choices, shown
 
 MOST_VEHICLES = 50
 # A column distinguishes vehicles where it changes so often per value, as rows alternate, and where at

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyName, Seed
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
@@ -110,7 +110,7 @@ def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
 
 def training_rate(steps: int, seed: int) -> float:
     """Return the steps per second of `landing-train landing`, from its first step to its last update."""
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
 
     with tempfile.TemporaryDirectory() as folder:
         options = ["landing", "--steps", str(steps), "--seed", str(seed), "--out", f"{folder}/run"]

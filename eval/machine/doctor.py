@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Flag
-from inclined_landing.models import plugins, storage
+from inclined_landing.models import plugins
+from inclined_landing.models.base import storage
 
 _BUILD = "run `make` in the repository, or reinstall the package in this environment"
 

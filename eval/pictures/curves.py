@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import File
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 
 
 def command(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from inclined_landing.eval.base.options import Flat, Flown, Folder, PolicyFile, Starts
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 
 if TYPE_CHECKING:
     from inclined_landing.envs.flights import Flight

@@ -18,7 +18,7 @@ from inclined_landing.eval.base.options import FITTED
 from inclined_landing.eval.pictures.frames import FPS, flight_view, render_flight, write_videos
 from inclined_landing.eval.pictures.touchdown import STEP, Touchdown
 from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 _REST = 1.0  # s that the last frame of a flight stays
 

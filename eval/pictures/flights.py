@@ -12,7 +12,7 @@ from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.base.options import Until
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 
 def start_points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:

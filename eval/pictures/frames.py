@@ -36,8 +36,8 @@ from inclined_landing.eval.pictures.labels import (
 )
 from inclined_landing.eval.pictures.path import path_share, select_copies
 from inclined_landing.eval.pictures.to_rest import LandedFlight
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 FPS = 50.0  # one frame for every control step
 _ENDED = "ffmpeg was killed; is the disk full, the file too large (ulimit -f), or memory short?"

@@ -26,8 +26,8 @@ from inclined_landing.eval.base.style import (
     PURPLE,
     styled,
 )
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 
 _LARGEST = 1e12  # number in the tables of a run
 

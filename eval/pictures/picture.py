@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from inclined_landing.eval.base.options import FITTED, File, Flat, Flown, Look, PolicyFile, Until
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 
 def command(

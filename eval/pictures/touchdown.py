@@ -17,7 +17,7 @@ from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.eval.pictures.labels import MOTORS_CUT, Label, outcome_label
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants.recorder import REST_SPEED, STEP
 from inclined_landing.models.vehicle import Vehicle
 

@@ -27,8 +27,8 @@ from inclined_landing.eval.base.options import (
     only_with,
     only_without,
 )
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
 Compare = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]

@@ -28,8 +28,8 @@ from inclined_landing.eval.base.options import (
     only_without,
 )
 from inclined_landing.eval.gap.result import HORIZON
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

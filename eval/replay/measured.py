@@ -11,7 +11,7 @@ from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.recording import MEASURED, SIMULATED, Recording
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 SHORTEST = 5  # steps of a part that is left at the end of a stretch of free flight

@@ -16,7 +16,7 @@ from inclined_landing.eval.pictures.path import select_copies
 from inclined_landing.eval.replay.recording import Recording
 from inclined_landing.eval.replay.scene import scene
 from inclined_landing.models.attitude import ROLL, STATE_SIZE
-from inclined_landing.models.errors import shown
+from inclined_landing.models.base.errors import shown
 
 MOST_ROWS = 30_000  # of all flights of a page: about 2 MB
 _SCRIPTS = (

@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight, resimulate
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
 from inclined_landing.models.attitude import ROLL, VX, YAW
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants.recorder import still
 from inclined_landing.models.vehicle import Vehicle
 

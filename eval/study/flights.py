@@ -26,7 +26,7 @@ from inclined_landing.eval.study.engine import fact
 from inclined_landing.eval.study.rest import cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.vehicle import Vehicle
 

@@ -22,7 +22,7 @@ from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import ARRIVAL, fly, policy_facts, slope_words
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 
 def kinds(policies: Mapping[str, Policy]) -> list[dict[str, Policy]]:

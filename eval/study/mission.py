@@ -22,7 +22,7 @@ from inclined_landing.eval.base.options import (
     only_without,
 )
 from inclined_landing.eval.study.options import HandOver
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 DRAWN = 100  # missions without --missions
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z")]
@@ -78,7 +78,7 @@ def command(
         report_of,
         show,
     )
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
 
     check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)

@@ -28,7 +28,7 @@ from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
 from inclined_landing.eval.study.engine import LONG
 from inclined_landing.eval.study.options import HandOver
 from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 
 TYPICAL = 5.0  # s of flight

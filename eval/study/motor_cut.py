@@ -37,7 +37,7 @@ from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.eval.study.options import FRICTIONS, RESTITUTIONS
 from inclined_landing.eval.study.rest import PolicyPilot, fly_to_rest
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP
 from inclined_landing.models.vehicle import Vehicle

@@ -23,8 +23,8 @@ from inclined_landing.eval.base.options import (
     only_with,
 )
 from inclined_landing.eval.study.options import BASELINES, THRUSTS, VEHICLES
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy

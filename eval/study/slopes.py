@@ -23,7 +23,7 @@ from inclined_landing.envs.tasks.slopes import Slopes, over_slopes
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import fly, policy_facts, slope_words
 from inclined_landing.models.attitude import YAW
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 SAME, SINGLE = "the same slopes, any heading", "{:.1f} deg only"
 _HEADINGS_SEED = 25_700_551

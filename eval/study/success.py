@@ -24,7 +24,7 @@ from inclined_landing.eval.base.options import (
     ThrustScale,
     only_without,
 )
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 Policies = Annotated[
     tuple[str, ...],

@@ -8,7 +8,7 @@ import tyro
 
 from inclined_landing.eval.base.options import Flag, NewFolder, PolicyFile, PolicyName, VehicleFile
 from inclined_landing.eval.study.options import FRICTIONS, NOMINAL, RESTITUTIONS
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 
 def command(

@@ -21,7 +21,7 @@ from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.base.page import embedded, png, render
 from inclined_landing.eval.base.style import styled
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 
 
 class Words:

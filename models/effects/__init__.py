@@ -12,6 +12,7 @@ added.
 
 from collections.abc import Mapping
 
+from inclined_landing.models.base.errors import UserError, choices
 from inclined_landing.models.effects import (
     air,
     attitude,
@@ -24,7 +25,6 @@ from inclined_landing.models.effects import (
 )
 from inclined_landing.models.effects import thrust as _thrust
 from inclined_landing.models.effects.effect import CHANNELS, REGIMES, Effect, FittedConstant, Parameter
-from inclined_landing.models.errors import UserError, choices
 from inclined_landing.models.vehicle import Vehicle
 
 _FAMILIES = (_thrust, battery, motor, rotors, body, air, delays, attitude, touchdown)

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import inspect
 
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants.analytic import AnalyticPlant
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot
 from inclined_landing.models.plants.contacts import Contacts

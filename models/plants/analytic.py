@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import equations, forces, geometry, schema
+from inclined_landing.models import equations, forces, geometry
+from inclined_landing.models.base import schema
 from inclined_landing.models.disturbance import Seed
 from inclined_landing.models.plants.base import Attitude, Plant, sizes_differ
 from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene

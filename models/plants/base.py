@@ -9,12 +9,13 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import forces, geometry, perturbation, schema
+from inclined_landing.models import forces, geometry, perturbation
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, WZ, YAW, Z
 from inclined_landing.models.attitude_loops import resting_integrals
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.delays import Delays
 from inclined_landing.models.disturbance import Disturbance, Seed
-from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.load import HANGING, LOAD_SIZE, UNLOADED, hanging
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import as_vehicle, check_vehicle

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation, schema
+from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation
 from inclined_landing.models.attitude import (
     LAG,
     PITCH,
@@ -26,8 +26,9 @@ from inclined_landing.models.attitude import (
     euler_angles,
     quaternion,
 )
+from inclined_landing.models.base import schema
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.disturbance import Disturbance, Seed
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
 from inclined_landing.models.plants.contacts import contact_sensors, read_contacts

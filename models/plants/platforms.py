@@ -22,7 +22,7 @@ import numpy as np
 
 from inclined_landing.models import motion
 from inclined_landing.models.attitude import ROLL, Z, sine_cosine
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.vehicle import Vehicle

@@ -34,7 +34,7 @@ from inclined_landing.models.attitude import (
     rotation_entries,
     sine_cosine,
 )
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP

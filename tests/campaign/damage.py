@@ -34,7 +34,7 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 MEMORY = 3 * 2**30  # bytes of address space that reading may take
 # One of each kind of wrong value.

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given
 
 from inclined_landing.eval import cli
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import cli as train
 from inclined_landing.train.config import TrainConfig
 from tests.campaign import damage

@@ -7,7 +7,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 

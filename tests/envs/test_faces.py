@@ -25,7 +25,7 @@ from inclined_landing.envs.gym_env import (
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 

@@ -12,8 +12,8 @@ from inclined_landing.envs.history import input_centre, input_names, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options, trained_task
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 from tests.policy_files import restamp

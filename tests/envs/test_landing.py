@@ -12,7 +12,7 @@ from inclined_landing.envs.tasks import InclinedLanding, StepContext, landing, m
 from inclined_landing.envs.tasks.base import Start, hover_states
 from inclined_landing.envs.tasks.landing import AIDED, LandingConditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Contacts, make_plant
 

@@ -11,7 +11,7 @@ from inclined_landing.envs.mission import APPROACH, CLIMB, LANDING, LEGS, Missio
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.attitude import VX, VZ, YAW, Y
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 POLICIES = [load_policy(name) for name in ("setpoint", "landing", "touchdown-nominal")]
 PLAN = MissionPlan(*POLICIES)

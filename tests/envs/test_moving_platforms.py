@@ -13,7 +13,7 @@ from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import FRICTION, TouchdownConditions, resting
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import Contacts, make_plant
 from inclined_landing.train.descent import Descent
 

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from inclined_landing.envs.tasks import TASKS, InclinedLanding, InclinedTouchdown, SlopeLanding, make_task
 from inclined_landing.envs.tasks.options import Training
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.config import TrainConfig
 
 RECORDS = [kind.options_type for kind in TASKS.values()]

@@ -14,7 +14,7 @@ from inclined_landing.eval.pictures.frames import pose_at
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.replay.recording import from_flight
 from inclined_landing.models.attitude import PITCH, YAW
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants import MujocoPlant
 

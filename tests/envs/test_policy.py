@@ -29,7 +29,7 @@ from inclined_landing.envs.network import tanh
 from inclined_landing.envs.policy_file import METADATA as METADATA_FILE
 from inclined_landing.envs.save import actor_of
 from inclined_landing.envs.tasks import make_task
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests.policy_files import restamp, written
 

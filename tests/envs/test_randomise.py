@@ -13,8 +13,8 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.attitude import LAG, VX
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle
 from inclined_landing.models.plants import make_plant
 

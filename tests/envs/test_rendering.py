@@ -16,7 +16,7 @@ from inclined_landing.envs.rendering.ray import RayRenderer
 from inclined_landing.envs.rendering.scenery import scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.tasks import frozen as starts
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants.recorder import contact_forces
@@ -325,7 +325,7 @@ def test_opengl_after_a_fork_is_refused_and_rays_are_not():
 FORKED = """
 import os, sys
 from inclined_landing.envs.rendering import make_renderer
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 used = make_renderer(64, 48, backend="gl")
 used.render(None)
 child = os.fork()

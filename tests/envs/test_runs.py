@@ -11,8 +11,8 @@ import pytest
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval import cli
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 
 def test_json_holds_plain_values_only(tmp_path):

@@ -16,7 +16,7 @@ from inclined_landing.envs.tasks.frozen import START_CLEARANCE
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, LandingConditions
 from inclined_landing.envs.tasks.slopes import over_slopes
 from inclined_landing.models.attitude import PITCH, ROLL, VX, YAW, X, Y, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants.base import PLATFORM_SIZE
 from inclined_landing.models.surface import turned
 from tests.policy_files import restamp

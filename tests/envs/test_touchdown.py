@@ -11,7 +11,7 @@ from inclined_landing.envs.tasks.frozen import at_rest
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, TouchdownConditions
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, VX, WY, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import Contacts, MujocoPlant, make_plant
 

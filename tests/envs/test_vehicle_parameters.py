@@ -12,8 +12,8 @@ from inclined_landing.envs.policy import Policy, load_policy, locate, trained_op
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
 from inclined_landing.models.attitude import LAG, VZ
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
 from tests.policy_files import restamp

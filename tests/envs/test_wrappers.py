@@ -13,7 +13,7 @@ from gymnasium import wrappers
 
 import inclined_landing.envs  # noqa: F401 (registers the environments)
 from inclined_landing.envs.rendering import window
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 ID = "InclinedLanding-v0"
 PICTURE = {"render_mode": "rgb_array", "width": 96, "height": 64, "render_backend": "ray"}

@@ -13,7 +13,7 @@ import pytest
 from inclined_landing.envs.shared import command_line
 from inclined_landing.envs.shared.options import Only, flag_of
 from inclined_landing.eval import cli
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.sweep.command import command as sweep
 
 COMMANDS = {name: cli.find(name) for name in cli.COMMANDS} | {"sweep": sweep}

@@ -10,7 +10,7 @@ import pytest
 
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, STATE_SIZE, VX, VZ, WX, WZ, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 

@@ -11,7 +11,7 @@ import inclined_landing.envs  # noqa: F401, registers the environments
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models.attitude import LAG, ROLL, VX, VZ, WX, WZ, YAW, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.plants import make_plant
 

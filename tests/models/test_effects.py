@@ -24,8 +24,8 @@ from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_g
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models import effects, forces, geometry, perturbation
 from inclined_landing.models.attitude import LAG, PITCH, PWM, ROLL, VX, VY, VZ, WX, YAW, X, Z, quaternion
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import CHANNELS, LIBRARY, REGIMES
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.scene import build_spec

@@ -12,7 +12,7 @@ import pytest
 from inclined_landing.eval.truth.equivalence.flying import engine, equations, fly, full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models import perturbation
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 

@@ -8,8 +8,8 @@ import types
 import numba.core.caching as caching
 import pytest
 
-from inclined_landing.models import imports
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import imports
+from inclined_landing.models.base.errors import UserError
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_g
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models import forces, load
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Z
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.scene import build_spec

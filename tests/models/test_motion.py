@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, X, Z, rotation
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.motion import MODES, Motion, acceleration, rate
 from inclined_landing.models.surface import relative
 

@@ -10,8 +10,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
 from inclined_landing.models.scene import build_spec
 from tests import ROOT

@@ -14,7 +14,7 @@ import pytest
 
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle

@@ -8,7 +8,7 @@ import pytest
 
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, rotation, rotations
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant

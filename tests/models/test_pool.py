@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from inclined_landing.models.attitude import LAG, Z
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, field
 
-from inclined_landing.models.errors import UserError
-from inclined_landing.models.schema import Real, Table, check, parse
+from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.base.schema import Real, Table, check, parse
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 

@@ -5,7 +5,7 @@ import pytest
 
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, vehicle_names, write_vehicle
 from inclined_landing.models.plants import make_plant
 from inclined_landing.models.scene import compile_scene

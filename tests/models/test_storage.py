@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, first_of, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, first_of, shown
 
 
 def test_names_are_shown_in_one_printable_line():

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from inclined_landing.envs.tasks import landing, setpoint
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import (
     PARTS,
     AdaptiveCurriculum,

@@ -17,7 +17,7 @@ from inclined_landing.envs.features import ScaledObservation
 from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train.fast import kernels, layers
 from inclined_landing.train.fast.ppo import FastPPO, both

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import cli
 from inclined_landing.train.sweep import command, jobs
 from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped

@@ -11,7 +11,7 @@ from inclined_landing.envs.tasks import TASKS, StepContext, make_task
 from inclined_landing.envs.tasks.frozen import at_rest
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo, warm_start
 from inclined_landing.train.config import TrainConfig

@@ -20,7 +20,7 @@ from inclined_landing.envs.policy import locate as locate_policy
 from inclined_landing.envs.randomise import Ranges, locate, read_ranges
 from inclined_landing.envs.tasks import TASKS, StepContext
 from inclined_landing.models.attitude import LAG
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.train import cli, evaluation, ppo, warm_start
 from inclined_landing.train.config import CARRIED_ON, ENDING, TrainConfig

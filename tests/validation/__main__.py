@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from inclined_landing.envs.shared.command_line import bound, exit_code, parse
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 PROGRAM = "python -m tests.validation"
 COMMANDS = (

@@ -30,9 +30,9 @@ from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.eval.logs import FlightLog, read_log
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

@@ -20,7 +20,7 @@ import pandas
 from inclined_landing.eval.logs import csv_file, limits, sd_card
 from inclined_landing.eval.logs.read import log_table, read_log
 from inclined_landing.eval.logs.record import Record
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 _UNITS = {"deg": math.pi / 180.0, "g": 9.80665, "mV": 1e-3}
 _MOST_PWM = 65535

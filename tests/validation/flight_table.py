@@ -34,9 +34,9 @@ from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS
 from inclined_landing.eval.flying.simulated.flight import SimulatedFlight, fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.eval.flying.vehicle import Radio
-from inclined_landing.models import storage
 from inclined_landing.models.attitude import PITCH, PWM, VX, VZ, X, Z, rotations
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 from .shared import progress, table_of
 

@@ -13,8 +13,8 @@ import tyro
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import NewFolder
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from tests.validation.convert import PublicSet, convert, public_sets
 
 PROGRAM = "python -m tests.validation flights"

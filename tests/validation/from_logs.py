@@ -23,7 +23,7 @@ from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle

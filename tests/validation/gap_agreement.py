@@ -20,7 +20,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import simulator
 from tests.validation.gap_blind import cases as blind

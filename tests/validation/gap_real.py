@@ -27,8 +27,8 @@ from inclined_landing.eval.base.style import GREEN, INK, MUTED, save_figure, sty
 from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.logs import FlightLog, csv_file
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.validation.shared import cell, table_of

@@ -18,8 +18,8 @@ from inclined_landing.eval.gap.answer.identify import Identification, identify
 from inclined_landing.eval.gap.answer.rollout import measure_gap
 from inclined_landing.eval.gap.report.identified import described, write_posterior
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.validation.convert import public_sets

@@ -28,7 +28,7 @@ from inclined_landing.envs.shared.tables import spread_cell
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.machine.benchmark import machine_line
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.plants import make_plant
 
 PERIOD = 0.02  # s, of a control step

@@ -19,7 +19,7 @@ import tyro
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from tests.validation.gap_blind.accepted import accepted, entailed

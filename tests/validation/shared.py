@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 
 def check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:

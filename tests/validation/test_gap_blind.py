@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.models import effects
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation.gap_blind import cases, causes, score, tables
 from tests.validation.gap_blind import command as run

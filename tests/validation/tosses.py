@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import contact
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
 
 COLUMNS = ("toss", "t", *"xyz", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")

@@ -22,7 +22,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.utils import explained_variance
 
 from inclined_landing.envs.features import ScaledObservation
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.fast import kernels, layers
 
 _BUFFERED = ("observations", "actions", "values", "log_probs", "advantages", "returns")

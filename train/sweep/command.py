@@ -18,8 +18,8 @@ from msgspec import Meta
 from inclined_landing.envs.shared import pool
 from inclined_landing.envs.shared import runs as run_folders
 from inclined_landing.envs.shared.command_line import bound, parse
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.lookup import look_up
 from inclined_landing.train.sweep.jobs import (

@@ -24,8 +24,8 @@ import msgspec
 from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.sweep.recipe import Recipe, filled
 
 PROGRAMS = {"landing-train": "inclined_landing.train", "landing-eval": "inclined_landing.eval"}

@@ -14,9 +14,9 @@ from typing import Annotated
 from msgspec import Meta, field
 
 from inclined_landing.envs.shared.options import Seed
-from inclined_landing.models import schema, storage
-from inclined_landing.models.errors import UserError, choices, shown
-from inclined_landing.models.schema import Real, Table
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, choices, shown
+from inclined_landing.models.base.schema import Real, Table
 
 Text = Annotated[str, Meta(min_length=1, max_length=1000)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]

@@ -19,9 +19,9 @@ import numpy as np
 
 from inclined_landing.envs.shared.statistics import bootstrap, proportion
 from inclined_landing.envs.shared.statistics import number as rounded
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
-from inclined_landing.models.schema import Table
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.schema import Table
 from inclined_landing.train.sweep.recipe import Number, Recipe, filled
 
 Kind = Literal["number", "share", "flights"]  # what a value is: see above

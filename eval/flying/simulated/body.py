@@ -17,8 +17,8 @@ import numpy as np
 from inclined_landing.eval.flying.simulated.firmware import FirmwareSetpoint
 from inclined_landing.models import attitude_loops, forces
 from inclined_landing.models.attitude import LAG, ROLL, VX, YAW, quaternion, rotation, tilted
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import apply
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP

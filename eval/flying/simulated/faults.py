@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 from inclined_landing.eval.flying.simulated.sensors import SAG_RATE
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 SWAP = 0.3  # m by which the pose jumps when markers are swapped
 BURST_LOSS, BURST_LENGTH = 0.9, 1.0  # share of the packets lost, both ways, and for how long [s]

@@ -36,7 +36,7 @@ from inclined_landing.eval.flying.simulated.transport import (
 )
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.models.attitude import ROLL, VX, VZ, YAW, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

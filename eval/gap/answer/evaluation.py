@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.model.columns import Values
 from inclined_landing.eval.gap.model.prediction import channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import HorizonCurve, PlantGap, RegimeError
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 

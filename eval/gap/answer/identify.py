@@ -45,8 +45,8 @@ from inclined_landing.eval.gap.result import (
     SetAside,
 )
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Effect, FittedConstant
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import as_vehicle, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

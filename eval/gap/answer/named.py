@@ -32,8 +32,8 @@ from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Disturbance, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.limits import LEAST_RATE
+from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.errors import UserError, first_of
 from inclined_landing.models.vehicle import Vehicle
 
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops

@@ -46,7 +46,7 @@ from inclined_landing.models.attitude import (
     body_rates,
     tilted,
 )
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.load import UNLOADED, hanging
 from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.perturbation import neutral

@@ -14,7 +14,7 @@ from inclined_landing.eval.gap.result import SetAside
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.repeats import percent
 from inclined_landing.eval.logs.values import SHORTEST
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been written anew with fewer digits
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by

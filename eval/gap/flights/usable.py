@@ -21,8 +21,8 @@ from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.eval.logs.checks import check_fleet
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.values import failed_speed_sensors
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, first_of, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, first_of, shown
 from inclined_landing.models.vehicle import Vehicle
 
 MOMENT = 0.1  # s: a vehicle that hits something stops within

@@ -19,7 +19,7 @@ from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.logs.log import as_logs
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.models.attitude import body_accelerations, rotations, tilted
-from inclined_landing.models.errors import UserError, first_of
+from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.forces import AMBIENT_SIZE
 from inclined_landing.models.vehicle import Vehicle
 

@@ -27,9 +27,9 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.prediction import CHANNELS
 from inclined_landing.eval.gap.result import Disturbance, ReferenceErrors
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import Constant, constants, load_vehicle, locate_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

@@ -48,7 +48,7 @@ def command(
     from inclined_landing.eval.gap.plan.design import design
     from inclined_landing.eval.gap.plan.picture import picture
     from inclined_landing.eval.gap.plan.reading import read_report
-    from inclined_landing.models import storage
+    from inclined_landing.models.base import storage
 
     plan_input, arena = read_report(report, vehicle)
     best = plan_input.hypotheses[0]

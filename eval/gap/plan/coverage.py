@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.infer.residual import regressors
 from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.setpoints import setpoints
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 FEATURES = 16  # of a function
 CORRELATION_TIME = 0.3  # s, of the disturbance: samples closer than this count as one

@@ -17,8 +17,8 @@ from inclined_landing.eval.gap.plan.information import ModelDiscrimination, Nois
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 PIECES_PER_KIND = 8  # random safe pieces of every kind

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle

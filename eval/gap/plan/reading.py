@@ -13,11 +13,11 @@ from msgspec import Meta, Struct, field
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
-from inclined_landing.models import schema, storage
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.base.schema import Real, Table
 from inclined_landing.models.effects import LIBRARY, Effect
-from inclined_landing.models.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.schema import Real, Table
 from inclined_landing.models.vehicle import Vehicle
 
 ROOM = (

@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
 from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields, rounded, rounded_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle

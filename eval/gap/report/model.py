@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
-from inclined_landing.models import effects, storage
+from inclined_landing.models import effects
+from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

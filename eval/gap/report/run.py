@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from inclined_landing.eval.base.options import FlightSource
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 
 
 def write(

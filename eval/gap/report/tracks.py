@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.windows import NEAR, prepare
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 EVERY = 1.0  # s between two predictions

@@ -20,7 +20,7 @@ from inclined_landing.eval.pictures.figures.scene import (
     draw_vehicle,
 )
 from inclined_landing.models.attitude import PITCH, X, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 _START = (0.10, 0.42, 0.75)  # tint of the vehicles at their starts
 _COLUMNS = 2

@@ -19,7 +19,7 @@ from inclined_landing.eval.pictures.figures.scene import (
 )
 from inclined_landing.eval.pictures.path import path_share, select_copies
 from inclined_landing.models.attitude import PITCH, PITCH_COMMAND, PWM, ROLL, ROLL_COMMAND, Z
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 _WIDTH, _LEFT, _RIGHT = 7.0, 0.78, 0.16  # in

@@ -15,7 +15,7 @@ from inclined_landing.eval.study.options import BASELINES, PLANNER
 from inclined_landing.eval.study.platforms.planner import Planner
 from inclined_landing.eval.study.rest import Pilot, PolicyPilot
 from inclined_landing.models.attitude import PWM
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 

@@ -17,12 +17,12 @@ import numpy as np
 from msgspec import structs
 
 from inclined_landing.envs.tasks.base import hover_states
-from inclined_landing.models import schema, storage
 from inclined_landing.models.attitude import PITCH, YAW, Z
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.base import schema, storage
+from inclined_landing.models.base.errors import UserError, choices, shown
+from inclined_landing.models.base.schema import Table
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.plants.base import PLATFORM_SIZE
-from inclined_landing.models.schema import Table
 from inclined_landing.models.vehicle import Vehicle
 
 FLIGHTS = 64  # of each scenario

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow")
 _COMPILERS = ("cc", "gcc", "clang")

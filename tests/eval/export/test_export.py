@@ -30,8 +30,8 @@ from inclined_landing.eval.export import c_source, contract, onnx_file, vectors
 from inclined_landing.eval.export.command import FORMATS, write
 from inclined_landing.eval.export.network import ExportNetwork
 from inclined_landing.eval.export.templates import LONGEST
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
 from tests.policy_files import restamp, written

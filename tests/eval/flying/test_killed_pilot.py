@@ -15,7 +15,7 @@ pytest.importorskip("cflib", reason="the extra fly is not installed")
 
 from inclined_landing.eval.flying import watchdog
 from inclined_landing.eval.flying.watchdog import DeadManSwitch
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 # Stop, emergency stop and that of older firmware: port, channel and two bits that are set in a byte, data.
 STOP = {b"\x7c\x00", b"\x9d\x03", b"\x6d\x03"}

@@ -19,7 +19,7 @@ from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.transport import LinkQuality
 from inclined_landing.eval.flying.simulated.world import Setting
 from inclined_landing.eval.flying.vehicle import UDEV, CflibLink, Radio, check_uri
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 RADIO = "radio://0/80/2M/E7E7E7E7E7"
 GOOD = (

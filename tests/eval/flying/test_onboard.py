@@ -12,7 +12,7 @@ from inclined_landing.eval.flying.positions import OnboardPosition
 from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.sensors import DeckQuality, Lighthouse
 from inclined_landing.eval.flying.vehicle import Radio
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 UNSURE = np.full(3, 2 * positions.UNSURE) ** 2
 SURE = np.full(3, 1e-3)

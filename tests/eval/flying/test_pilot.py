@@ -36,7 +36,7 @@ from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.log import GAP_SECONDS
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 SETTING = Setting(start=(-1.0, 0.0))

@@ -24,7 +24,7 @@ from inclined_landing.eval.flying.simulated.transport import CameraQuality, Link
 from inclined_landing.eval.flying.simulated.world import Setting, World
 from inclined_landing.models import attitude
 from inclined_landing.models.attitude import PITCH, ROLL, VX, VY, YAW, Z, rotation
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 PERIOD = 0.02

@@ -30,8 +30,8 @@ from inclined_landing.eval.gap.pipeline import steady_force
 from inclined_landing.eval.gap.report.words import how_much
 from inclined_landing.eval.logs import FlightLog, read_log
 from inclined_landing.models import effects, equations, forces
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import neutral
 from tests.validation import simulator

@@ -12,7 +12,7 @@ import pytest
 from inclined_landing.eval.gap.flights.distinct import check_unused, distinct, fingerprint
 from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.logs import write_log
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from tests.eval.logs.test_checks import flight
 
 

@@ -41,10 +41,10 @@ from inclined_landing.eval.gap.model.reference import (
     read_reference,
 )
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models import storage
 from inclined_landing.models.attitude import rotation, tilted
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Parameter
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import constants, load_vehicle, write_vehicle
 
 VEHICLE = load_vehicle()

@@ -14,9 +14,9 @@ from inclined_landing.eval.gap.model.columns import slab_covariance
 from inclined_landing.eval.gap.model.prediction import predict, requested_differences
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 

@@ -19,8 +19,8 @@ from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.gap.result import REFERENCE, ScoredSet
 from inclined_landing.eval.logs import read_log
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.plants import AnalyticPlant
 

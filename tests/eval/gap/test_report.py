@@ -38,7 +38,8 @@ from inclined_landing.eval.gap.result import (
     ResidualAnalysis,
     ScoredSet,
 )
-from inclined_landing.models import effects, storage
+from inclined_landing.models import effects
+from inclined_landing.models.base import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
 from tests.pages import EVIL, check_page

@@ -14,8 +14,8 @@ from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings import command, design, landing, report, run
 from inclined_landing.eval.landings.study import read_study
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from tests.pages import EVIL, check_page
 
 STUDY = f"""

@@ -14,7 +14,7 @@ from inclined_landing.eval.logs.checks import check_fleet, enforce, hover_comman
 from inclined_landing.eval.logs.log import GAP_SECONDS
 from inclined_landing.eval.logs.motion import standing
 from inclined_landing.eval.logs.read import log_table
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 ATTITUDE_LAG, THRUST_LAG = 0.08, 0.05  # s
 

@@ -25,7 +25,7 @@ from inclined_landing.eval.gap import diagnose, measure_gap
 from inclined_landing.eval.gap.answer.identify import identify
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.read import log_table
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests import ROOT
 from tests.log_files import a_log, firmware_values, sd_card, write_bag

@@ -11,7 +11,7 @@ import pytest
 from inclined_landing.eval import logs
 from inclined_landing.eval.logs import read_log, sd_card
 from inclined_landing.eval.logs.read import write_log
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from tests.log_files import a_log
 
 

@@ -25,7 +25,7 @@ from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.frames import flight_view
 from inclined_landing.eval.pictures.learning import final_scores, learning_curves
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 SLOPE = load_vehicle().platform_inclination

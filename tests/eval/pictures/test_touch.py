@@ -14,7 +14,7 @@ from inclined_landing.eval.pictures.touchdown import LEAD, STEP, record_touchdow
 from inclined_landing.eval.pictures.touchdown_video import caption, render_touchdowns
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
 V = load_vehicle()

@@ -18,7 +18,7 @@ from inclined_landing.eval.pictures.frames import ghosts_at, labels_of, render_f
 from inclined_landing.eval.pictures.labels import draw_labels, speed_label
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study.rest import cut_motors
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants.recorder import still
 
 

@@ -10,7 +10,7 @@ import pytest
 from inclined_landing.envs.shared.measures import STRICT, TOUCHED, median_of
 from inclined_landing.eval.study import engine, panels, show
 from inclined_landing.eval.study.engine import Case, Contrast, Panel, Study, View, run
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 SPEED = median_of("speed", "speed", "m/s")
 

@@ -13,8 +13,8 @@ from inclined_landing.eval.study import changes, robustness
 from inclined_landing.eval.study.engine import count
 from inclined_landing.eval.study.options import THRUSTS
 from inclined_landing.eval.study.panels import shares
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
 from tests.pages import EVIL_FILE, check_page
 

@@ -20,10 +20,10 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, flights, groups, rest, show
 from inclined_landing.eval.study.engine import count, run
 from inclined_landing.eval.study.flights import ARRIVAL, fly, table_of
-from inclined_landing.models import storage
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
-from inclined_landing.models.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
 

@@ -9,7 +9,7 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.study import vehicles
 from inclined_landing.eval.study.engine import run
 from inclined_landing.eval.study.flights import named_policies
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 NAMED = ("crazyflie-2.1", "hummingbird")
 OPTIONS = {"draws": 6, "starts": 2, "plant": "analytic", "seed": 5}

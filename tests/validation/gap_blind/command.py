@@ -15,8 +15,8 @@ from msgspec import Meta
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder, Seed
-from inclined_landing.models import storage
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base import storage
+from inclined_landing.models.base.errors import UserError
 
 from ..shared import check_known, in_processes
 from . import score

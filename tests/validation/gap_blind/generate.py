@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inclined_landing.models import storage
+from inclined_landing.models.base import storage
 from tests.validation.simulator import (
     KINDS,
     Reality,

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inclined_landing.models.errors import optional
+from inclined_landing.models.base.errors import optional
 from tests.validation.simulator import (
     KINDS,
     Build,

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.models.errors import UserError, shown
+from inclined_landing.models.base.errors import UserError, shown
 
 LARGEST = 1_000_000  # bytes of a file that people write
 LARGEST_JSON = 100_000_000

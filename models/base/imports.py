@@ -20,7 +20,7 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
-from inclined_landing.models.errors import UserError
+from inclined_landing.models.base.errors import UserError
 
 Execute = Callable[[ModuleType], None]
 

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, inspect, structs
 
-from inclined_landing.models.errors import UserError, choices, shown
+from inclined_landing.models.base.errors import UserError, choices, shown
 
 Real = Annotated[float, Meta(ge=-1e300, le=1e300)]  # any number that is finite
 Many = Annotated[int, Meta(ge=1, le=10**9)]

@@ -1,0 +1,1 @@
+"""What every package uses and no physics: errors, typed files, atomic storage, late imports."""
