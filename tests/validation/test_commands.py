@@ -12,7 +12,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
 from tests.validation import __main__ as validation
-from tests.validation import from_logs, gap_example
+from tests.validation import gap_example
 from tests.validation.causes import _expanded
 from tests.validation.convert import public_sets
 from tests.validation.identified import vehicles
@@ -34,7 +34,7 @@ def test_one_command_runs_them_from_the_root():
         ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
         ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),
         ("causes {folder}/none --out {out}", "{folder}/none: no folder"),
-        ("gap-real {folder} --out {out}", "{folder}/utias_fmpc is missing"),
+        ("gap-example --cause moon --out {out}", "unknown cause 'moon'; choose from thrust_scale"),
     ],
 )
 def test_wrong_words_are_one_sentence(words, sentence, tmp_path, capsys):
@@ -83,9 +83,9 @@ def test_no_flight_of_the_heldout_half_of_the_causes_is_among_them():
         assert not fitted & {f for one in entry["judged"] for p in one["flights"] for f in _expanded(p)}
 
 
-@pytest.mark.parametrize("name", from_logs.CASES)
+@pytest.mark.parametrize("name", gap_example.CAUSES)
 def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
-    hidden = from_logs.CASES[name]
+    hidden = gap_example.CAUSES[name]
     assert set(hidden.world) <= set(World._fields)
     assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
     assert f"| {name.replace('_', ' ')} |" in (ROOT / "docs/evidence/teaching.md").read_text("utf-8")
