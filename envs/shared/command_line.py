@@ -25,7 +25,6 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from types import ModuleType
 from typing import Any, TextIO
 
 from inclined_landing.models.base import imports
@@ -256,7 +255,8 @@ def exit_code(
     and the code is 128 plus the signal's number. Failing to write to stderr does not change the code.
     """
     gc.set_threshold(_YOUNG)
-    imports.around_import("matplotlib", _own_figures)
+    os.environ.update(MATPLOTLIBRC=os.devnull, MPLBACKEND="agg")  # no settings, no window
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # no words on its cache
     imports.around_import("numba.core.event", _announce_compilation)
     caught: list[int] = []
     code = 2
@@ -295,18 +295,6 @@ def exit_code(
                 raise
         print(f"{prog}: {UserError(sentence)}", file=sys.stderr)  # one line, of bounded length
         return code
-
-
-def _own_figures(execute: imports.Execute, matplotlib: ModuleType) -> None:
-    """Run matplotlib's code: no matplotlibrc, no window, no words of its own on either or on its cache."""
-    os.environ.update(MATPLOTLIBRC=os.devnull, MPLBACKEND="agg")
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    try:
-        execute(matplotlib)
-    except UnicodeDecodeError as error:  # of a matplotlibrc in the current folder, which comes first
-        raise UserError(
-            "matplotlibrc in this folder is not UTF-8 text; correct it, or run the command in another folder"
-        ) from error
 
 
 def _announce_compilation(execute: imports.Execute, event: Any) -> None:

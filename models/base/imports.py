@@ -1,7 +1,8 @@
-"""Imports at first use, and import hooks for installations that lack what other packages need.
+"""Imports at first use, and what other packages need in installations that lack it.
 
-MuJoCo continues without an OpenGL that does not load, and numba caches compiled functions in the temporary
-folder if neither the package nor the home folder can be written. Neither is imported here.
+MuJoCo continues without an OpenGL that does not load (an import hook: MuJoCo has no setting), and numba
+caches compiled functions in the temporary folder if neither the package nor the home folder can be written.
+Neither is imported here.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from inclined_landing.models.base.errors import UserError
 
 Execute = Callable[[ModuleType], None]
+_BESIDE = str(Path(__file__).with_name("__pycache__"))  # where numba puts compiled functions first
 
 
 def at_first_use(package: str, modules: dict[str, str]) -> Callable[[str], Any]:
@@ -70,7 +73,7 @@ class _Waiting:
 def adapt() -> None:
     """Have MuJoCo and numba work in every installation, whichever is imported later."""
     around_import("mujoco.rendering.classic.gl_context", _with_or_without_opengl)
-    around_import("numba.core.caching", _cache_somewhere)
+    _cache_somewhere()
 
 
 def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
@@ -94,22 +97,26 @@ def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
         del sys.modules[name]
 
 
-def _cache_somewhere(execute: Execute, caching: Any) -> None:
-    """Run numba's module that finds places for compiled functions, and add one to those it tries."""
-    execute(caching)
-    places = caching.CacheImpl._locator_classes
+def _cache_somewhere() -> None:
+    """Give numba a folder for compiled functions if it can write neither of those it would choose."""
+    home = os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache"))
+    if "NUMBA_CACHE_DIR" in os.environ or _can_write(_BESIDE):
+        return
+    # Without a home numba would take a folder "~" below the current one.
+    if not os.path.isabs(home) or not _can_write(os.path.join(home, "numba")):
+        os.environ["NUMBA_CACHE_DIR"] = private_folder()
+        if "numba" in sys.modules:
+            sys.modules["numba"].config.reload_config()
 
-    class InTemporaryFolder(caching.UserWideCacheLocator):
-        def __init__(self, function, file: str):
-            super().__init__(function, file)
-            self._cache_path = os.path.join(private_folder(), self.get_suitable_cache_subpath(file))
 
-    if not any(place.__name__ == InTemporaryFolder.__name__ for place in places):
-        # Of a user without a home numba would take the folder "~" below the current one.
-        homeless = not os.path.isabs(os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~")))
-        places.insert(
-            places.index(caching.UserWideCacheLocator) if homeless else len(places), InTemporaryFolder
-        )
+def _can_write(folder: str) -> bool:
+    """Try it, as numba does: permissions do not tell whether a file system takes files."""
+    try:
+        os.makedirs(folder, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
 
 
 @functools.cache

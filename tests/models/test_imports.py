@@ -5,7 +5,7 @@ import sys
 import tempfile
 import types
 
-import numba.core.caching as caching
+import numba
 import pytest
 
 from inclined_landing.models.base import imports
@@ -39,14 +39,15 @@ def test_an_opengl_that_does_not_load_is_an_error_of_contexts_alone(monkeypatch)
         module.GLContext(64, 48)
 
 
-def test_compiled_functions_go_to_the_temporary_folder_in_the_end(temporary):
-    places = caching.CacheImpl._locator_classes
-    (place,) = (place for place in places if place.__name__ == "InTemporaryFolder")
-    assert place is places[-1]  # after all of numba's own
-    locator = place.from_function(imports.adapt, imports.__file__)
-    assert locator.get_cache_path().startswith(str(temporary / f"inclined-landing-{os.geteuid()}"))
+@pytest.mark.parametrize("writable", ["package", "home", "none"])
+def test_compiled_functions_go_to_the_temporary_folder_in_the_end(temporary, monkeypatch, writable):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(imports, "_BESIDE", str(temporary / "p") if writable == "package" else "/proc/p")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(temporary / "cache") if writable == "home" else "~")
     imports.adapt()
-    assert caching.CacheImpl._locator_classes.count(place) == 1
+    ours = str(temporary / f"inclined-landing-{os.geteuid()}")
+    assert numba.config.CACHE_DIR == (ours if writable == "none" else "")
 
 
 def test_the_private_folder_is_one_and_closed_to_others(temporary):

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 SUCCESS = ["-m", "inclined_landing.eval", "success", "landing-nominal", "--plant", "analytic"]
-LANDED = "Landed in "
+LANDED = "reached the goal box in "
 BARE = {name: os.environ[name] for name in ("PATH", "LANG", "LC_ALL") if name in os.environ}
 
 
