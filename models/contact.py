@@ -20,7 +20,8 @@ Measured by drop tests of this vehicle on four feet, RK4 at 4 ms, eight phases o
 Slower drops rebound less and faster ones more (set 0.3: 0.25 at 0.5 m/s, 0.33 at 2 m/s; set 0.6: 0.58 and
 0.61), because the weight acts on them for the same time. The feet sink in by up to speed times contact
 time / pi. Up to half of `Vehicle.slab_depth` the engine pushes them out at the upper side: none of 1 000
-drops at 1 to 6 m/s passes, at any restitution, contact time and slope of the ranges.
+drops at 1 to 6 m/s passes, at any restitution, contact time and slope of the ranges, nor of as many onto
+slabs that move and into the walls of the base.
 
 A damper pushes with all its force at once where it is touched. Seen at steps of 4 ms only, that jump would
 keep a springy vehicle trembling at rest by up to 2 cm/s, and creeping. So the first millimetre of every

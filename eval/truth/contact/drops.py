@@ -15,12 +15,16 @@ from inclined_landing.models.vehicle import Vehicle
 PHASES = 8  # drops of one kind, their touch spread evenly over one step
 
 
-def unpowered(vehicle: Vehicle, n: int, inclination=None, step: float = STEP) -> MujocoPlant:
+def unpowered(
+    vehicle: Vehicle, n: int, inclination=None, step: float = STEP, moving: bool = False
+) -> MujocoPlant:
     """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques.
 
     inclination: that of platforms and vehicles (n,) [rad], whose feet then rest in the platforms' middle.
     """
-    plant = MujocoPlant(n, vehicle, control_period=step, timestep=step, torque_needs_motors=True)
+    plant = MujocoPlant(
+        n, vehicle, control_period=step, timestep=step, torque_needs_motors=True, moving=moving
+    )
     if inclination is not None:
         inclination = np.broadcast_to(np.asarray(inclination, float), (n,))
         plant.set_platform(np.arange(n), inclination)

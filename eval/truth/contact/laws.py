@@ -17,6 +17,7 @@ from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.geometry import PARTS, SURFACES, reach_below
+from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import FEET, STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
@@ -217,21 +218,27 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
             gain = (energies.max(axis=0) - energies[0]) / scale
             growth[i, j], share[i, j] = gain.max(), (gain > 0.01).mean()
     rng = np.random.default_rng(1)
-    slope, speed = (
-        -rng.uniform(0.0, vehicle.platform_max_inclination, dropped),
-        rng.uniform(1.0, FASTEST, dropped),
-    )
+    slope = -rng.uniform(0.0, vehicle.platform_max_inclination, dropped)
+    speed = rng.uniform(1.0, FASTEST, dropped)
     spring = {"restitution": rng.uniform(*contact.RESTITUTION, dropped)}
     spring["contact_time"] = rng.uniform(*contact.CONTACT_TIME, dropped)
-    through = [int(_tumble(vehicle, speed, slope, kind)[1].sum()) for kind in ({}, spring)]
+    kinds = {
+        "through": ({}, "slab"),
+        "springy_through": (spring, "slab"),
+        "wall_through": (spring, "wall"),
+        "moving_through": (spring, "moving slab"),
+    }
+    through = {
+        key: int(_tumble(vehicle, speed, slope, setting, onto)[1].sum())
+        for key, (setting, onto) in kinds.items()
+    }
     return WORDS.section(
         "tumbling",
         {
             "default": 100 * float(growth[0].max()),
             "springy": 100 * float(growth[1:-1].max()),
             "springiest": 100 * float(share[-1].max()),
-            "through": through[0],
-            "springy_through": through[1],
+            **through,
         },
         {"n": n, "dropped": dropped, "fastest": FASTEST},
         data={
@@ -245,29 +252,38 @@ def tumbling(vehicle: Vehicle, n: int = 100, dropped: int = 1000) -> Section:
 
 
 def _tumble(
-    vehicle: Vehicle, speed: np.ndarray, slope: np.ndarray, spring: dict[str, Any]
+    vehicle: Vehicle, speed: np.ndarray, slope: np.ndarray, spring: dict[str, Any], onto: str = "slab"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies (steps + 1, n) [J] and which vehicles passed the slab (n,).
+    """Return the energies (steps + 1, n) [J] and which vehicles passed the surface (n,).
 
-    speed (n,) [m/s] into slabs inclined by slope (n,) [rad]; spring: contact settings, if not the default.
+    speed (n,) [m/s] into it; slope (n,) [rad] of the slab; spring: contact settings, if not the default.
+    onto: the slab; a moving slab, which rises along its normal by half of that speed; or, level, one of the
+    base's two walls.
     """
     n = len(speed)
-    plant = unpowered(vehicle, n)
+    plant = unpowered(vehicle, n, moving=onto == "moving slab")
     ids, rng = np.arange(n), np.random.default_rng(0)
     plant.set_platform(ids, slope)
     plant.set_contact(ids, **spring)
-    normal = normal_of(slope)
-    middle = np.array([0, 0, vehicle.platform_surface_height])
+    normal, point = normal_of(slope), np.zeros((n, 3))
+    point[:, 2] = vehicle.platform_surface_height
+    if onto == "wall":
+        normal = rng.choice([-1.0, 1.0], n)[:, None] * [1.0, 0.0, 0.0]
+        point = normal * vehicle.slab_half_length * np.cos(slope)[:, None] + [0.0, 0.0, 0.4]
+    rising = normal * speed[:, None] * (0.5 if onto == "moving slab" else 0.0)
+    if rising.any():
+        plant.set_motion(ids, dataclasses.replace(Motion.still(n), velocity=rising))
     state = np.zeros((n, STATE_SIZE))
     state[:, ROLL : YAW + 1] = rng.uniform(-1, 1, (n, 3)) * [np.pi, 1.5, np.pi]
     state[:, WX : WZ + 1] = rng.normal(0, 5, (n, 3))
-    state[:, :3] = middle + normal * 0.075
-    state[:, VX : VZ + 1] = -normal * speed[:, None]
+    state[:, :3] = point + normal * 0.075
+    state[:, VX : VZ + 1] = rising - normal * speed[:, None]
     plant.reset(ids, state)
     flown = advance(plant, 0.6)
-    inside = np.hypot(flown[..., 0], flown[..., 1]) < 0.2
-    passed = inside & (((flown[..., :3] - middle) * normal).sum(axis=2) < -vehicle.platform_thickness)
-    return energy(flown, vehicle), passed.any(axis=0)
+    away = flown[..., :3] - point - rising * STEP * np.arange(len(flown))[:, None, None]
+    height = (away * normal).sum(axis=2)
+    inside = np.linalg.norm(away - height[..., None] * normal, axis=2) < 0.2
+    return energy(flown, vehicle), (inside & (height < -vehicle.platform_thickness)).any(axis=0)
 
 
 def parts(vehicle: Vehicle) -> Section:
