@@ -218,24 +218,6 @@ def test_a_study_loses_a_node(machines, tmp_path, landings):
     assert (tmp_path / "ray" / "results.parquet").read_bytes() == landings
 
 
-def test_without_an_address_ray_is_started_here(machines, tmp_path, landings):
-    (tmp_path / "tiny.toml").write_text(STUDY)
-    words = ("landing-eval", "landings", "tiny.toml", "--out", "ray", "--engine", "ray")
-    process = machines.run(*words, cwd=tmp_path)
-    until(lambda: list((tmp_path / "ray").glob("parts/0*.parquet")), "a chunk", process)
-    own = psutil.Process(process.pid).children(recursive=True)
-    listening = {
-        ipaddress.ip_address(connection.laddr.ip)
-        for one in own
-        for connection in one.net_connections("inet")
-        if connection.status == psutil.CONN_LISTEN
-    }
-    assert listening and all(map(loopback, listening)), listening
-    ended(process)
-    assert (tmp_path / "ray" / "results.parquet").read_bytes() == landings
-    assert psutil.wait_procs(own, timeout=20)[1] == []
-
-
 def trainings(folder):
     """The commands that are at work in each run folder."""
     found = collections.defaultdict(list)
@@ -306,13 +288,3 @@ def test_a_node_that_does_not_see_the_folder(machines, tmp_path):
     assert error == sentence
     until(lambda: not trainings(hidden), "the end of the other trainings")
     kill(node)
-
-
-def test_what_answers_is_no_cluster(machines, tmp_path):
-    (tmp_path / "tiny.toml").write_text(STUDY)
-    with socket.create_server((HEAD, 0)) as server:
-        address = f"{HEAD}:{server.getsockname()[1]}"
-        words = ("landing-eval", "landings", "tiny.toml", "--out", "out", "--engine", "ray")
-        error = ended(machines.run(*words, "--address", address, cwd=tmp_path), 2)[1]
-    assert error.splitlines()[-1].startswith(f"landing-eval: Ray cannot be reached at {address}: ")
-    assert not (tmp_path / "out").exists()

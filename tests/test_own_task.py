@@ -78,7 +78,8 @@ def test_all_the_way(path, own, tmp_path, capsys):
     assert load_policy("whole/final.zip", tasks.make_task("hop")).metadata["task_from"] == path
     small = ["--width", "96", "--height", "64", "--backend", "ray", "--start", "0.5,0,1"]
     assert evaluate(["picture", "whole/final.zip", "--out", "hop.png", *small, *flown]) == 0
-    assert load_policy("whole/final.zip", tasks.make_task("hop")).task.name == "hop"
+    assert evaluate(["figure", "whole/final.zip", "--out", "figures", *flown]) == 0
+    assert (tmp_path / "figures" / "trajectory.pdf").is_file()
 
 
 @pytest.mark.parametrize(

@@ -132,18 +132,3 @@ def test_cheap_commands_run(workplace, capsys):
     assert {words[0] for words in found} >= {"doctor", "logs"}
     for words, path in found.items():
         assert documents.cli.main(list(words)) == 0, f"{path}: {words}\n{capsys.readouterr().err}"
-
-
-def test_every_number_of_a_vehicle_and_every_effect_is_on_its_page():
-    pages = documents.generated.pages()
-    fields = re.findall(r"^\| `(\w+)` \|", pages["reference/constants.md"], re.MULTILINE)
-    assert len(fields) == len(documents.generated.constants())
-    assert all(f"\n## {name}\n" in pages["reference/effects.md"] for name in documents.generated.LIBRARY)
-    sections = dict(
-        re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", pages["reference/commands.md"], re.DOTALL | re.MULTILINE)
-    )
-    assert sections.keys() == {"landing-train", *documents.cli.COMMANDS}
-    for name, text in sections.items():
-        program, command = (name, None) if name == "landing-train" else ("landing-eval", name)
-        for option in documents.options(program, command) - {"-h", "--help", "--help-all"}:
-            assert option in text, f"{name} {option}"

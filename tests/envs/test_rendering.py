@@ -9,11 +9,9 @@ import pytest
 
 from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
 from inclined_landing.envs.rendering import gl as gl_backend
-from inclined_landing.envs.rendering.camera import nearest_position
 from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
 from inclined_landing.envs.rendering.ray import RayRenderer
-from inclined_landing.envs.rendering.scenery import scaled_points
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.models.base.errors import UserError
@@ -127,22 +125,6 @@ def test_the_default_camera_sees_every_start(width, height):
     assert (pixels >= 0).all() and (pixels <= [width, height - caption_height(height)]).all()
 
 
-def test_framing_is_as_near_as_can_be():
-    """Every point is within the given part, and at least two opposite sides of it are reached."""
-    rng = np.random.default_rng(5)
-    for _ in range(50):
-        points, forward = rng.normal(size=(9, 3)), rng.normal(size=3)
-        axes = look_at((0, 0, 0), forward, 1, 1).axes
-        halves = rng.uniform(0.2, 1.0, 2)
-        local = (points - nearest_position(points, axes, *halves)) @ axes.T
-        share = local[:, :2] / (local[:, 2:] * halves)
-        assert (local[:, 2] > 0).all() and np.abs(share).max() < 1 + 1e-9  # rounding
-        reached = np.isclose(share.max(axis=0), 1.0) & np.isclose(share.min(axis=0), -1.0)
-        assert reached.any()
-        free = np.abs(local[:, :2]) - halves * local[:, 2:]
-        assert free.max() > -1e-9
-
-
 def test_ghost_is_translucent(hero):
     state, qpos = hovering(), qpos_of_state(hovering(1.3, 1.5))
     plain = hero.render(state).astype(float)
@@ -188,27 +170,6 @@ def test_platform_pose_of_every_source():
         np.testing.assert_array_equal(renderer.render(state), from_state)
 
 
-def test_base_is_closed_for_any_inclination():
-    for inclination in (-0.87, -0.2, 0.0, 0.6):
-        with make_renderer(W, H, "hero", "ray") as renderer:
-            renderer.view(hovering(), inclination)
-            scene = renderer._scene
-            mesh = scene.model.mesh("prism").id
-            assert scene.model.mesh_vertnum[mesh] == 8
-            # rays along +y through the base's middle meet its front, from outside
-            geom, _, normal = scene.cast(np.array([0, -3.0, 0.5]), np.array([[0, 1.0, 0]]), 0)
-            assert scene.model.geom(geom[0]).name == "prism"
-            np.testing.assert_allclose(normal[0], [0, -1, 0], atol=1e-6)
-
-
-def test_caption_covers_the_bottom_only(hero):
-    bare, with_text = hero.render(hovering()), hero.render(hovering(), caption="t 1.10 s")
-    rows = np.nonzero(changed(bare, with_text).any(axis=1))[0]
-    assert rows.min() == H - caption_height(H)
-    other = hero.render(hovering(), caption="t 1.12 s")
-    assert changed(other, with_text).any()
-
-
 def test_contact_arrows_carry_the_weight():
     vehicle = load_vehicle()
     weight = vehicle.body_mass * vehicle.environment_gravity
@@ -227,28 +188,6 @@ def test_contact_arrows_carry_the_weight():
         plain = renderer.render(data)
         drawn = renderer.render(data, forces=list(zip(points, 0.3 * forces)))
         assert changed(plain, drawn).sum() > 30
-
-
-def test_arrows_start_where_the_larger_vehicle_stands(hero):
-    """Drawn 3x, the foot's point moves with it; the tip is `arrow` away from there, over everything."""
-    state = hovering(0.9, 1.7, 0.2)
-    qpos = qpos_of_state(state)
-    model = hero._scene.model
-    foot = model.geom("foot_front_left")
-    frame = np.zeros(9)
-    mujoco.mju_quat2Mat(frame, qpos[3:])
-    tip = qpos[:3] + frame.reshape(3, 3) @ (foot.pos - [0, 0, foot.size[0]])
-    leg = model.geom("leg_front_left")
-    hero.render(state)
-    low = hero._scene.data.geom_xpos[leg.id] - leg.size[1] * frame.reshape(3, 3)[:, 2]
-    start = scaled_points(model, qpos, tip, 3.0)
-    assert np.linalg.norm(start - low) < 3.0 * 0.006  # the drawn leg ends within its radius
-    arrow = np.array([0.0, 0.0, 0.4])
-    mask = changed(hero.render(state), hero.render(state, forces=[(tip, arrow)]))
-    rows, columns = np.nonzero(mask)
-    ends = hero.view(state).project(np.stack([start, start + arrow]))[0]
-    assert rows.min() == pytest.approx(ends[1, 1], abs=3) and rows.max() == pytest.approx(ends[0, 1], abs=3)
-    assert columns.mean() == pytest.approx(ends[:, 0].mean(), abs=1.5)
 
 
 def test_wrong_arguments_are_sentences():

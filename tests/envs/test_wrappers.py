@@ -19,37 +19,6 @@ ID = "InclinedLanding-v0"
 PICTURE = {"render_mode": "rgb_array", "width": 96, "height": 64, "render_backend": "ray"}
 
 
-def flown(env, steps=3, seed=0):
-    """Observations and rewards of a few random steps."""
-    env.action_space.seed(seed)
-    first, _ = env.reset(seed=seed)
-    rows = [env.step(env.action_space.sample()) for _ in range(steps)]
-    return np.array([first, *(row[0] for row in rows)]), np.array([row[1] for row in rows])
-
-
-@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
-def test_wrappers_of_observation_reward_and_action(plant):
-    """Each gives what it promises, computed here from the bare environment under the same seed."""
-    plain, reward = flown(gym.make(ID, plant=plant))
-
-    def made(wrapper, *arguments, **options):
-        return flown(wrapper(gym.make(ID, plant=plant), *arguments, **options))
-
-    np.testing.assert_array_equal(made(wrappers.FlattenObservation)[0], plain)
-    np.testing.assert_array_equal(made(wrappers.TransformReward, lambda r: 3 * r - 1)[1], 3 * reward - 1)
-    np.testing.assert_array_equal(made(wrappers.ClipReward, -0.5, 0.5)[1], np.clip(reward, -0.5, 0.5))
-    np.testing.assert_array_equal(made(wrappers.RecordEpisodeStatistics)[0], plain)
-    np.testing.assert_array_equal(made(wrappers.RescaleAction, -1.0, 1.0)[0], plain)
-    stacked, _ = made(wrappers.FrameStackObservation, 2)
-    np.testing.assert_array_equal(stacked[1:, 0], plain[:-1])
-    np.testing.assert_array_equal(stacked[:, 1], plain)
-    aware, _ = flown(wrappers.TimeAwareObservation(gym.make(ID, plant=plant, max_episode_steps=300)))
-    np.testing.assert_allclose(aware[:, :-1], plain)
-    normal, _ = made(wrappers.NormalizeObservation)
-    assert normal.shape == plain.shape and np.isfinite(normal).all()
-    assert np.isfinite(made(wrappers.NormalizeReward)[1]).all()
-
-
 @pytest.mark.slow
 def test_record_video_writes_a_film_that_plays(tmp_path):
     pytest.importorskip("moviepy", reason="moviepy is not installed")

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs import save_policy
 from inclined_landing.envs.shared import command_line, runs
 from inclined_landing.eval import cli
-from inclined_landing.eval.machine import benchmark, doctor
+from inclined_landing.eval.machine import doctor
 from inclined_landing.models import plugins
 from inclined_landing.models.effects import LIBRARY
 
@@ -198,13 +198,6 @@ def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
     assert len((out / "flights.csv").read_text().splitlines()) == 1 + sum(flights.values())
 
 
-def test_success_prints_a_table_for_people(landing_policy, capsys):
-    assert cli.main(["success", str(landing_policy), "--plant", "analytic"]) == 0
-    text = capsys.readouterr().out
-    for piece in ("frozen grid", "strict [%]", "[m/s]", "251"):
-        assert piece in text
-
-
 BAD = [
     (["success", "none.zip"], "none.zip does not exist"),
     (["success", "{policy}", "--task", "setpoint"], "trained for the task landing, not for setpoint"),
@@ -296,20 +289,6 @@ def test_doctor_finds_a_missing_package(monkeypatch):
 
 
 # ---- benchmark
-
-
-@pytest.mark.slow
-def test_benchmark_rows(landing_policy, monkeypatch, capsys):
-    monkeypatch.setattr(benchmark, "_REPEATS", 1)
-    monkeypatch.setattr(benchmark, "_BLOCK", 2)
-    monkeypatch.setattr(benchmark, "VEHICLES", 16)
-    monkeypatch.setattr(benchmark, "_ACTIONS", 20)
-    monkeypatch.setattr(benchmark, "_TRAINING_STEPS", 4096)
-    assert cli.main(["benchmark", "--policy", str(landing_policy), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert [row["plant"] for row in report["environments"]] == list(benchmark._PLANTS)
-    assert all(row["steps_per_second"]["median"] > 0 for row in report["environments"])
-    assert report["action_us"]["median"] > 0 and report["training_steps_per_second"] > 0
 
 
 def test_the_effects_are_listed_and_explained(capsys):

@@ -2,9 +2,7 @@
 
 import dataclasses
 import math
-import warnings
 
-import numba
 import numpy as np
 import pytest
 
@@ -149,13 +147,3 @@ def test_wrong_settings_are_refused_and_change_nothing(options, sentence):
     with pytest.raises(UserError, match=sentence):
         plant.set_contact([0, 1], **({"friction": 0.5} | options))
     np.testing.assert_array_equal(plant.save().arrays["contact"], before.arrays["contact"])
-
-
-def test_compiled_code_is_given_no_broadcast_array(monkeypatch):
-    """At its first compilation numba warns of one, which standard error then shows."""
-    given: list = []
-    monkeypatch.setattr(contact, "_solve", lambda *arguments: given.extend(arguments))
-    contact.spring(np.array([0.3]), 0.01, 9.81)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len([numba.typeof(one) for one in given]) == 4

@@ -268,39 +268,6 @@ def test_both_plants_fly_all_effects_at_once_with_perturbations():
     assert position < METRES and angle < DEGREES
 
 
-def test_both_plants_feel_surfaces_alike():
-    """Near slabs of several inclinations and near the floor, 1 s without touching anything.
-
-    Here nothing moves fast: the integrators agree better than in the flights above.
-    """
-    vehicle, n, rng = changed("ground_effect"), 24, np.random.default_rng(0)
-    inclination = np.radians(np.resize([-45, -25.7, -10, 0, 20, 40], n))
-    present = np.arange(n) % 4 != 3
-    along, height = rng.uniform(-0.2, 0.2, n), rng.uniform(0.1, 0.25, n)
-    s, c = np.sin(inclination), np.cos(inclination)
-    starts = np.zeros((n, 13))
-    starts[:, X], starts[:, Z] = c * along + s * height, V.platform_surface_height - s * along + c * height
-    starts[~present, Z] = rng.uniform(0.15, 0.3, (~present).sum())
-    starts[:, YAW], starts[:, LAG] = rng.uniform(-3, 3, n), V.hover_lag
-    commands = np.zeros((50, n, 4))
-    commands[..., PWM] = V.hover_pwm * rng.uniform(0.97, 1.06, n)
-    commands[..., 1:3] = np.repeat(rng.uniform(-0.15, 0.15, (10, n, 2)), 5, axis=0)
-    flights = []
-    for kind, own in (("mujoco", vehicle), ("analytic", vehicle), ("analytic", V)):
-        plant = plant_of(kind, n, own)
-        plant.set_platform(np.arange(n), inclination, present)
-        plant.reset(np.arange(n), starts)
-        flights.append([])
-        for row in commands:
-            plant.step(row)
-            assert not plant.contacts.touch.any()
-            flights[-1].append(plant.state.copy())
-    flights = np.array(flights)
-    position, angle = largest_gaps(*flights[:2])
-    assert position < 1e-6 and angle < 1e-4
-    assert np.linalg.norm((flights[1] - flights[2])[-1, :, :3], axis=-1).min() > 0.002
-
-
 def test_both_plants_see_the_same_edges_of_the_slab():
     """The force on a vehicle at rest anywhere around the slab, with any attitude, partly over its edges."""
     vehicle, rng = changed("ground_effect", strength=20.0, fading=10.0), np.random.default_rng(1)
@@ -363,12 +330,6 @@ def test_the_saved_xml_flies_with_the_effects(integrator):
     assert np.linalg.norm(plant.measurement[0, :3] - plant.state[0, :3]) == pytest.approx(
         speed * late, rel=0.2
     )
-
-
-def test_neutral_delays_cost_nothing():
-    assert build_spec(V, visuals=False).compile().nhistory == 0
-    plant = MujocoPlant(1)
-    assert plant.measurement is plant.state
 
 
 # --- histories ---------------------------------------------------------------------------------------

@@ -115,18 +115,3 @@ def test_a_pushed_torque_is_left_to_rk4():
     push[:, 4] = 1e-5
     *_, flown = both(V, state, commands, push)
     assert not flown.any()
-
-
-def test_columns_besides_are_those_of_the_other_fields():
-    """In a packed vehicle whose fields are numbered, each field's numbers are its own."""
-    fields = [field.name for field in dataclasses.fields(V)]
-    numbered = V.changed(
-        **{
-            name: (k,) * len(value) if isinstance(value := getattr(V, name), tuple) else k
-            for k, name in enumerate(fields)
-        }
-    )
-    row = forces.numbers(forces.pack(numbered))[0]
-    for k, name in enumerate(fields):
-        columns = forces.columns_besides([other for other in fields if other != name])
-        assert len(columns) == np.size(getattr(V, name)) and (row[columns] == k).all(), name

@@ -2,20 +2,17 @@
 
 import math
 
-import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
 from inclined_landing.models import forces, load
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, X, Z
+from inclined_landing.models.attitude import LAG, VX, VZ, X, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
-from inclined_landing.models.scene import build_spec
 
 SHIPPED = load_vehicle()
 MASS, LENGTH = 0.005, 0.4
@@ -24,7 +21,6 @@ AIRLESS = V.changed(drag_coefficients=(0.0, 0.0, 0.0))
 G, M = V.environment_gravity, V.body_mass
 SHARE = MASS / (M + MASS)
 SWING = math.sqrt(G / LENGTH * (1.0 + MASS / M))  # rad/s, of a small swing under a hovering vehicle
-STEP = 0.004  # s, of engine and equations
 PLANTS = [
     pytest.param("analytic", {"attitude": "rate_loop", "substeps": 5}, id="analytic"),
     pytest.param("analytic", {"substeps": 5}, id="analytic kinematic"),
@@ -227,21 +223,3 @@ def test_the_engine_has_a_body_only_for_a_load():
     model = MujocoPlant(1, V).model
     assert model.nq == 11 and model.body("load").mass[0] == MASS
     np.testing.assert_array_equal(model.body("load").ipos, [0.0, 0.0, -LENGTH])
-
-
-def test_pictures_show_string_and_load():
-    """Hanging straight down from a tilted vehicle; the string's lower end is in the load."""
-    model = build_spec(V).compile()
-    string, ball = model.geom("string"), model.geom("load")
-    assert string.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE and ball.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE
-    assert string.pos[2] - string.size[1] == pytest.approx(ball.pos[2] + ball.size[0])
-    assert not (string.contype[0] or string.conaffinity[0] or ball.contype[0] or ball.conaffinity[0])
-    state = np.zeros(13)
-    state[Z], state[ROLL], state[PITCH] = 1.9, 0.4, -0.3
-    frames = []
-    for vehicle in (V, SHIPPED):
-        with make_renderer(320, 240, "track", "ray", vehicle=vehicle) as renderer:
-            frames.append(renderer.render(state).astype(int))
-    rows, columns = np.nonzero(np.abs(frames[0] - frames[1]).sum(axis=2) > 30)
-    line = (rows > 130) & (rows < 185)  # below the vehicle, above the load and its shadow
-    assert len(np.unique(rows[line])) == 54 and np.ptp(columns[line]) <= 2

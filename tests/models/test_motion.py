@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, X, Z, rotation
+from inclined_landing.models.attitude import PITCH, ROLL, VX, VZ, YAW, Z, rotation
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.motion import MODES, Motion, acceleration, rate
 from inclined_landing.models.surface import relative
@@ -89,11 +89,3 @@ def test_what_is_no_motion_is_refused(change):
     parts = dict(zip(("velocity", "amplitude", "frequency", "phase"), Motion.still(2).arrays))
     with pytest.raises(UserError, match=r"motion|platform"):
         Motion(**(parts | change))
-
-
-def test_columns():
-    motion = Motion.still(1)
-    motion.amplitude[0, MODES.index("pitch")], motion.phase[:] = 0.1, np.pi / 2
-    motion.amplitude[0, MODES.index("surge")] = 0.2
-    platform = motion.platforms(0.0, rests(1))[0]
-    assert platform[X] == 0.2 and platform[PITCH] == pytest.approx(0.4)

@@ -15,11 +15,10 @@ import pytest
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS, SURFACES
+from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import AnalyticPlant, MujocoPlant, make_plant
-from inclined_landing.models.plants.contacts import contact_sensors
 
 V = load_vehicle()
 # None of the delays is a number of control periods.
@@ -147,19 +146,6 @@ def test_a_finer_control_period_flies_the_same_held_commands(kind):
             fine.step(row)
         coarse.step(row)
         np.testing.assert_array_equal(fine.state, coarse.state)
-
-
-def test_the_lag_is_part_of_the_state(build):
-    """Vehicles that differ in the lag alone fly apart."""
-    plant = build(2)
-    states = hover((0, 0, 2), (0, 0, 2))
-    states[1, LAG] *= 0.8
-    plant.reset(np.arange(2), states)
-    plant.step(np.tile([V.hover_pwm, 0, 0, 0], (2, 1)))
-    # A fifth of the weight is missing at first: g/5 for 0.02 s, most of it still at the end.
-    # A load is accelerated too.
-    missing = 0.2 * 9.81 * 0.85 * V.hover_pwm / plant.vehicle.hover_pwm
-    assert plant.state[0, VZ] - plant.state[1, VZ] == pytest.approx(0.02 * missing, rel=0.1)
 
 
 def test_restore_replays_bit_for_bit(build):
@@ -458,19 +444,6 @@ def test_divergence_is_an_error_that_names_the_vehicle():
         plant.step(np.zeros((3, 4)))
     plant.restore(snapshot)
     plant.step(np.zeros((3, 4)))
-
-
-def test_contact_sensors_measure_what_their_names_say():
-    """Found by name; each is between the geom and the part's body of its name, and there are no others."""
-    addresses = contact_sensors(MODEL)
-    contacts = MODEL.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-    assert sorted(addresses.ravel()) == sorted(MODEL.sensor_adr[contacts])
-    for k in np.flatnonzero(contacts):
-        (geom,), (part,) = np.nonzero(addresses == MODEL.sensor_adr[k])
-        assert MODEL.sensor_dim[k] == 4
-        assert MODEL.sensor_objid[k] == MODEL.geom(geometry.CONTACT_GEOMS[geom]).id
-        assert MODEL.sensor_refid[k] == MODEL.body(PART_BODIES[part]).id
-    assert [SURFACES[k] for k in geometry.GEOM_SURFACE] == ["slab", "base", "base", "base", "floor"]
 
 
 @pytest.mark.parametrize("kind", ["mujoco", "hybrid", "analytic"])

@@ -29,35 +29,6 @@ def test_no_command_needs_the_opengl_that_mujoco_gl_names(value, tmp_path):
     assert done.returncode == 0 and "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
-def test_python_runs_the_kernels_as_numba_does(tmp_path):
-    code = (
-        "import numpy, gymnasium, inclined_landing\n"
-        "for plant in ('analytic', 'hybrid', 'mujoco'):\n"
-        "    env = gymnasium.make('InclinedLanding-v0', plant=plant)\n"
-        "    env.reset(seed=1)\n"
-        "    for _ in range(3): seen, *_ = env.step(numpy.array([0.1, 0.2]))\n"
-        "    print(*map(float, seen))\n"
-    )
-    plain, compiled = (run(["-c", code], HOME=str(tmp_path), NUMBA_DISABLE_JIT=k) for k in "10")
-    assert plain.returncode == compiled.returncode == 0, plain.stderr + compiled.stderr
-    numbers = [[float(x) for x in one.stdout.split()] for one in (plain, compiled)]
-    assert numbers[0] == pytest.approx(numbers[1], abs=1e-6)  # float32 of the observation
-
-
-@pytest.mark.slow
-def test_figures_are_ours_whatever_a_matplotlibrc_says(tmp_path):
-    (tmp_path / "matplotlibrc").write_text("backend: TkAgg\ntext.usetex: True\nsavefig.dpi: 11\n")
-    done = run(
-        ["-m", "inclined_landing.eval", "figure", "landing-nominal", "--out", "f"],
-        cwd=tmp_path,
-        HOME=str(tmp_path),
-    )
-    assert done.returncode == 0, done.stderr
-    assert all(path.stat().st_size > 10_000 for path in (tmp_path / "f").glob("*.png"))  # not of 11 dpi
-    assert list((tmp_path / "f").glob("*.png"))
-
-
 @pytest.fixture
 def read_only():
     """The words before a command that sees the installation read-only."""

@@ -23,7 +23,6 @@ from inclined_landing.train import cli
 from inclined_landing.train.sweep import command, jobs
 from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped
 from inclined_landing.train.sweep.result import sum_up, take
-from tests.training import assert_same_policy
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
 PRETENDED = """
@@ -181,17 +180,6 @@ def test_what_is_added_or_changed_is_done_and_what_follows_it(place):
     assert sweep() == 0
 
 
-@pytest.mark.parametrize("out", ["--out={out}", "--out {out}"])
-def test_either_way_of_writing_an_option_is_understood(out, place):
-    recipe = RECIPE | {"commands": [RECIPE["commands"][0].replace("--out {out}", out)], "together": []}
-    write(recipe | {"numbers": {"steps": RECIPE["numbers"]["steps"]}, "answer": "After {a.steps}."})
-    Path("interrupted").touch()
-    assert sweep("--jobs", "1") == 1 and len(calls()) == 4
-    assert sweep("--jobs", "1") == 0
-    (resumed,) = calls()
-    assert "--resume" in resumed
-
-
 def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
     wrong = copy.deepcopy(RECIPE)
     wrong["numbers"]["share"]["path"] = "shares"
@@ -289,28 +277,6 @@ def test_only_what_the_sweep_wrote_makes_room(tmp_path):
         assert out.exists() is not gone, place
 
 
-def test_the_programs_import_nothing_from_where_they_are_run(tmp_path, monkeypatch):
-    (tmp_path / "modules").mkdir()
-    (tmp_path / "modules" / "quiet.py").write_text("import json, numpy\n")
-    for name in ("json.py", "numpy.py", "runpy.py", "inclined_landing.py"):
-        (tmp_path / name).write_text("raise SystemExit('foreign')\n")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
-    monkeypatch.setitem(jobs.PROGRAMS, "landing-eval", "quiet")
-    with jobs.leashed() as leash:
-        assert jobs._run(["landing-eval"], str(tmp_path), subprocess.DEVNULL, 1, leash)[0] == 0
-
-
-def test_what_a_command_takes_is_measured_with_its_own_children(tmp_path, monkeypatch):
-    work = "import time\nwhile time.process_time() < 0.3: pass"
-    code = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', '''{work}'''])"
-    (tmp_path / "busy.py").write_text(code)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setitem(jobs.PROGRAMS, "landing-eval", "busy")
-    with jobs.leashed() as leash:
-        code, seconds = jobs._run(["landing-eval"], str(tmp_path), subprocess.DEVNULL, 1, leash)
-    assert code == 0 and 0.3 <= seconds < 10
-
-
 @pytest.mark.parametrize(
     "number",
     [*(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
@@ -336,45 +302,6 @@ def test_commands_end_with_the_sweep(number, begun):
     assert process.wait(20) == (128 + number if number != signal.SIGKILL else -number)
     assert psutil.wait_procs(begun, timeout=10)[1] == []
     assert not Path("runs/pretended/steps/a-6.log").exists()
-
-
-@pytest.mark.slow
-def test_a_real_sweep_interrupted_and_resumed_ends_as_one_left_alone(tmp_path):
-    small = "--environments 8 --rollout 64 --batch-size 256 --checkpoint-every 2"
-    strict = {
-        "title": "strict",
-        "file": "s/success.json",
-        "row": {"starts": "frozen grid"},
-    }
-    data = {
-        "title": "Tiny",
-        "question": "Does it run?",
-        "seeds": [1, 2],
-        "commands": [
-            f"landing-train landing --steps 16384 {small} --seed {{seed}} --out {{out}} --no-report",
-            "landing-eval success {out}/final.zip --plant analytic --out {out}/s",
-        ],
-        "numbers": {"strict": strict},
-    }
-    (tmp_path / "tiny.toml").write_text(tomlkit.dumps(data))
-
-    def begin(out):
-        words = ["-m", "inclined_landing.train", "sweep", "tiny.toml", "--out", out, "--jobs", "2"]
-        return subprocess.Popen([sys.executable, *words], cwd=tmp_path)
-
-    assert begin("alone").wait() == 0
-    first = begin("again")
-    until = time.monotonic() + 120
-    while not (tmp_path / "again" / "seed-1" / "checkpoint.pt").exists():
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    first.send_signal(signal.SIGINT)
-    assert first.wait(60) == 130
-    assert begin("again").wait() == 0
-    results = [json.loads((tmp_path / out / "result.json").read_text()) for out in ("alone", "again")]
-    assert results[0]["measured"] == results[1]["measured"]
-    for run in ("seed-1", "seed-2"):
-        assert_same_policy(*(tmp_path / out / run / "final.zip" for out in ("alone", "again")))
 
 
 # ---- numbers over seeds

@@ -2,8 +2,6 @@
 
 import dataclasses
 import re
-import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -50,13 +48,6 @@ def test_the_first_line_is_that_of_the_table(pages):
         assert usage.startswith(f"usage: landing-eval {name} ") and " ".join(text.split()) == line
 
 
-def test_each_command_is_in_one_group(capsys):
-    assert cli.main(["--help"]) == 0
-    shown = re.findall(r"^  ([a-z-]+) ", capsys.readouterr().out, re.MULTILINE)
-    assert shown == [name for names in cli.GROUPS.values() for name in names]
-    assert sorted(shown) == sorted(cli.COMMANDS)
-
-
 def test_help_of_a_training_is_one_screen(monkeypatch, capsys):
     """What people change on 50 lines of 100 columns; every option is in --help-all."""
     monkeypatch.setenv("COLUMNS", "100")
@@ -79,35 +70,6 @@ def test_versions_of_both_programs(capsys):
 
 
 # ---- completion
-
-
-@pytest.fixture(scope="module")
-def scripts(tmp_path_factory) -> dict[str, Path]:
-    """The scripts of both programs in one file, by shell."""
-    folder = tmp_path_factory.mktemp("completion")
-    commands = {name: cli.find(name) for name in cli.COMMANDS}
-    for shell in command_line.SHELLS:
-        text = command_line.completion(shell, "landing-eval", commands)
-        (folder / shell).write_text(text + command_line.completion(shell, "landing-train", {"": TrainConfig}))
-    return {shell: folder / shell for shell in command_line.SHELLS}
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("landing-eval suc", {"success"}),
-        ("landing-eval success --pl", {"--plant"}),
-        ("landing-train --upd", {"--update"}),
-    ],
-)
-def test_bash_completes(scripts, line, expected):
-    words = line.split(" ")
-    code = (
-        f"source {scripts['bash']}; compopt() {{ :; }}; COMP_WORDS=({line}); COMP_CWORD={len(words) - 1};"
-        f' $(complete -p {words[0]} | grep -o "_tyro[a-z_]*"); printf "%s\\n" "${{COMPREPLY[@]}}"'
-    )
-    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, cwd="/", check=True)
-    assert done.stderr == "" and set(done.stdout.split()) == expected
 
 
 def test_what_is_asked_for_is_printed_and_another_shell_refused(capsys):

@@ -210,38 +210,6 @@ def test_the_c_code_does_nothing_undefined(exported, tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "answers as the policy did\n", "")
 
 
-CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -Os -Wall -Wextra -Werror".split()
-
-
-@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no compiler for the Cortex-M4")
-@pytest.mark.parametrize("name", ["landing-nominal", "landing", "touchdown-nominal"])
-def test_on_a_cortex_m4_it_is_small_and_an_emulated_one_answers_as_the_policy(exported, tmp_path, name):
-    source, here = exported[name, "c"] / "src", Path(__file__).with_name("c_code")
-    words = ["arm-none-eabi-gcc", *CORTEX_M4, f"-I{source}", str(source / "landing_policy.c")]
-    subprocess.run([*words, "-std=c99", "-pedantic", "-c", "-o", tmp_path / "policy.o"], check=True)
-    said = subprocess.run(["arm-none-eabi-size", tmp_path / "policy.o"], capture_output=True, text=True)
-    text, data, bss, *_ = map(int, said.stdout.splitlines()[1].split()[:3])
-    assert text < c_source.SMALL and (data, bss) == (0, 0)
-    if shutil.which("qemu-system-arm") is None:
-        pytest.skip("no emulator of a Cortex-M4")
-    policy = contract.load(name)
-    inputs = vectors.record(policy).inputs[:20]
-    rows = ", ".join("{" + ", ".join(map(c_source.number, row)) + "}" for row in inputs)
-    (tmp_path / "inputs.h").write_text(f"static const float INPUTS[][LANDING_POLICY_INPUTS] = {{{rows}}};\n")
-    bare = ("--specs=rdimon.specs", "-nostartfiles", "-T", here / "cortex_m4.txt", "-Wl,--no-warnings")
-    subprocess.run(
-        [*words, here / "cortex_m4.c", f"-I{tmp_path}", *bare, "-o", tmp_path / "image"], check=True
-    )
-    machine = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting-config", "enable=on"]
-    machine += ["-kernel", tmp_path / "image"]
-    done = subprocess.run(machine, capture_output=True, text=True, timeout=60)
-    told = [line.split() for line in done.stdout.splitlines()]
-    assert told[0] == ["self", "test", "0"], done.stderr
-    bits = np.array([int(words[1], 16) for words in told if words[0] == "action"], np.uint32)
-    actions = bits.view(np.float32).reshape(len(inputs), -1)
-    np.testing.assert_allclose(actions, policy.predict(inputs), rtol=0.0, atol=TOLERANCE)
-
-
 @NO_COMPILER
 def test_a_changed_weight_fails_the_self_tests(exported, tmp_path):
     folder = shutil.copytree(exported["landing", "c"], tmp_path / "c")

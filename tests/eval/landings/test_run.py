@@ -14,7 +14,6 @@ from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings import command, design, landing, report, run
 from inclined_landing.eval.landings.study import read_study
-from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from tests.pages import EVIL, check_page
 
@@ -199,15 +198,6 @@ def test_a_machine_with_other_packages_is_refused():
     assert pool._called(versions, max, 1, 2) == 2
     with pytest.raises(UserError, match=rf"has mujoco {versions['mujoco']}, but this machine has 1\.0; "):
         pool._called(versions | {"mujoco": "1.0"}, max, 1, 2)
-
-
-def test_a_full_disk_at_the_start_leaves_nothing(study, tmp_path, capsys, monkeypatch):
-    def full(path, data):
-        raise UserError(f"cannot write {path}: no space left on device")
-
-    monkeypatch.setattr(storage, "write_bytes", full)
-    assert cli.main(["landings", str(study), "--out", str(tmp_path / "out")]) == 2
-    refused(capsys, tmp_path, "no space left on device", ["small.toml"])
 
 
 def test_a_full_disk_on_the_way_keeps_what_is_finished(study, tmp_path, reference, no_report, monkeypatch):

@@ -1,8 +1,6 @@
 """Figures show the numbers they are given; picture commands write whole files or one sentence."""
 
 import json
-import re
-import zlib
 
 import imageio_ffmpeg
 import numpy as np
@@ -10,20 +8,17 @@ import pandas as pd
 import pytest
 import torch
 from matplotlib.colors import to_hex
-from PIL import Image
 from stable_baselines3 import PPO
 
-from inclined_landing.envs import policy, save_policy
-from inclined_landing.envs.flights import Flight, record_flights
+from inclined_landing.envs import save_policy
+from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
-from inclined_landing.eval.base.style import STAMP_DPI, save_figure
+from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
-from inclined_landing.eval.pictures.figures.scene import platform_outline
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
-from inclined_landing.eval.pictures.frames import flight_view
 from inclined_landing.eval.pictures.learning import final_scores, learning_curves
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
@@ -46,13 +41,6 @@ def landing_flight(**changes):
         "reward": np.zeros(61), "inclination": SLOPE, "success": True, "touched": False,
     }  # fmt: skip
     return Flight(**fields | changes)
-
-
-def setpoint_flight():
-    flight = landing_flight(task=make_task("setpoint"), inclination=None)
-    flight.state[:, 1], flight.state[:, 6] = 0.8 * np.cos(flight.t), 0.2 * np.sin(flight.t)
-    flight.commands[:, 1] = 0.1
-    return flight
 
 
 def by_gid(artists, prefix):
@@ -106,16 +94,6 @@ def test_copies_stand_where_the_vehicle_was(drawn):
     np.testing.assert_allclose(middle(target), flight.task.goal[:2], atol=1e-12)
 
 
-def test_platform_has_the_scene_s_shape():
-    vehicle = load_vehicle()
-    slab, base = platform_outline(SLOPE, vehicle)
-    np.testing.assert_allclose(slab[:2].mean(axis=0), [0.0, vehicle.platform_surface_height])
-    run, rise = slab[1] - slab[0]
-    assert run == pytest.approx(vehicle.platform_width)
-    assert rise / run == pytest.approx(np.tan(-SLOPE))
-    np.testing.assert_allclose(base[2:, 1], 0.0)
-
-
 def test_figure_tells_how_the_flight_ended(drawn):
     def texts(figure):
         return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
@@ -124,19 +102,6 @@ def test_figure_tells_how_the_flight_ended(drawn):
     assert "goal box after 1.20 s" in texts(drawn)
     touched = trajectory_figure(landing_flight(success=False, touched=True), copies=2)
     assert "goal box not reached, platform touched before" in texts(touched)
-
-
-def test_setpoint_flight_is_seen_from_two_sides():
-    flight = setpoint_flight()
-    side, front, attitude, _ = trajectory_figure(flight, copies=3).axes
-    for axes, plane in ((side, [0, 2]), (front, [1, 2])):
-        for image in by_gid(axes.images, "copy"):
-            k = int(image.get_gid().split()[1])
-            np.testing.assert_allclose(middle(image), flight.state[k, plane], atol=1e-12)
-        assert not by_gid(axes.patches, "slab")
-    assert np.ptp(side.get_xlim()) == pytest.approx(np.ptp(front.get_xlim()))
-    roll = next(line for line in attitude.lines if line.get_label() == "roll")
-    np.testing.assert_allclose(roll.get_ydata(), np.degrees(flight.state[:, 6]))
 
 
 def test_stamp_tilts_as_the_vehicle_does():
@@ -150,35 +115,6 @@ def test_stamp_tilts_as_the_vehicle_does():
         assert height[0] - height[1] > 5
         assert 0.02 < level.mean() < 0.5
         assert not cover[[0, -1]].any() and not cover[:, [0, -1]].any()  # the whole vehicle is in it
-
-
-def test_png_and_pdf(drawn, tmp_path):
-    figure = drawn
-    png = save_figure(figure, tmp_path / "new" / "way.png")
-    with Image.open(png) as image:
-        assert image.format == "PNG"
-        assert image.size == tuple(int(200 * inches) for inches in figure.get_size_inches())
-    pdf = save_figure(figure, tmp_path / "way.pdf").read_bytes()
-    assert pdf == save_figure(figure, tmp_path / "again.pdf").read_bytes()
-    assert pdf.startswith(b"%PDF") and len(pdf) < 1_500_000
-    # pictures are the vehicles alone, none of them covers a third of the page's width
-    pictures_in = re.findall(rb"/Subtype /Image.*?>>", pdf, re.S)
-    widths = [int(re.search(rb"/Width (\d+)", p).group(1)) for p in pictures_in if b"/SMask" in p]
-    assert len(widths) == len(by_gid(figure.axes[0].images, ""))
-    assert max(widths) < STAMP_DPI * figure.get_figwidth() / 3
-    # text is text, curves are paths
-    streams = [_inflate(s) for s in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.S)]
-    page = max((s for s in streams if b"BT\n" in s), key=len)
-    letters = b"".join(re.findall(rb"\((.*?)\)", page)).replace(b"\0", b"")
-    assert all(word in letters for word in (b"time [s", b"hover", b"pitch command", b"target pose"))
-    assert page.count(b" l\n") > 150
-
-
-def _inflate(data):
-    try:
-        return zlib.decompress(data)
-    except zlib.error:
-        return b""
 
 
 def test_figures_refuse_what_they_cannot_draw(tmp_path):
@@ -232,13 +168,6 @@ def test_one_run_is_one_line(tmp_path):
     np.testing.assert_allclose(shaded.get_width(), last / 1e6)
 
 
-def test_two_evaluations_are_no_curve(tmp_path):
-    run = write_run(tmp_path / "a")
-    pd.read_csv(run / "evaluations.csv").head(2).to_csv(run / "evaluations.csv", index=False)
-    labels = [a.get_ylabel() for a in learning_curves([run]).axes]
-    assert labels == ["curriculum level", "episode length [steps]", "episode reward"]
-
-
 def test_nominal_and_varied_vehicles_are_two_curves(tmp_path):
     run = write_run(tmp_path / "a")
     table = pd.read_csv(run / "evaluations.csv")
@@ -260,13 +189,6 @@ def test_seeds_have_median_and_range(tmp_path):
     (median,) = by_gid(level.lines, "median")
     np.testing.assert_allclose(median.get_ydata(), pd.read_csv(runs[1] / "learning.csv")["level"])
     assert len(by_gid(level.collections, "band")) == 1
-
-
-def test_level_is_shown_where_it_moves(tmp_path):
-    run = write_run(tmp_path / "a", rate=0.0)
-    axes = learning_curves([run]).axes
-    assert len(axes) == 2 and "curriculum level" not in [a.get_ylabel() for a in axes]
-    assert not by_gid(axes[1].patches, "curriculum")
 
 
 def test_what_is_no_run_is_a_sentence(tmp_path):
@@ -409,13 +331,3 @@ def test_commands_name_what_is_wrong(hover_policy, tmp_path, monkeypatch, capsys
     err = capsys.readouterr().err.strip().splitlines()[-1]
     assert err.startswith("landing-eval: ") and sentence in err
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
-
-
-def test_the_flight_camera_sees_the_whole_flight_from_nearer_than_the_arena_camera():
-    """Every position of the flight and the platform's corners lie in the picture."""
-    flown = policy.load_policy("landing-nominal")
-    flight = record_flights(flown, "analytic", flown.task.states_at([(3.0, 2.1)]))[0]
-    view = flight_view([flight], 320, 180)
-    pixels, depth = view.project(flight.state[:, :3])
-    assert (depth > 0).all() and (pixels > 0).all() and (pixels < [320, 180]).all()
-    assert np.ptp(pixels[:, 0]) > 0.4 * 320  # it fills the picture, and the platform is beside it

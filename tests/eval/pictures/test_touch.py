@@ -11,7 +11,6 @@ from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.touchdown import LEAD, STEP, record_touchdown
-from inclined_landing.eval.pictures.touchdown_video import caption, render_touchdowns
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH
 from inclined_landing.models.base.errors import UserError
@@ -68,22 +67,6 @@ def test_a_flight_that_touches_nothing_is_a_sentence(flight):
         record_touchdown(hover)
     with pytest.raises(UserError, match="needs a task with a platform"):
         record_touchdown(dataclasses.replace(flight, inclination=None))
-
-
-def test_arrows_and_gauge_are_drawn(touchdown):
-    frames = list(render_touchdowns([touchdown], every=4, width=240, height=136, backend="ray"))
-    assert len(frames) == -(-len(touchdown.t) // 4)
-    assert [last for _, last in frames] == [False] * (len(frames) - 1) + [True]
-
-    def red(frame):
-        part = frame[50:120].astype(int)  # below the gauge, above the caption
-        return int(((part[..., 0] > 180) & (part[..., 1:].max(axis=-1) < 90)).sum())
-
-    forces = [len(touchdown.forces[k]) for k in range(0, len(touchdown.t), 4)]
-    free = max(red(frame) for (frame, _), k in zip(frames, forces) if k == 0)  # one of its lights is red
-    assert free < 3 and red(frames[-1][0]) > 8
-    k = int(touchdown.net_forces[:, 0].argmax())
-    assert caption(touchdown, k).startswith(f"t {touchdown.t[k]:5.3f} s   normal force")
 
 
 def test_the_command_films_every_engine_step(tmp_path, monkeypatch):

@@ -9,13 +9,11 @@ import pytest
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.rendering import Ghost
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures.film import film_side_by_side
 from inclined_landing.eval.pictures.flights import fly_from
-from inclined_landing.eval.pictures.frames import ghosts_at, labels_of, render_flight, strobe, write_videos
-from inclined_landing.eval.pictures.labels import draw_labels, speed_label
+from inclined_landing.eval.pictures.frames import render_flight, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study.rest import cut_motors
 from inclined_landing.models.base.errors import UserError
@@ -40,17 +38,6 @@ def test_frames_follow_the_clock():
     assert all(frame.shape == (120, 160, 3) and frame.dtype == np.uint8 for frame in frames)
     assert len(list(render_flight(flight(), fps=25, **options))) == 11
     assert (frames[0] != frames[-1]).any()
-
-
-def test_the_copy_at_the_goal_fades_as_the_vehicle_gets_there():
-    """Full far away, gone near it, and not back when the vehicle leaves."""
-    track = flight()
-    goal = track.goals[0][:3]
-    track.state[:, :3] = goal
-    track.state[:, 0] += np.abs(np.linspace(-1.2, 1.2, len(track.t)))
-    alpha = [sum(ghost.alpha for ghost in ghosts) for ghosts in ghosts_at(track)]
-    assert alpha[0] == Ghost.alpha and (np.diff(alpha) <= 0).all()
-    assert 0 < alpha[len(alpha) // 4] < Ghost.alpha and alpha[-1] == alpha[len(alpha) // 2] == 0
 
 
 def test_flights_beside_each_other_wait_for_the_longest():
@@ -110,13 +97,6 @@ def test_ffmpeg_that_fails_is_one_sentence(code, said, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["ffmpeg"]
 
 
-def test_strobe_draws_copies_along_the_way():
-    picture = strobe(flight(), width=320, height=180, backend="ray")
-    single = strobe(flight(), width=320, height=180, backend="ray", copies=1)
-    assert picture.shape == (180, 320, 3)
-    assert (picture != single).any(axis=2).sum() > 50
-
-
 @pytest.fixture(scope="module")
 def landed():
     """The shipped policy's first film start, and the flight with what followed the motor cut."""
@@ -156,35 +136,6 @@ def test_what_slides_off_is_said(landed):
     whole = to_rest(dataclasses.replace(flight, task=slippery))
     assert not whole.at_rest and whole.ending in ("fell to the floor", "still sliding", "still moving")
     assert whole.t[-1] <= flight.duration + 2.0 + 1e-9
-
-
-def test_labels_say_speed_and_state(landed):
-    flight, whole = landed
-    assert [labels_of(whole, k) for k in (0, whole.cut - 1)] == [[], []]
-    assert labels_of(whole, whole.cut)[0][0] == "motors cut"
-    assert (
-        labels_of(whole, whole.settled)[0][0]
-        == labels_of(whole, len(whole.t) - 1)[0][0]
-        == "at rest on its feet"
-    )
-    assert labels_of(flight, len(flight.t) - 1)[0][0].startswith("goal box after")
-    assert [speed_label(slow) for slow in (1.0, 16.0, 1.5, 0.5)] == [
-        [],
-        [("16x slower", None)],
-        [("1.5x slower", None)],
-        [("2x faster", None)],
-    ]
-    frame = np.zeros((90, 160, 3), np.uint8)
-    draw_labels(frame, [("words that are far too long for so small a picture", "#d55e00")])
-    row, column = np.nonzero(frame.any(axis=2))
-    assert row.max() < 45 and column.min() >= 2 and column.max() < 158
-
-
-def test_a_slowed_video_says_so():
-    options = dict(width=160, height=120, backend="ray")
-    plain, slowed = (next(render_flight(flight(), slow=slow, **options)) for slow in (1.0, 4.0))
-    changed = np.nonzero((plain != slowed).any(axis=2))
-    assert changed[0].size > 100 and changed[0].max() < 40 and changed[1].min() > 60  # upper right corner
 
 
 @pytest.mark.parametrize("words, sentence", [
