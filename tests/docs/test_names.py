@@ -50,7 +50,8 @@ FOREIGN = {  # names of other programs, and names that are put together from par
         "_rebuild_tensor_v2",
         "InclinedTouchdown-v0",
     ),
-    "mocap_attitude",
+    *("mocap_attitude", "arm-none-eabi-size", "NormalizeObservation", "FrameStackObservation"),
+    "TimeAwareObservation",
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
 }
 
