@@ -13,6 +13,7 @@ from inclined_landing.envs.rendering import make_renderer
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.envs.tasks import InclinedLanding, Task
 from inclined_landing.envs.tasks.landing import LandingConditions
+from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import figure, film
 from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
@@ -67,10 +68,11 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     files = [save_figure(learning_curves([folder]), folder / "learning_curves.png")]
     if stages and isinstance(task, InclinedLanding):
         files.append(save_figure(curriculum_figure(stages, task=task), folder / "curriculum.png"))
-    flights = fly_from(policy, list(task.figure_starts.values()), "mujoco", task.judged_steps)
-    for name, flight in zip(task.figure_starts, flights):
+    points = usual_starts(task)
+    flights = fly_from(policy, points[: figure.FIGURES], "mujoco", task.judged_steps)
+    for name, flight in figure.names(flights).items():
         files += figure.draw(flight, folder, name)
-    filmed = to_rest(fly_from(policy, task.film_starts[:1], "mujoco")[0])
+    filmed = to_rest(fly_from(policy, points[:1], "mujoco")[0])
     view = flight_view([filmed], **_LOOK)
     with make_renderer(**_LOOK, camera=view, vehicle=task.vehicle) as renderer:
         frames, _, rate = film.film([filmed], _FILM_FPS, 1.0, renderer=renderer)

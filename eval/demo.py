@@ -52,13 +52,14 @@ def command(
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.statistics import proportion
     from inclined_landing.envs.shared.tables import count_words, say
-    from inclined_landing.envs.tasks.landing import PAPER_STARTS
+    from inclined_landing.envs.tasks import hover_states
+    from inclined_landing.envs.tasks.frozen import PAPER_STARTS
 
     began = time.monotonic()
     policy = load_policy(POLICY)
     task = policy.task
     drawn = task.sample(np.random.default_rng(seed), starts).state
-    states = np.concatenate([task.states_at(PAPER_STARTS), drawn])
+    states = np.concatenate([hover_states(PAPER_STARTS, task.vehicle), drawn])
     print(f"flying the policy '{POLICY}' from {len(states)} starts ...", file=sys.stderr)
     flights = record_flights(policy, "mujoco", states, steps=task.judged_steps)
     paper = len(PAPER_STARTS)

@@ -13,6 +13,7 @@ import numpy as np
 
 from inclined_landing.envs import load_policy, make_task, record_flights
 from inclined_landing.envs.tasks import frozen as starts
+from inclined_landing.envs.tasks import hover_states
 
 ABOVE = np.array([-0.1, 0.45])  # m from the goal to the waypoint in x, z
 CRUISE, APPROACH = (0.9, 0.45), 1.0  # s, and s per m, to the waypoint; s from there to the goal
@@ -71,7 +72,7 @@ def main() -> None:
     policy = load_policy(sys.argv[1] if len(sys.argv) > 1 else "landing-nominal")
     task = make_task("landing")
     for name, pilot in {"feedback law": Law(task), f"policy {policy.name}": policy}.items():
-        flights = record_flights(pilot, "hybrid", starts.at_rest(pilot.task, starts.grid()))
+        flights = record_flights(pilot, "hybrid", hover_states(starts.grid(), pilot.task.vehicle))
         strict = [flight.strict for flight in flights]
         seconds = np.median([flight.duration for flight in flights if flight.strict] or [np.nan])
         print(

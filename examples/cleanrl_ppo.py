@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from inclined_landing.envs.tasks import frozen as starts
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.train import AdaptiveCurriculum, scaled_observation
 
 seed, steps = (int(word) for word in (sys.argv[1:3] + ["0", "300_000"][len(sys.argv[1:3]) :]))
@@ -94,7 +95,7 @@ for done in range(N * T, steps + 1, N * T):
 judge = gymnasium.make_vec(
     "InclinedLanding-v0", num_envs=len(starts.grid())
 )  # the plain plant, no training aids
-observation, _ = judge.reset(options={"state": starts.at_rest(judge.task, starts.grid())})
+observation, _ = judge.reset(options={"state": hover_states(starts.grid(), judge.task.vehicle)})
 flying, strict = np.ones(judge.num_envs, bool), 0
 for _ in range(judge.task.max_steps):
     with torch.no_grad():

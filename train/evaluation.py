@@ -57,9 +57,7 @@ class PeriodicEvaluation:
         if self.plant.pool:
             kinds = {"nominal": flights[::3], "varied": [f for k, f in enumerate(flights) if k % 3]}
             for kind, some in kinds.items():
-                found = self.task.score(some)
-                columns = ("score", self.task.score_curve.column)
-                score |= {f"{name}_{kind}": found[name] for name in columns}
+                score |= {f"{name}_{kind}": value for name, value in self.task.score(some).items()}
         return score
 
     def words(self, score: dict) -> str:
@@ -82,7 +80,6 @@ class PeriodicEvaluation:
             flights = record_flights(idle, plant, starts, steps=min(20, task.judged_steps or 20))
             task.score_words(task.score(flights))
             task.flight_words(flights[0])
-            task.start_words(task.states_at(task.film_starts[:1])[0])
         except (UserError, MemoryError, FloatingPointError):
             raise
         except Exception as error:

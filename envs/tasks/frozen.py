@@ -36,8 +36,8 @@ def make_grid(task: Task) -> np.ndarray:
 
 def clear(task: Task, starts: np.ndarray) -> np.ndarray:
     """Return those of `starts` (k, 2) with at least 5 cm clearance to the platform."""
-    states = at_rest(task, starts)
-    return starts[task.start_clearance(task.start(states)) >= START_CLEARANCE]
+    start = task.start(hover_states(starts, task.vehicle))
+    return starts[task.start_clearance(start) >= START_CLEARANCE]
 
 
 def paper() -> np.ndarray:
@@ -50,10 +50,3 @@ def scattered(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     starts = np.repeat(paper(), _SCATTERED, axis=0)
     return starts + rng.uniform(-_OFFSET, _OFFSET, starts.shape)
-
-
-def at_rest(task: Task, starts: np.ndarray) -> np.ndarray:
-    """Return states (k, 13) of a vehicle hovering at `starts` (k, 2): x, z [m]."""
-    positions = np.zeros((len(starts), 3))
-    positions[:, [0, 2]] = starts
-    return hover_states(positions, task.vehicle)

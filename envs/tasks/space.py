@@ -13,7 +13,6 @@ three directions, and its bounds in y count too.
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,6 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import YAW
 from inclined_landing.models.vehicle import Vehicle
 
-FILM_STARTS = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))  # m
-
 
 class SpaceLanding(SlopeLanding):
     """The landing in space, on slopes that face any way."""
@@ -35,9 +32,6 @@ class SpaceLanding(SlopeLanding):
     action_names = ("thrust", "roll", "pitch")
     is_planar = False
     drawn_vehicles = (3,)
-    start_axes = ("x", "y", "z")
-    film_starts = FILM_STARTS
-    figure_starts = MappingProxyType({"trajectory": FILM_STARTS[0]})
     columns = np.arange(len(SEEN))
     least = 0.0
 

@@ -75,7 +75,8 @@ class FlightOptions:
         """
         from inclined_landing.envs.policy import load_policy, trained_task
         from inclined_landing.envs.tasks import make_task
-        from inclined_landing.envs.tasks.landing import PAPER_STARTS
+        from inclined_landing.envs.tasks.frozen import PAPER_STARTS
+        from inclined_landing.eval.base.starts import parse_starts
         from inclined_landing.eval.flying.plan import read_planned
 
         room = load_vehicle(self.arena) if self.arena is not None else load_vehicle()
@@ -102,7 +103,7 @@ class FlightOptions:
             return planned, hover, [(float(x), float(z))]
         landing = loaded(self.policy or "landing", ("landing", "touchdown"), inclination=slope, azimuth=0.0)
         plane = make_task("landing", room, inclination=slope)
-        starts = [plane.parse_start(text) for text in self.start] or list(PAPER_STARTS)
+        starts = parse_starts(self.start, plane) or list(PAPER_STARTS)
         return landing, hover, [(point[0], point[1]) for point in starts]
 
 

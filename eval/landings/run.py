@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from inclined_landing.envs.shared import pool, runs
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Study
@@ -71,7 +72,7 @@ def with_starts(study: Study) -> Study:
             f"a study can start only from one for {-math.degrees(inclination):.1f} deg"
         )
     grid = landing_starts.clear(policy.task, landing_starts.grid())
-    flights = record_flights(policy, "mujoco", landing_starts.at_rest(policy.task, grid))
+    flights = record_flights(policy, "mujoco", hover_states(grid, policy.task.vehicle))
     entries = [flight.state[-1] for flight in flights if flight.strict]
     if not entries:
         raise UserError(f"policy {study.policy} never reaches the goal box from the frozen grid")

@@ -9,30 +9,27 @@ import numpy as np
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.tables import say
-from inclined_landing.envs.tasks import Start, Task
+from inclined_landing.envs.tasks import Start, Task, hover_states
 from inclined_landing.eval.base.options import Until
+from inclined_landing.eval.base.starts import Point, parse_starts, start_words, usual_starts
 from inclined_landing.eval.pictures.to_rest import LandedFlight, to_rest
-from inclined_landing.models.base.errors import UserError
 
 
-def start_points(starts: Sequence[str], task: Task) -> list[tuple[float, ...]]:
-    """Return start points [m] from --start, or the task's first point."""
-    try:
-        return [task.parse_start(text) for text in starts] or [task.film_starts[0]]
-    except UserError as error:
-        raise UserError(f"--{error}") from None
+def start_points(starts: Sequence[str], task: Task) -> list[Point]:
+    """Return start points [m] from --start, or the first of the task's usual ones."""
+    return parse_starts(starts, task) or [usual_starts(task)[0]]
 
 
-def fly_from(policy: Policy, points: Sequence[tuple[float, ...]], plant: str, steps: int | None = None):
-    """Return flights from hover at points of the task's start axes [m], at most `steps` steps long."""
-    return record_flights(policy, plant, policy.task.states_at(points), steps=steps)
+def fly_from(policy: Policy, points: Sequence[Point], plant: str, steps: int | None = None):
+    """Return flights from hover at points [m], at most `steps` steps long."""
+    return record_flights(policy, plant, hover_states(points, policy.task.vehicle), steps=steps)
 
 
-def choose_starts(task: Task, where: Sequence[tuple[float, ...]], drawn: int, seed: int) -> Start:
-    """Return starts from hover at points of the task's axes [m], or `drawn` random ones, slopes included."""
+def choose_starts(task: Task, where: Sequence[Point], drawn: int, seed: int) -> Start:
+    """Return starts from hover at points [m], or `drawn` random ones, slopes included."""
     if drawn:
         return task.sample(np.random.default_rng(seed), drawn)
-    return task.start(task.states_at(where))
+    return task.start(hover_states(where, task.vehicle))
 
 
 def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
@@ -45,7 +42,7 @@ def say_outcome(flight: Flight, name: str) -> None:
     outcome = flight.task.flight_words(flight)
     if isinstance(flight, LandedFlight):
         outcome += f", motors cut: {flight.ending}"
-    say(f"{name}: from {flight.task.start_words(flight.state[0])}: {outcome}")
+    say(f"{name}: from {start_words(flight.task, flight.state[0])}: {outcome}")
 
 
 def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:

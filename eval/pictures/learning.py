@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -16,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
-from inclined_landing.envs.tasks import is_path, known, task_class
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS, ScoreCurve
+from inclined_landing.envs.hover import TOLERANCE
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS
 from inclined_landing.eval.base.style import (
     BLUE,
     GREEN,
@@ -41,10 +42,35 @@ class _Run(NamedTuple):
     cut: list[Path]  # its tables that end within a row
 
 
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """A column of a run's tables, and how it is plotted."""
+
+    column: str
+    label: str
+    factor: float = 100.0
+    limits: tuple[float, float] | None = (-3.0, 108.0)
+    reference: tuple[float, str] | None = None  # value and what it is
+    logarithmic: bool = False
+
+
+# What `Task.score` returns besides "score" says more; the first of these columns that a run has is shown.
+_SCORES = (
+    Curve("strict_success", "goal box reached, strict [%]"),
+    Curve("at_rest", "at rest on the slope [%]"),
+    Curve(
+        "mean_error",
+        "mean error after 3 s [cm]",
+        limits=None,
+        reference=(100.0 * TOLERANCE, f"tolerance: {100 * TOLERANCE:g} cm"),
+        logarithmic=True,
+    ),
+    Curve("score", "success [%]"),
+)
 _LEAST = 3  # evaluations of a run that make a curve
-_LEVEL = ScoreCurve("level", "curriculum level", 1.0, (-0.03, 1.08))
-_LENGTH = ScoreCurve("episode_length", "episode length [steps]", 1.0, None)
-_REWARD = ScoreCurve("episode_reward", "episode reward", 1.0, None)
+_LEVEL = Curve("level", "curriculum level", 1.0, (-0.03, 1.08))
+_LENGTH = Curve("episode_length", "episode length [steps]", 1.0, None)
+_REWARD = Curve("episode_reward", "episode reward", 1.0, None)
 _LEARNING = {_LEVEL: PURPLE, _LENGTH: GREEN, _REWARD: ORANGE}  # curves of learning.csv, and their colours
 
 
@@ -55,22 +81,26 @@ def _read_run(folder: str | Path) -> _Run:
         raise UserError(f"the run folder {folder} does not exist")
     record = storage.read_json(folder / "run.json", "run")
     try:
-        task = record["config"]["task"]
-        score = _score_curve(task)
-    except (TypeError, KeyError, UserError) as error:
+        task = msgspec.convert(record["config"]["task"], str)
+    except (TypeError, KeyError, msgspec.ValidationError) as error:
         raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
     cut: list[Path] = []
     learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
-    kinds = [f"{score.column}_{kind}" for kind in VEHICLE_KINDS]  # of a randomised run
-    evaluations = _read_table(folder / "evaluations.csv", ["steps", score.column], cut, kinds)
+    scores = [curve.column for curve in _SCORES]
+    scores += [f"{column}_{kind}" for column in scores for kind in VEHICLE_KINDS]  # of a randomised run
+    evaluations = _read_table(folder / "evaluations.csv", ["steps"], cut, scores)
+    if not set(scores) & set(evaluations):
+        raise UserError(f"{folder / 'evaluations.csv'} lacks the column score")
     if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} has no rows yet; the run is too short for curves")
     return _Run(task, learning, evaluations, cut)
 
 
-def _score_curve(task: str) -> ScoreCurve:
-    """Return the score curve of a task; the default one for a user's task that was not imported."""
-    return ScoreCurve() if is_path(task) and not known(task) else task_class(task).score_curve
+def _score_curve(tables: Sequence[pd.DataFrame]) -> Curve:
+    """Return the curve of the score that says most of those that all evaluations have."""
+    flown = [table for table in tables if not table.empty]
+    shared = [curve for curve in _SCORES if flown and all(curve.column in table for table in flown)]
+    return shared[0] if shared else _SCORES[-1]
 
 
 def _read_table(
@@ -95,7 +125,7 @@ def _read_table(
             f"{path} is not a table: rows differ in length, or a quotation mark is open"
         ) from error
     if table.empty:
-        return pd.DataFrame({column: [] for column in columns}, dtype=float)
+        return pd.DataFrame(columns=[*columns, *(curve.column for curve in _SCORES)], dtype=float)
     numbers = {}
     for column in (*columns, *(name for name in optional if name in table)):
         if column not in table:
@@ -127,8 +157,9 @@ def learning_curves(runs: Sequence[str | Path]) -> Figure:
     tasks = sorted({run.task for run in loaded})
     if len(tasks) > 1:
         raise UserError(f"the runs are of different tasks ({' and '.join(tasks)}); choose runs of one task")
-    score = _score_curve(tasks[0])
-    curves = [(score, BLUE, [run.evaluations for run in loaded])]
+    evaluations = [run.evaluations for run in loaded]
+    score = _score_curve(evaluations)
+    curves = [(score, BLUE, evaluations)]
     if any(run.learning["level"].nunique() > 1 for run in loaded) and not any(
         len(run.evaluations) >= _LEAST for run in loaded
     ):
@@ -183,8 +214,8 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
     loaded = [_read_run(folder) for folder in runs]
     found = []
     for task in dict.fromkeys(run.task for run in loaded):
-        curve = _score_curve(task)
         tables = [run.evaluations for run in loaded if run.task == task]
+        curve = _score_curve(tables)
         count = f"{len(tables)} run{'s' * (len(tables) != 1)} of {task}"
         parts = []
         for column, name in _score_columns(curve, tables).items():
@@ -201,14 +232,14 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
     return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
 
 
-def _score_columns(curve: ScoreCurve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
+def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
     """Return the columns to show of evaluations, and the vehicles of each; "" for all flights."""
     of_kind = {f"{curve.column}_{kind}": name for kind, name in VEHICLE_KINDS.items()}
     return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
 
 
 def _draw_curves(
-    axes: Axes, curve: ScoreCurve, colour: str, tables: Sequence[pd.DataFrame], dashes: str = "-"
+    axes: Axes, curve: Curve, colour: str, tables: Sequence[pd.DataFrame], dashes: str = "-"
 ) -> None:
     """Draw the curves of several seeds: a thin line each, from two on their median and range."""
     lines = []
@@ -228,7 +259,7 @@ def _draw_curves(
         axes.plot(x, middle, color=colour, lw=2.2, ls=dashes, gid="median")
 
 
-def _format_axes(axes: Axes, curve: ScoreCurve) -> None:
+def _format_axes(axes: Axes, curve: Curve) -> None:
     """Set labels, limits and scale of axes, and draw the reference value of their curve."""
     axes.grid(True)
     axes.set_ylabel(curve.label)

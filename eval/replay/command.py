@@ -81,8 +81,9 @@ def command(
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.tables import say
+    from inclined_landing.eval.base.starts import parse_starts, start_words, usual_starts
     from inclined_landing.eval.logs import read_log
-    from inclined_landing.eval.pictures.flights import choose_starts, start_points
+    from inclined_landing.eval.pictures.flights import choose_starts
     from inclined_landing.eval.replay.measured import from_log
     from inclined_landing.eval.replay.page import write
     from inclined_landing.eval.replay.recording import Recording, from_flight
@@ -96,7 +97,7 @@ def command(
     ready: dict[str, tuple[Policy, Start]] = {}
     for source in policies:
         policy = flown.load(source)
-        where = start_points(start, policy.task) if start else policy.task.film_starts
+        where = parse_starts(start, policy.task) or usual_starts(policy.task)
         ready[source] = policy, choose_starts(policy.task, where, drawn, seed)
     recordings, notes = list[Recording](), list[str]()
     names = [shown(_name(source), 60) for source in sources]
@@ -104,7 +105,7 @@ def command(
         if source in ready:
             policy, starts = ready[source]
             for flight in record_flights(policy, flown.plant, starts):
-                named = f"{name.removesuffix('.zip')} from {policy.task.start_words(flight.state[0])}"
+                named = f"{name.removesuffix('.zip')} from {start_words(policy.task, flight.state[0])}"
                 recordings.append(from_flight(flight, named, flown.plant))
             continue
         found, log_notes = from_log(

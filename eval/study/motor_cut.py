@@ -29,7 +29,7 @@ import pandas as pd
 from inclined_landing.envs.mission import slope_normal
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import alone, count_words, median_of, share_of
-from inclined_landing.envs.tasks import frozen
+from inclined_landing.envs.tasks import frozen, hover_states
 from inclined_landing.envs.tasks.touchdown import CONTACT_TIME, HOLD_STEPS, InclinedTouchdown
 from inclined_landing.eval.study import changes
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View, fact
@@ -93,7 +93,7 @@ def study(
     """Return the study of a touchdown policy and the motor cut; effects: of the library."""
     _check(policy, baseline)
     task = policy.task
-    states = frozen.at_rest(task, frozen.clear(task, frozen.grid()))
+    states = hover_states(frozen.clear(task, frozen.grid()), task.vehicle)
     slip, angle = math.tan(abs(task.inclination)), math.degrees(abs(task.inclination))
     pairs = itertools.product(sorted({mu for mu in frictions if mu > slip}), sorted(set(restitutions)))
     cases = []

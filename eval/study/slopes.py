@@ -18,7 +18,7 @@ import pandas as pd
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import STRICT, count_words
-from inclined_landing.envs.tasks import Start, Task, frozen, make_task
+from inclined_landing.envs.tasks import Start, Task, frozen, hover_states, make_task
 from inclined_landing.envs.tasks.slopes import Slopes, over_slopes
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import fly, policy_facts, slope_words
@@ -66,7 +66,7 @@ def _cases(name: str, policy: Policy, plant: str, every: int) -> Iterator[Case]:
     for slope in single_slopes(task):
         one = _on_one_slope(task, slope)
         grid = frozen.clear(one, frozen.grid())[::every]
-        start = one.start(frozen.at_rest(one, grid))
+        start = one.start(hover_states(grid, one.vehicle))
         labels = {"policy": name, "slopes": SINGLE.format(math.degrees(one.inclination))}
         yield Case(labels, partial(fly, policy, start, plant, cut_from=None))
     if task.observes_slope and not task.is_planar:

@@ -11,6 +11,7 @@ import torch
 
 from inclined_landing import envs, train
 from inclined_landing.envs.tasks import frozen as starts
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.logs import read_log
 from tests import ROOT
 
@@ -36,7 +37,7 @@ def test_example(name, task, steps, tmp_path, monkeypatch, capsys):
 def test_the_classical_law_lands():
     example = runpy.run_path(str(EXAMPLES / "classical_landing.py"))
     task = envs.make_task("landing")
-    start = starts.at_rest(task, starts.grid()[::25])
+    start = hover_states(starts.grid()[::25], task.vehicle)
     flights = envs.record_flights(example["Law"](task), "hybrid", start)
     assert all(flight.strict for flight in flights)
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from inclined_landing.envs.tasks import InclinedLanding, StepContext, landing, make_task
 from inclined_landing.envs.tasks.base import Start, hover_states
+from inclined_landing.envs.tasks.frozen import PAPER_STARTS
 from inclined_landing.envs.tasks.landing import AIDED, LandingConditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.base.errors import UserError
@@ -231,7 +232,7 @@ def test_starts_that_cannot_be_found_are_an_error():
         task.sample(np.random.default_rng(0), 5)
 
 
-@pytest.mark.parametrize("x, z", landing.PAPER_STARTS)
+@pytest.mark.parametrize("x, z", PAPER_STARTS)
 def test_the_papers_starts_are_clear(x, z):
     start = TASK.start(hover_states(np.array([[x, 0, z]]), V))
     assert TASK.start_clearance(start)[0] > landing.START_CLEARANCE

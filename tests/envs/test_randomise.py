@@ -11,7 +11,7 @@ from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
-from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks import hover_states, make_task
 from inclined_landing.models.attitude import LAG, VX
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
@@ -190,7 +190,7 @@ def test_policies_fly_the_assigned_vehicles():
     """As in a plant of their own; the platform's tilt is the vehicle's, the goal the task's."""
     policy = load_policy("landing-nominal")
     pool = [LIBRARY[name].apply(V, LIBRARY[name].plausible) for name in ("platform_tilt", "thrust_scale")]
-    starts = policy.task.states_at([(1.0, 2.0)] * 3)
+    starts = hover_states([(1.0, 2.0)] * 3, policy.task.vehicle)
     plant = make_plant("mujoco", 3, policy.task.vehicle, pool=pool)
     plant.assign(np.arange(3), [1, 2, 0])
     flights = record_flights(policy, plant, starts)
@@ -204,7 +204,7 @@ def test_a_drawn_vehicle_that_diverges_has_failed():
     """With thrust that grows with the speed it flies off; the others fly on as if they were alone."""
     wild = LIBRARY["translational_lift"].apply(V, {"coefficient": 0.15})
     policy = load_policy("landing-nominal")
-    starts = policy.task.states_at([(1.0, 2.0)] * 2)
+    starts = hover_states([(1.0, 2.0)] * 2, policy.task.vehicle)
     starts[1, VX] = 5000.0
     plant = make_plant("hybrid", 2, V, pool=[wild])
     plant.assign([1], [1])

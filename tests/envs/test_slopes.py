@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import inclined_landing  # noqa: F401 (registers the environments)
 from inclined_landing.envs import load_policy, make_batch
 from inclined_landing.envs.policy import locate
-from inclined_landing.envs.tasks import StepContext, make_task
+from inclined_landing.envs.tasks import StepContext, hover_states, make_task
 from inclined_landing.envs.tasks.frozen import START_CLEARANCE
 from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, LandingConditions
 from inclined_landing.envs.tasks.slopes import over_slopes
@@ -145,5 +145,5 @@ def test_frozen_starts_over_slopes_never_change():
 def test_in_space_a_slope_is_always_told_as_the_drawn_ones_are():
     """Down to -x is up to +x: given starts have inclinations from 0 on too, turned by half a circle."""
     task = make_task("landing", steepest=0.5, dimensions=3, inclination=-0.3, azimuth=0.2)
-    start = task.start(task.states_at([(1.5, 0.0, 1.8)]))
+    start = task.start(hover_states([(1.5, 0.0, 1.8)], task.vehicle))
     assert start.inclination[0] == pytest.approx(0.3) and start.azimuth[0] == pytest.approx(0.2 + math.pi)

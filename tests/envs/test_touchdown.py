@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.batch import BatchEnv
-from inclined_landing.envs.tasks import InclinedTouchdown, StepContext, make_task
-from inclined_landing.envs.tasks.frozen import at_rest
+from inclined_landing.envs.tasks import InclinedTouchdown, StepContext, hover_states, make_task
 from inclined_landing.envs.tasks.landing import LOWEST_START, START_CLEARANCE
 from inclined_landing.envs.tasks.touchdown import GENTLE_FORCE, HOLD_STEPS, TouchdownConditions
 from inclined_landing.models.attitude import PITCH, STATE_SIZE, VX, WY, X, Z
@@ -177,4 +176,5 @@ def test_training_starts_around_the_raised_edge():
     x, z = start.state[:, X], start.state[:, Z]  # the default slope rises towards +x
     assert x.min() < 0.0 and 1.0 < x.max() <= 2.5 * V.slab_half_length
     assert LOWEST_START <= z.min() and z.max() > 2.2 and np.mean(z < 1.5) > 0.3
-    np.testing.assert_array_equal(start.state[:, VX:], at_rest(task, np.column_stack([x, z]))[:, VX:])
+    at_rest = hover_states(np.column_stack([x, z]), task.vehicle)
+    np.testing.assert_array_equal(start.state[:, VX:], at_rest[:, VX:])

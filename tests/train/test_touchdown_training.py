@@ -7,8 +7,7 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import TASKS, StepContext, make_task
-from inclined_landing.envs.tasks.frozen import at_rest
+from inclined_landing.envs.tasks import TASKS, StepContext, hover_states, make_task
 from inclined_landing.envs.tasks.touchdown import IDLE_ACTION
 from inclined_landing.models.attitude import PITCH, VX, VZ
 from inclined_landing.models.base.errors import UserError
@@ -35,7 +34,7 @@ def test_the_actor_begins_as_the_landing_policy():
 def test_the_lesson_is_the_motor_cut():
     landing = load_policy("landing-nominal")
     task = landing.task
-    over = at_rest(task, np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]))
+    over = hover_states(np.array([task.goal_position, (0.0, 1.20), (1.5, 1.8)]), task.vehicle)
     over[0, PITCH] = task.inclination
     context = StepContext(over, platform=task.start(over).platforms(task.vehicle))
     lesson = warm_start.lesson(context, landing)

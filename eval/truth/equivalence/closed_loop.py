@@ -10,7 +10,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.statistics import proportion
-from inclined_landing.envs.tasks import frozen as landing_starts
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.base.claims import Claim, Section, Table, number
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS
@@ -43,7 +43,7 @@ class Comparison:
 
 def fly(policy: Policy, starts: np.ndarray) -> dict[str, list[Flight]]:
     """Return the policy's flights from `starts` (k, 2), by plant."""
-    states = landing_starts.at_rest(policy.task, starts)
+    states = hover_states(starts, policy.task.vehicle)
     n, v = len(states), policy.task.vehicle
     plants = {
         PAPER: AnalyticPlant(n, v),

@@ -9,6 +9,7 @@ import numpy as np
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import frozen as landing_starts
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models.attitude import (
     LAG,
@@ -183,7 +184,7 @@ def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarr
     starts = starts[rng.permutation(len(starts))[:n]]
     starts = np.resize(starts, (n, 2))
     env = BatchEnv(policy.task, make_plant("analytic", n, v), seed=0)
-    observation = env.reset(state=landing_starts.at_rest(policy.task, starts))
+    observation = env.reset(state=hover_states(starts, policy.task.vehicle))
     commands = np.empty((STEPS, n, 4))
     for row in commands:
         observation = env.step(policy.predict(observation)).observation

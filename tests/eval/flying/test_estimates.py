@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 
 from inclined_landing.envs import load_policy, record_flights
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.flying import frames
 from inclined_landing.eval.flying.estimate import (
     TIME_CONSTANT,
@@ -86,7 +87,7 @@ def test_errors_are_as_large_as_the_filter_says():
 def test_landings_are_followed():
     """True flights, which are no random process: errors within three of the filter's own deviations."""
     policy = load_policy("landing-nominal")
-    starts = policy.task.states_at([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)])
+    starts = hover_states([(0.0, 2.0), (-1.5, 1.6), (1.5, 1.8)], policy.task.vehicle)
     random = np.random.default_rng(5)
     for flight in record_flights(policy, "hybrid", starts):
         tracked, errors, deviations = KalmanFilter(NOISE), [], []

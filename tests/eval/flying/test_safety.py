@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import load_policy
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.base.fence import stopping_distance
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.estimate import StateEstimate
@@ -179,7 +180,7 @@ def test_a_late_computer_and_a_silent_link_are_called_so(case, late, name):
 def test_the_set_point_policy_stops_within_the_stated_distance(axis, speed):
     """A retreat from full speed: the target stands where it began; how far does the vehicle go on?"""
     hover, plant = SetpointFollower(load_policy("setpoint")), make_plant("hybrid", 1, VEHICLE)
-    state = hover.actor.task.states_at([(0.0, 0.0, 1.3)])
+    state = hover_states([(0.0, 0.0, 1.3)], hover.actor.task.vehicle)
     state[0, VX + axis] = speed
     plant.reset([0], state)
     here, farthest, late = state[0, :3].copy(), 0.0, [np.array([VEHICLE.hover_pwm, 0, 0, 0])] * 2

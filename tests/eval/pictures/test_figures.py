@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs import save_policy
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.envs.tasks import make_task
+from inclined_landing.envs.tasks import hover_states, make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
@@ -276,7 +276,7 @@ def hover_policy(tmp_path_factory):
 
 def test_figure_command_writes_the_paper_s_two_cases(hover_policy, tmp_path, capsys):
     assert cli.main(["figure", hover_policy, "--out", str(tmp_path / "new"), "--plant", "analytic"]) == 0
-    names = {f"trajectory_{case}{suffix}" for case in ("above", "above_right") for suffix in (".png", ".pdf")}
+    names = {f"trajectory_{case}{suffix}" for case in (1, 2) for suffix in (".png", ".pdf")}
     assert {p.name for p in (tmp_path / "new").iterdir()} == names
     out, err = capsys.readouterr()
     assert "from x 1.5, z 1.8 m: goal box not reached" in out and "from x 0, z 2 m" in out and not err

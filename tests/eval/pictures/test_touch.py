@@ -7,6 +7,7 @@ import pytest
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.flights import fly_from
@@ -22,7 +23,7 @@ WEIGHT = V.body_mass * V.environment_gravity
 
 def flown(name) -> Flight:
     policy = load_policy(name)
-    return fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
+    return fly_from(policy, usual_starts(policy.task)[:1], "mujoco")[0]
 
 
 @pytest.fixture(scope="module")

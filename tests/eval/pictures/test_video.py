@@ -10,6 +10,7 @@ import pytest
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
+from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures.film import film_side_by_side
 from inclined_landing.eval.pictures.flights import fly_from
@@ -101,7 +102,7 @@ def test_ffmpeg_that_fails_is_one_sentence(code, said, tmp_path, monkeypatch):
 def landed():
     """The shipped policy's first film start, and the flight with what followed the motor cut."""
     policy = load_policy("landing-nominal")
-    flight = fly_from(policy, policy.task.film_starts[:1], "mujoco")[0]
+    flight = fly_from(policy, usual_starts(policy.task)[:1], "mujoco")[0]
     return flight, to_rest(flight)
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.replay.measured import from_log
 from inclined_landing.eval.replay.page import write
@@ -43,7 +44,7 @@ def browser():
 def file(tmp_path_factory):
     """A page of a landing, and of a log of it with its simulation, under a hostile name."""
     policy = load_policy("landing-nominal")
-    flight = record_flights(policy, "mujoco", policy.task.states_at([(1.5, 1.8)]))[0]
+    flight = record_flights(policy, "mujoco", hover_states([(1.5, 1.8)], policy.task.vehicle))[0]
     t, state = flight.t, flight.state
     log = FlightLog(HOSTILE, t, state[:, :3], state[:, ROLL : ROLL + 3], flight.commands)
     measured, notes = from_log(log, policy.task.vehicle, platform=True, horizon=0.5, plant="mujoco")

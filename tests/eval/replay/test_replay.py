@@ -11,6 +11,7 @@ import pytest
 
 from inclined_landing.envs.flights import record_flights, resimulate
 from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.tasks import hover_states
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.logs import FlightLog, write_log
 from inclined_landing.eval.pictures.to_rest import to_rest
@@ -29,7 +30,7 @@ V = load_vehicle()
 
 def flown(name, point, vehicle=V):
     policy = load_policy(name, vehicle=vehicle)
-    return record_flights(policy, "mujoco", policy.task.states_at([point]))[0]
+    return record_flights(policy, "mujoco", hover_states([point], policy.task.vehicle))[0]
 
 
 @pytest.fixture(scope="module")

@@ -81,7 +81,7 @@ def test_the_frozen_grid_is_what_its_rule_makes():
     assert lines == [f"{x:.2f},{z:.2f}" for x, z in made]
     np.testing.assert_array_equal(frozen.grid(), made)
     assert len(np.unique(made, axis=0)) == len(made) == 251
-    assert task.start_clearance(task.start(frozen.at_rest(task, made))).min() >= 0.05
+    assert task.start_clearance(task.start(hover_states(made, task.vehicle))).min() >= 0.05
 
 
 def test_scattered_starts_are_the_papers_within_ten_centimetres():

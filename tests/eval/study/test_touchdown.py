@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.tasks import frozen
+from inclined_landing.envs.tasks import frozen, hover_states
 from inclined_landing.envs.tasks.touchdown import InclinedTouchdown
 from inclined_landing.eval import cli
 from inclined_landing.eval.study import motor_cut, show
@@ -46,7 +46,7 @@ def test_what_ends_a_landing():
     """Idle from the start: one vehicle stands on its feet, one falls to the floor."""
     policy = load_policy("touchdown-nominal")
     task = InclinedTouchdown()
-    states = frozen.at_rest(task, np.array([task.rest_position, (2.0, 0.3)]))
+    states = hover_states(np.array([task.rest_position, (2.0, 0.3)]), task.vehicle)
     states[:, -1] = 0.0
     states[0, 7] = task.inclination
     idle = type("Idle", (), {"task": policy.task, "predict": lambda self, o: -np.ones((len(o), 2))})()
@@ -61,7 +61,7 @@ def test_effects_are_the_vehicles_that_fly(few_starts):
     """On its own contact the vehicle rests; on a friction below the slope's tangent nobody does."""
     policy, cut = load_policy("touchdown-nominal"), load_policy("landing-nominal")
     task = policy.task
-    states = frozen.at_rest(task, frozen.grid())
+    states = hover_states(frozen.grid(), task.vehicle)
     slippery = task.vehicle.changed(contact_friction=0.3)
     assert motor_cut.land(policy, states).at_rest.all()
     assert not motor_cut.land(policy, states, vehicle=slippery).at_rest.any()

@@ -1,0 +1,67 @@
+"""Starts as people name them, X,Z or X,Y,Z, and those of films and figures where nobody names any."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from inclined_landing.envs.tasks import Task, hover_states
+from inclined_landing.envs.tasks.frozen import PAPER_STARTS
+from inclined_landing.envs.tasks.platform import in_platform
+from inclined_landing.models.attitude import STATE_NAMES
+from inclined_landing.models.base.errors import UserError
+
+Point = tuple[float, ...]  # x, z or x, y, z, m
+_PLANAR = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])
+_IN_SPACE = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))
+_FREE = ((1.5, 1.0, 0.6),)
+
+
+def axes_of(task: Task) -> str:
+    """Return the axes that a start is given by: those along which the vehicle moves."""
+    return "xz" if task.is_planar else "xyz"
+
+
+def usual_starts(task: Task) -> tuple[Point, ...]:
+    """Return the starts of films; the first one is that of a picture.
+
+    Those of landings in the plane are the paper's.
+    """
+    if task.is_planar:
+        return _PLANAR
+    return _IN_SPACE if task.has_platform else _FREE
+
+
+def parse_starts(texts: Sequence[str], task: Task) -> list[Point]:
+    """Return the points of --start; raises UserError unless each is in the arena and free."""
+    return [_parsed(text, task) for text in texts]
+
+
+def start_words(task: Task, state: np.ndarray) -> str:
+    """Return the position of a state (13,) as starts are written."""
+    return ", ".join(f"{name} {state[STATE_NAMES.index(name)]:g}" for name in axes_of(task)) + " m"
+
+
+def _parsed(text: str, task: Task) -> Point:
+    axes = axes_of(task)
+    try:
+        point = tuple(float(number) for number in text.split(","))
+    except ValueError:
+        point = ()
+    if len(point) != len(axes) or not all(map(math.isfinite, point)):
+        example = ",".join(f"{number:g}" for number in usual_starts(task)[0])
+        form = ",".join(axes).upper()
+        raise UserError(f"--start must be {form} in metres, like {example}, not {text!r}")
+    for name, value in zip(axes, point):
+        low, high = getattr(task.vehicle, f"arena_{name}")
+        if not low < value < high:
+            room = f"{name} must be between {low:g} and {high:g} m"
+            raise UserError(f"--start {text} lies outside the arena: {room}")
+    state = hover_states([point], task.vehicle)
+    inside = task.has_platform and in_platform(state[0, :3], task.inclination, task.azimuth, task.vehicle)
+    if inside or task.start_clearance(task.start(state))[0] <= 0.0:
+        written = ",".join(f"{number:g}" for number in point)
+        raise UserError(f"--start {written} lies inside the platform")
+    return point
