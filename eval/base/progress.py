@@ -1,35 +1,63 @@
-"""Progress of a command in stages: a bar on a terminal, elsewhere a line now and then."""
+"""Progress of a command: a bar on a terminal, elsewhere a line now and then."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column
 
-_COLUMNS = (TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn())
+from inclined_landing.envs.shared.tables import printer
+
 EVERY = 10.0  # s between two lines, at least
+_WORDS = Column(no_wrap=True, overflow="ellipsis", ratio=1)
+
+
+class Tick(Protocol):
+    """What a command calls as a stage begins or ends."""
+
+    def __call__(self, words: str = "", done: float | None = None) -> None:
+        """Show the words; done: how many are done, if it is not one more."""
 
 
 @contextlib.contextmanager
-def stages(total: int | None = None) -> Iterator[Callable[[str], None]]:
-    """Yield a function that is called with the name of each stage as it begins; total: how many there are.
+def stages(total: float | None = None, what: str = "", done: float = 0) -> Iterator[Tick]:
+    """Yield a function that is called at each of `total` stages, with words on it.
 
-    Written to stderr. Without a terminal, at most one line every EVERY seconds.
+    what: is counted, such as "cases"; done: how many are done already. Written to stderr. Without a terminal,
+    at most one line every EVERY seconds.
     """
-    console, began = Console(stderr=True), time.monotonic()
-    last = began
-    with Progress(*_COLUMNS, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total)
+    console, began = printer(Console(stderr=True, markup=False, highlight=False)), time.monotonic()
+    last, before = began, done
+    counts = (MofNCompleteColumn(), TimeRemainingColumn()) if total else ()
+    columns = (
+        TextColumn(what),
+        BarColumn(30),
+        *counts,
+        TextColumn("{task.description}", table_column=_WORDS),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=total, completed=int(done))
 
-        def tick(stage: str) -> None:
-            nonlocal last
-            bar.update(task, description=stage, advance=1)
+        def tick(words: str = "", done: float | None = None) -> None:
+            nonlocal last, count
+            count = count + 1 if done is None else done
+            bar.update(task, description=words, completed=count)
             now = time.monotonic()
             if not console.is_terminal and now - last >= EVERY:
-                console.print(f"{now - began:.0f} s: {stage}", highlight=False, markup=False)
                 last = now
+                console.print(f"{now - began:.0f} s: {_line(now - began, words)}", soft_wrap=True)
 
+        def _line(spent: float, words: str) -> str:
+            if not (total and what and count > before):
+                return words
+            left = spent / (count - before) * (total - count)
+            about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
+            return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))
+
+        count = done
         yield tick

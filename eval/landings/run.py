@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from inclined_landing.envs.shared import pool, runs
 from inclined_landing.envs.tasks import hover_states
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.landings import design, landing
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Study
@@ -112,15 +111,15 @@ def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.
     parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}
     missing = [rows for rows, part in parts.items() if _read(part, rows) is None]
     shared = (study, 0 if engine == "local" else 1)
-    columns = TextColumn("landing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with storage.made(out / PARTS), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=study.total, completed=study.total - sum(map(len, missing)))
+    done = study.total - sum(map(len, missing))
+    with storage.made(out / PARTS), stages(study.total, "landings", done) as tick:
         for rows, table in pool.completed(design.run_chunk, shared, missing, engine, address):
             try:
                 write(table, parts[rows])
             except UserError as error:
                 raise UserError(f"{error}; finished chunks are kept, continue with --resume") from error
-            bar.advance(task, table.num_rows)
+            done += table.num_rows
+            tick(done=done)
     table = pa.concat_tables([_read(part, rows) for rows, part in parts.items()]).combine_chunks()
     write(table, out / RESULTS)
     return table

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
 from inclined_landing.eval.base.options import FITTED
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.pictures.frames import FPS, flight_view, render_flight, write_videos
 from inclined_landing.eval.pictures.touchdown import STEP, Touchdown
 from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
@@ -92,8 +91,8 @@ def film_touchdowns(
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
     """Write the videos, each with every n-th frame, with a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with stages(total, "frames") as tick:
         try:
-            write_videos(files, progress.track(frames, total=total, description=names), fps=rate)
+            write_videos(files, map(lambda frame: (tick(names), frame)[1], frames), fps=rate)
         except OSError as error:
             raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error

@@ -63,22 +63,15 @@ def command(
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         no_film: omit the video and picture of the first mission.
         json: print only JSON on standard output.
-        out: new folder for mission.json, the figure mission.png and .pdf, and flight.mp4, flight.gif and
-            flight.png of the first mission.
+        out: new folder for index.html, the numbers as JSON, flights.csv, the figure mission.png and .pdf, and
+            flight.mp4, flight.gif and flight.png of the first mission.
     """
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     from inclined_landing.envs.rendering import check_picture_options
-    from inclined_landing.envs.shared import runs
-    from inclined_landing.eval.study.missions import (
-        draw,
-        fly_with_progress,
-        make_plan,
-        point,
-        report_of,
-        show,
-    )
-    from inclined_landing.models.base import storage
+    from inclined_landing.eval.study.engine import fact
+    from inclined_landing.eval.study.missions import fly, make_plan, point, study
+    from inclined_landing.eval.study.show import hand_over
 
     check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
@@ -87,13 +80,7 @@ def command(
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)
-    flown = fly_with_progress(plan, starts)
-    report = report_of(flown) | {
-        "seed": None if start else seed,
-        "vehicle": str(vehicle) if vehicle is not None else "crazyflie.toml",
-    }
-    if out is not None:
-        with runs.staged_run(out) as folder:
-            storage.write_json(folder / "mission.json", report)
-            draw(flown, folder, None if no_film else look)
-    print(storage.to_json(report)) if json else show(report)
+    facts = [fact("mission", "vehicle", str(vehicle or "crazyflie.toml"))]
+    facts += [] if start else [fact("mission", "seed", seed)]
+    found = study(fly(plan, starts), facts, None if no_film else look)
+    hand_over("mission", [found], json=json, out=out)

@@ -1,59 +1,150 @@
-"""Set-point flight, landing and touchdown as one flight: plans, progress, counts, pictures."""
+"""Set-point flight, landing and touchdown as one flight: the study of missions.
+
+Its table has a row for each leg that was flown and one for each whole mission: `leg` ("mission" for the
+whole), `policy`, `mission` (its number), `done` (did it hand over, or come to rest), `time` [s] of those, the
+`end` of the mission, and `touched_slab`, `touched_base`, `touched_floor`. Whole missions also have start and
+end [m], and what the landing policy was handed: `distance` from the hand-over point [m], `speed` [m/s], and
+`aside`, `aside_speed` along y.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
+import pandas as pd
 
-from inclined_landing.envs.mission import ENDS, LANDING, LEGS, Mission, MissionPlan, fly_missions
+from inclined_landing.envs.mission import LANDING, LEGS, Mission, MissionPlan, fly_missions
 from inclined_landing.envs.policy import load_policy
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import count_words, printer, spread_cell
-from inclined_landing.eval.base.claims import Section, Table, show_sections
+from inclined_landing.envs.shared.measures import Row, count_words, counted, median_of, share_of
 from inclined_landing.eval.base.options import Look
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
-from inclined_landing.eval.study.engine import LONG
+from inclined_landing.eval.study.engine import Results, Study, View, count, fact
+from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.eval.study.options import HandOver
-from inclined_landing.models.attitude import STATE_SIZE, VX, VY, VZ, X, Y, Z
+from inclined_landing.models.attitude import VX, VY, VZ, X, Y, Z
 from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.parameters import load_vehicle
 
-TYPICAL = 5.0  # s of flight
 ROLES = ("setpoint", "landing", "touchdown")
+WHOLE = "mission"  # the leg of a row on a whole mission
+DONE = share_of("done", "done", note="done: the leg handed over, or the mission ended at rest on the feet")
+TIME = median_of("time", "time", "s")
+TOUCHED = [share_of(f"touched_{name}", f"touch {name}", cell=counted, shown_unit="") for name in SURFACES]
+_CM: dict[str, Any] = {"shown_unit": "cm", "factor": 100.0, "digits": 1}
+HANDED_OVER = (
+    median_of("distance", "hand-over: distance from the point", "m", among="handed_over", **_CM),
+    median_of("speed", "hand-over: speed", "m/s", among="handed_over"),
+    median_of("aside", "hand-over: |y|", "m", among="handed_over", **_CM),
+    median_of("aside_speed", "hand-over: |vy|", "m/s", among="handed_over"),
+    median_of("rest_aside", "at rest: |y|", "m", among="rests", **_CM),
+)
 
 
-def fly_with_progress(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
-    """Return the missions from `starts` (n, 3); stderr shows progress, and an estimate if they take long.
+def fly(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
+    """Return the missions from `starts` (n, 3); stderr shows how many have ended."""
+    with stages(len(starts), "missions") as tick:
+        return fly_missions(plan, starts, lambda ended: tick(done=ended))
 
-    The estimate is made after the first second of flight, for missions of `TYPICAL` length.
-    """
-    console = printer(Console(stderr=True, markup=False, highlight=False))
-    steps, began = 0, time.monotonic()
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("missions", total=len(starts))
 
-        def advance(ended: int) -> None:
-            nonlocal steps
-            steps += 1
-            progress.update(bar, completed=ended)
-            expected = TYPICAL * (time.monotonic() - began)
-            if steps == round(1.0 / plan.vehicle.command_control_period) and expected > LONG:
-                progress.console.print(f"{len(starts)} missions: about {expected / 60:.0f} min")
+def study(missions: Sequence[Mission], facts: Sequence[Row] = (), look: Look | None = None) -> Results:
+    """Return what is counted of missions of one plan; look: of the film of the first one, None: no film."""
+    plan = missions[0].plan
+    about = {"inclination": math.degrees(plan.task.inclination), "dwell": plan.dwell, "hold": plan.hold}
+    about |= {"x": plan.hand_over[0], "z": plan.hand_over[1], "near": plan.near, "slow": plan.slow}
+    units = {"inclination": "deg", "dwell": "s", "slow": "m/s", "x": "m", "z": "m", "near": "m"}
+    described = Study(
+        name="mission",
+        title=f"{len(missions)} mission{'s' * (len(missions) != 1)}",
+        cases=(),
+        views=[
+            View(("leg", "policy"), (DONE, TIME, *TOUCHED), "legs"),
+            View((), HANDED_OVER, "hand-over and rest", across=True),
+        ],
+        remarks=_remarks,
+        facts=[
+            *policy_facts(dict(zip(ROLES, plan.policies))),
+            *(fact("hand-over", name, value, units.get(name, "")) for name, value in about.items()),
+            *facts,
+        ],
+        draw=partial(_draw, missions, look),
+    )
+    return count(described, table_of(missions))
 
-        return fly_missions(plan, starts, advance)
+
+def table_of(missions: Sequence[Mission]) -> pd.DataFrame:
+    """Return a row for each leg of missions, in the order of the legs, then one for each whole mission."""
+    rows = [
+        {"leg": name, "policy": mission.plan.policies[max(k - 1, 0)].name, "mission": number}
+        | _outcome(leg.done, leg.duration, mission.end, leg.touched)
+        for k, name in enumerate(LEGS)
+        for number, mission in enumerate(missions)
+        if (leg := mission.find_leg(name)) is not None
+    ]
+    for number, m in enumerate(missions):
+        touched = {surface for leg in m.legs for surface in leg.touched}
+        row = {"leg": WHOLE, "policy": "", "mission": number}
+        row |= _outcome(m.success, m.t[-1], m.end, touched) | _handed_over(m)
+        row |= dict(zip(("x", "y", "z", "end_x", "end_y", "end_z"), (*m.state[0, :3], *m.state[-1, :3])))
+        rows.append(row | {"rests": m.success, "rest_aside": abs(m.state[-1, Y])})
+    table = pd.DataFrame(rows)
+    flags = ["handed_over", "rests"]
+    return table.assign(**{name: table[name] == True for name in flags})  # noqa: E712 (NaN of a leg)
+
+
+def _outcome(done: bool, duration: float, end: str, touched: Container[str]) -> dict[str, Any]:
+    """Return the columns that legs and missions have; the time is that of the successful ones."""
+    touches = {f"touched_{name}": name in touched for name in SURFACES}
+    return {"done": done, "time": float(duration) if done else math.nan, "end": end} | touches
+
+
+def _handed_over(mission: Mission) -> dict[str, Any]:
+    """Return the errors of position and speed at the hand-over to the landing policy, if there was one."""
+    if mission.find_leg("landing") is None:
+        return {"handed_over": False}
+    state = mission.state[np.argmax(mission.leg >= LANDING)]
+    return {
+        "handed_over": True,
+        "distance": np.linalg.norm(state[X : Z + 1] - mission.plan.point),
+        "speed": np.linalg.norm(state[VX : VZ + 1]),
+        "aside": abs(state[Y]),
+        "aside_speed": abs(state[VY]),
+    }
+
+
+def _remarks(results: Results) -> list[str]:
+    """Return how missions ended."""
+    flights = results.flights
+    lost = flights[(flights["leg"] != WHOLE) & ~flights["done"]]
+    ends = Counter(f"{end} in the {leg}" for end, leg in zip(lost["end"], lost["leg"]))
+    said = [f"Lost: {', '.join(f'{many} {how}' for how, many in ends.items())}."] if ends else []
+    return [*said, f"At rest on the feet after {count_words(results.one(DONE, leg=WHOLE), 'missions')}."]
+
+
+def _draw(missions: Sequence[Mission], look: Look | None, folder: Path) -> Mapping[str, str]:
+    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
+    figure = mission_figure(missions[0], missions[1:])
+    for suffix in (".png", ".pdf"):
+        save_figure(figure, folder / f"mission{suffix}")
+    captions = {"mission.png": "The first mission, and the paths of the others."}
+    if look is None:
+        return captions
+    how = dataclasses.asdict(look)
+    write_picture(folder / "flight.png", strobe(missions[0], **how))
+    frames, total, rate = film.film(missions[:1], FPS, 1.0, **how)
+    film.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
+    return captions | {"flight.png": "The first mission."}
 
 
 def make_plan(
@@ -84,100 +175,3 @@ def point(text: str, option: str, form: str) -> tuple[float, ...]:
     if len(numbers) != form.count(",") + 1 or not all(map(math.isfinite, numbers)):
         raise UserError(f"--{option} must be {form} in metres, not {shown(text)!r}")
     return numbers
-
-
-def draw(missions: list[Mission], folder: Path, look: Look | None) -> None:
-    """Write the figure of missions into the folder; with a look also video and picture of the first one."""
-    figure = mission_figure(missions[0], missions[1:])
-    for suffix in (".png", ".pdf"):
-        save_figure(figure, folder / f"mission{suffix}")
-    if look is None:
-        return
-    how = dataclasses.asdict(look)
-    write_picture(folder / "flight.png", strobe(missions[0], **how))
-    frames, total, rate = film.film(missions[:1], FPS, 1.0, **how)
-    film.write({folder / "flight.mp4": 1, folder / "flight.gif": 2}, frames, total, rate)
-
-
-def report_of(missions: Sequence[Mission]) -> dict[str, Any]:
-    """Return success rates, times and hand-over errors of missions of one plan, and a record of each."""
-    plan = missions[0].plan
-    landed = [mission for mission in missions if mission.success]
-    return {
-        "command": "mission",
-        "policies": {role: str(policy.path) for role, policy in zip(ROLES, plan.policies)},
-        "trained": {role: policy.metadata for role, policy in zip(ROLES, plan.policies)},
-        "inclination": plan.task.inclination,
-        "hand_over": {
-            "point": plan.point.tolist(),
-            **{name: getattr(plan, name) for name in ("near", "slow", "dwell", "hold")},
-        },
-        "missions": len(missions),
-        "at_rest": proportion(len(landed), len(missions)),
-        "ends": {end: sum(m.end == end for m in missions) for end in ENDS},
-        "time": spread([m.t[-1] for m in landed]),
-        "legs": {name: _leg_statistics(missions, name) for name in LEGS},
-        "handed_over": _hand_over_errors(missions, plan),
-        "rest": {"y": spread([abs(m.state[-1, Y]) for m in landed])},
-        "flights": [
-            {
-                "start": m.state[0, :3].tolist(),
-                "end": m.end,
-                "time": float(m.t[-1]),
-                "place": m.state[-1, :3].tolist(),
-                "legs": [
-                    vars(leg) | {"touched": list(leg.touched), "state": leg.state.tolist()} for leg in m.legs
-                ],
-            }
-            for m in missions
-        ],
-        "versions": runs.versions(),
-    }
-
-
-def _leg_statistics(missions: Sequence[Mission], name: str) -> dict[str, Any]:
-    """Return the statistics of one leg over all missions: flown, lost, duration, contacts."""
-    pairs = [(mission, leg) for mission in missions if (leg := mission.find_leg(name))]
-    return {
-        "flown": len(pairs),
-        "lost": dict(Counter(mission.end for mission, leg in pairs if not leg.done)),
-        "done": proportion(sum(leg.done for _, leg in pairs), len(pairs)),
-        "duration": spread([leg.duration for _, leg in pairs if leg.done]),
-        "touched": dict(Counter(surface for _, leg in pairs for surface in leg.touched)),
-    }
-
-
-def _hand_over_errors(missions: Sequence[Mission], plan: MissionPlan) -> dict[str, Any]:
-    """Return the errors of position and speed at the hand-over to the landing policy."""
-    states = np.array([m.state[np.argmax(m.leg >= LANDING)] for m in missions if m.find_leg("landing")])
-    states = states.reshape(-1, STATE_SIZE)
-    return {
-        "position": spread(np.linalg.norm(states[:, X : Z + 1] - plan.point, axis=1)),
-        "speed": spread(np.linalg.norm(states[:, VX : VZ + 1], axis=1)),
-        "y": spread(np.abs(states[:, Y])),
-        "vy": spread(np.abs(states[:, VY])),
-    }
-
-
-def show(report: dict[str, Any]) -> None:
-    """Print a report: the success rate, and a row for each leg."""
-    count, rest = report["missions"], report["at_rest"]
-    rows = []
-    for name, leg in report["legs"].items():
-        policy = Path(report["policies"][name if name in ROLES else "setpoint"]).stem
-        lost = ", ".join(f"{many} {end}" for end, many in leg["lost"].items()) or "0"
-        touched = ", ".join(f"{surface} {many}" for surface, many in leg["touched"].items()) or "-"
-        rows.append((name, policy, str(leg["flown"]), lost, spread_cell(leg["duration"]), touched))
-    rows.append(("all", "", str(count), str(count - rest["count"]), spread_cell(report["time"]), ""))
-    table = Table("", ("leg", "policy", "flown", "lost", "time [s]", "touched"), rows)
-    over = report["handed_over"]
-    position, aside, at_rest = (
-        spread_cell(found, 1, 100.0) for found in (over["position"], over["y"], report["rest"]["y"])
-    )
-    remarks = [
-        "Shares have 95 % Wilson intervals; times are medians (5 % to 95 %) over successful legs.",
-        f"Distance at hand-over: {position} cm, |y| {aside} cm; |y| at rest: {at_rest} cm.",
-        f"At rest on the feet after {count_words(rest, 'missions')}.",
-    ]
-    title = f"{count} mission{'s' * (count != 1)}"
-    show_sections([Section("mission", title, [], [], [table], remarks=remarks)])

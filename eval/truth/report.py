@@ -1,20 +1,17 @@
-"""The parts that both sets of claims share: `claims.toml`, progress bar, page, JSON and figures."""
+"""The parts that both sets of claims share: `claims.toml`, page, JSON and figures."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
@@ -72,15 +69,6 @@ def panels(count: int, width: float = 3.5, height: float = 3.15):
         return drawn
 
     return decorate
-
-
-@contextlib.contextmanager
-def progress(total: int) -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows what is measured next and moves a bar on by one of `total`."""
-    columns = (TextColumn("{task.description:18}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda text: bar.update(task, advance=1, description=text)
 
 
 def publish(

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
@@ -25,14 +25,15 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 class Number(Table, frozen=True, kw_only=True):
     """A number that every run has, in a JSON file below its folder.
 
-    The file gives it at a path of keys with dots between, or, if the file holds the rows of a study, as the
-    value of the first row with the given entries.
+    The file gives it at a path of keys with dots between, or, if the file holds the rows of a study, as an
+    entry of the first row with the given labels.
     """
 
     title: Text
     file: Text
     path: Text = ""
     row: dict[Text, str | float] = field(default_factory=dict)
+    entry: Literal["value", "low", "high", "min", "max"] = "value"  # of that row
     unit: Text = "1"
     factor: Annotated[float, Meta(gt=0, le=1e300)] = 1.0  # times what the file says
     at_least: Real | None = None  # what every seed has to reach, in the unit

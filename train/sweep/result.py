@@ -124,7 +124,7 @@ def _value_of_row(name: str, number: Number, path: Path, report: Any) -> tuple[K
     for row in rows:
         if all(row.get(key) == value for key, value in number.row.items()):
             is_share = row["statistic"] == "share"
-            return ("flights", (row["count"], row["flights"])) if is_share else ("number", row["value"])
+            return ("flights", (row["count"], row["flights"])) if is_share else ("number", row[number.entry])
     raise UserError(f"number {name}: {path} has no row with {shown(number.row, 120)}")
 
 

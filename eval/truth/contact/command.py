@@ -19,14 +19,15 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
         out: new folder for contact.html, contact.json and the figures.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
+    from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.truth.contact.figures import DRAW
     from inclined_landing.eval.truth.contact.laws import LAWS
-    from inclined_landing.eval.truth.report import progress, publish
+    from inclined_landing.eval.truth.report import publish
     from inclined_landing.models.parameters import load_vehicle
 
     tested = load_vehicle(vehicle)
     sections = []
-    with progress(len(LAWS)) as tick:
+    with stages(len(LAWS)) as tick:
         for name, measure in LAWS.items():
             tick(name)
             sections.append(measure(tested))

@@ -28,13 +28,14 @@ def command(
     """
     from inclined_landing.envs.policy import load_policy
     from inclined_landing.envs.shared import runs
+    from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.truth.equivalence import measured
-    from inclined_landing.eval.truth.report import progress, publish
+    from inclined_landing.eval.truth.report import publish
     from inclined_landing.models.parameters import load_vehicle
 
     loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    with progress(9) as tick:
+    with stages(9) as tick:
         sections, drawn = measured.measure(loaded, seed, quick, tick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]

@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from inclined_landing.envs.shared.measures import STRICT, TOUCHED, median_of
-from inclined_landing.eval.study import engine, panels, show
+from inclined_landing.eval.base import progress
+from inclined_landing.eval.study import panels, show
 from inclined_landing.eval.study.engine import Case, Contrast, Panel, Study, View, run
 from inclined_landing.models.base.errors import UserError
 
@@ -109,12 +110,11 @@ def test_long_work_says_how_long_it_takes_and_what_is_done(monkeypatch, capsys):
     run([study])
     assert not capsys.readouterr().err.strip()
     clock = iter(range(0, 10_000, 100))
-    monkeypatch.setattr(engine, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     run([study])
-    said = capsys.readouterr().err.split("\n")
-    assert said[0] == "3 x 4 flights: about 5 min"
-    assert [line.partition(":")[0] for line in said[1:4]] == [f"one, vehicle {k}" for k in range(3)]
-    assert "1 of 4 flights" in said[1]
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("100 s: 1 of 3 cases, about 3 min left, one, vehicle 0: 1 of 4 flights")
+    assert [line.partition(",")[0] for line in said[1:]] == ["200 s: 2 of 3 cases", "300 s: 3 of 3 cases"]
 
 
 def test_a_simulation_that_diverges_is_said_with_its_case():
