@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from inclined_landing.envs import save_policy
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
-from inclined_landing.envs.tasks import hover_states, make_task
+from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
