@@ -1,4 +1,4 @@
-"""Starts as people name them, X,Z or X,Y,Z, and those of films and figures where nobody names any."""
+"""Starts as people name them, X,Z or X,Y,Z, and the usual ones of films and figures."""
 
 from __future__ import annotations
 
