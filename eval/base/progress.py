@@ -32,14 +32,18 @@ def stages(total: float | None = None, what: str = "", done: float = 0) -> Itera
     at most one line every EVERY seconds.
     """
     console, began = printer(Console(stderr=True, markup=False, highlight=False)), time.monotonic()
-    last, before = began, done
+    last, before, count = began, done, done
     counts = (MofNCompleteColumn(), TimeRemainingColumn()) if total else ()
-    columns = (
-        TextColumn(what),
-        BarColumn(30),
-        *counts,
-        TextColumn("{task.description}", table_column=_WORDS),
-    )
+    shown = TextColumn("{task.description}", table_column=_WORDS)
+    columns = (TextColumn(what), BarColumn(30), *counts, shown)
+
+    def line(spent: float, words: str) -> str:
+        if not (total and what and count > before):
+            return words
+        left = spent / (count - before) * (total - count)
+        about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
+        return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))
+
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=total, completed=int(done))
 
@@ -50,14 +54,6 @@ def stages(total: float | None = None, what: str = "", done: float = 0) -> Itera
             now = time.monotonic()
             if not console.is_terminal and now - last >= EVERY:
                 last = now
-                console.print(f"{now - began:.0f} s: {_line(now - began, words)}", soft_wrap=True)
+                console.print(f"{now - began:.0f} s: {line(now - began, words)}", soft_wrap=True)
 
-        def _line(spent: float, words: str) -> str:
-            if not (total and what and count > before):
-                return words
-            left = spent / (count - before) * (total - count)
-            about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
-            return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))
-
-        count = done
         yield tick

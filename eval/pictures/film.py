@@ -13,7 +13,7 @@ import numpy as np
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
 from inclined_landing.eval.base.options import FITTED
-from inclined_landing.eval.base.progress import stages
+from inclined_landing.eval.base.progress import Tick, stages
 from inclined_landing.eval.pictures.frames import FPS, flight_view, render_flight, write_videos
 from inclined_landing.eval.pictures.touchdown import STEP, Touchdown
 from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
@@ -91,8 +91,14 @@ def film_touchdowns(
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
     """Write the videos, each with every n-th frame, with a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
+
+    def ticking(tick: Tick) -> Iterator[np.ndarray]:
+        for frame in frames:
+            tick(names)
+            yield frame
+
     with stages(total, "frames") as tick:
         try:
-            write_videos(files, map(lambda frame: (tick(names), frame)[1], frames), fps=rate)
+            write_videos(files, ticking(tick), fps=rate)
         except OSError as error:
             raise UserError(f"cannot write {names}: {(error.strerror or str(error)).lower()}") from error
