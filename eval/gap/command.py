@@ -37,7 +37,7 @@ def command(
     from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.base.style import save_figure, styled
     from inclined_landing.eval.gap import diagnose
-    from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
     from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words

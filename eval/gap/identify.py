@@ -19,7 +19,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     """
     from inclined_landing.envs.shared import runs
     from inclined_landing.eval.base.progress import stages
-    from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.report import identified, model, run
     from inclined_landing.models.parameters import load_vehicle

@@ -11,16 +11,15 @@ from threadpoolctl import threadpool_limits
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.evaluation import Evaluation, open_loop_errors, regime_errors
 from inclined_landing.eval.gap.answer.named import (
-    corrected,
     distinct_values,
     disturbances,
     named_effects,
-    refitted,
     relevant_values,
     scored_sets,
     unidentifiable_sets,
     useful_values,
 )
+from inclined_landing.eval.gap.answer.refit import corrected
 from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.distinct import check_unused
@@ -76,7 +75,7 @@ def diagnose(
     # How probable is every set of effects? In a strong wind the attitude loops are not judged.
     problem, joint = estimate_noise(problem)
     found = search(problem, joint)
-    if problem.logged[:, 3:5].any() and steady_force(problem, found.values) > thresholds.STRONG_WIND:
+    if problem.logged[:, 3:5].any() and steady_force(problem, found.best.values) > thresholds.STRONG_WIND:
         use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
         problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference))
         found = search(problem, joint)
@@ -86,9 +85,7 @@ def diagnose(
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
     relevant = relevant_values(found)
     useful = useful_values(found, relevant)
-    found, values = refitted(found, useful)
-    distinct = distinct_values(found, values)
-    found, values = refitted(found, distinct) if distinct.keys() < values.keys() else (found, values)
+    found, values = distinct_values(found, useful)
     correction = corrected(found, values)
     clock("names")
 

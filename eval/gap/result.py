@@ -5,19 +5,39 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, TypeVar
 
+import msgspec
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.models import effects
+from inclined_landing.models.base.schema import Real, Share, Table
 from inclined_landing.models.vehicle import Vehicle
 
+T = TypeVar("T")
 Verdict = Literal["effects", "nothing", "unknown", "undecided"]
 VERSION = 1  # of report.json
 HORIZON = 1.0  # s, after which the simulation of a log restarts at the measured state
 REFERENCE = "reference/vehicle.toml"  # in a report's folder: the vehicle that gap identified and diagnosed
 _DRAWN = {"corrected", "horizon"}  # not in report.json: the vehicle file, and curves of a figure
+
+
+def plain(record: object) -> dict:
+    """Return a record as dicts, lists, strings and numbers."""
+    return msgspec.to_builtins(record, enc_hook=lambda one: one.tolist())
+
+
+def from_plain(table: object, kind: type[T]) -> T:
+    """Return the record of `plain`, with finite arrays. Raises ValidationError for another table."""
+    return msgspec.convert(table, kind, dec_hook=_finite)
+
+
+def _finite(kind: type, values: object) -> np.ndarray:
+    result = np.array(values, float)
+    if kind is not np.ndarray or not np.isfinite(result).all():
+        raise ValueError("expected a list of finite numbers")
+    return result
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,14 +234,18 @@ class ReferenceErrors:
         }
 
 
-@dataclasses.dataclass(frozen=True)
-class ScoredSet:
+class ScoredSet(Table, frozen=True):
     """A set of effects with its posterior probability; the empty set: nothing is missing."""
 
     effects: tuple[str, ...]
-    probability: float
-    values: Mapping[str, Mapping[str, float]]
-    standard_errors: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    probability: Share
+    values: Mapping[str, Mapping[str, Real]] = {}
+    standard_errors: Mapping[str, Mapping[str, Real]] = {}  # empty: not known
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Return the effects in no order."""
+        return frozenset(self.effects)
 
 
 def marginal(sets: Sequence[ScoredSet], names: Sequence[str]) -> float:
@@ -423,7 +447,9 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
-        record = {name: value for name, value in dataclasses.asdict(self).items() if name not in _DRAWN}
+        record = plain(self)
+        for name in _DRAWN:
+            del record[name]
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained

@@ -24,7 +24,7 @@ from scipy import stats
 
 from inclined_landing.eval.base import style
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.identify import Identification, identify
+from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.flights.windows import prepare_all
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.model.problem import Problem

@@ -18,7 +18,7 @@ from rich.progress import track
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
-from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
 from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from inclined_landing.eval.gap.answer.identify import Identification, identify
+from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.answer.rollout import measure_gap
 from inclined_landing.eval.gap.report.identified import described, write_posterior
 from inclined_landing.eval.logs import FlightLog

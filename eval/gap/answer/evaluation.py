@@ -10,7 +10,8 @@ import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.named import Correction, Displacement, equivalence_class
+from inclined_landing.eval.gap.answer.named import Displacement, equivalence_class
+from inclined_landing.eval.gap.answer.refit import Correction
 from inclined_landing.eval.gap.answer.sizes import loop_pieces
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer import residual
@@ -29,17 +30,15 @@ class Evaluation:
 
     problem: Problem
     vehicles: list[Vehicle]
-    left_out: bool  # the flights fitted, each left out in turn
 
     @staticmethod
     def of(found: SetPosterior, correction: Correction, heldout: Sequence[MeasuredFlight]) -> Evaluation:
         """Return the evaluation on held-out flights; without any, on those fitted."""
-        problem = found.problem
-        if not heldout:
-            return Evaluation(problem, [problem.corrected(v) for v in correction.left_out], True)
-        test = Problem.of(heldout, problem.vehicle, {})
-        test = test.whitened(problem.noise_model, correction.vehicle)
-        return Evaluation(test, [correction.vehicle] * len(heldout), False)
+        problem, (_, vehicles) = found.problem, correction.judged(heldout)
+        if heldout:
+            test = Problem.of(heldout, problem.vehicle, {})
+            problem = test.whitened(problem.noise_model, correction.vehicle)
+        return Evaluation(problem, vehicles)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +75,7 @@ def open_loop_errors(
     horizon: tuple[HorizonCurve, ...] = ()
     if curves:
         horizon = _horizon(problem, starts, values, after, floor, correction.again)
-    vehicles = after if evaluation.left_out else correction.vehicle
+    vehicles = after if evaluation.problem is problem else correction.vehicle
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
         try:

@@ -5,21 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
+from msgspec import structs
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.refit import Refit
+from inclined_landing.eval.gap.answer.rollout import RolloutWindows, pose_errors
 from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, product, response
 from inclined_landing.eval.gap.infer.contact import ContactPosterior
-from inclined_landing.eval.gap.infer.fit import (
-    field_half_widths,
-    fit_least_squares,
-    fit_vehicle,
-    leave_one_out_modes,
-    vehicles_a_half_width_away,
-)
+from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
 from inclined_landing.eval.gap.model.columns import (
@@ -30,11 +26,10 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import Disturbance, NamedEffect, ScoredSet
+from inclined_landing.eval.gap.result import HORIZON, Disturbance, NamedEffect, ScoredSet
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
-from inclined_landing.models.vehicle import Vehicle
 
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
 
@@ -123,7 +118,7 @@ def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, F
         columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
         linear = problem.linearise(values, columns)
         local = LinearGaussian.of(problem, found.spread, linear, values)
-        there = dataclasses.replace(found, local=local, at=values)
+        there = dataclasses.replace(found, local=local)
         new = fitted_values(there, names)
         if problem.squares(new) <= problem.squares(values):
             found, values = there, new
@@ -163,91 +158,79 @@ def relevant_values(found: SetPosterior) -> FittedValues:
         names -= {least}
 
 
+def _starts(problem: Problem) -> RolloutWindows | None:
+    """Return the windows of a second in which errors ahead are measured; None where no stretch is so long."""
+    try:
+        return RolloutWindows.of(problem.flights)
+    except UserError:
+        return None
+
+
+def _fitted_to_others(found: SetPosterior, names: EffectSet) -> Refit:
+    """Return a set of effects fitted again, and without each flight."""
+    values = fitted_values(found, names)
+    local = found.local.with_wide_slabs(names)
+    return Refit(found.problem, values, leave_one_out(found.problem, local, names, values))
+
+
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    ahead = _Ahead.of(found, fitted_values)
+    starts = _starts(found.problem)
     by = _judged_by(found.problem.library[name], values[name])
-    if ahead is None or not by:
+    if starts is None or not by:
         return False
-    here, without = (ahead.fitted(names)[0][by] for names in (frozenset(values), frozenset(values) - {name}))
+    sets = (frozenset(values), frozenset(values) - {name})
+    here, without = (pose_errors(starts, _fitted_to_others(found, names).vehicles)[by] for names in sets)
     return bool((without > (1.0 + thresholds.USEFUL) * here).any())
 
 
-def useful_values(
-    found: SetPosterior,
-    values: FittedValues,
-    fit: Callable[[SetPosterior, EffectSet], FittedValues] = fitted_values,
-) -> FittedValues:
+def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects without which flights left out are predicted worse.
 
     Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
     where an effect acts on the attitude or on yaw. It is dropped if, without it, the first of these does not
     grow (other effects fixed) and none grows by USEFUL (other effects refitted). All of `values` are returned
-    if no stretch is long enough. fit: values of a set of effects.
+    if no stretch is long enough.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    ahead = _Ahead.of(found, fit)
-    if ahead is None:
+    starts = _starts(found.problem)
+    if starts is None:
         return values
-    errors, fitted = ahead.errors, ahead.fitted
     by = {name: _judged_by(found.problem.library[name], values[name]) for name in values}
-    here, values, left_out = fitted(frozenset(values))
-    while values:
+    fit = _fitted_to_others(found, frozenset(values))
+    here = pose_errors(starts, fit.vehicles)
+    while fit.values:
         fewer = []
-        for name in (n for n in sorted(values) if by[n]):
-            first, rest = by[name][0], frozenset(values) - {name}
-            others = [{n: v[n] for n in rest} for v in left_out]
-            if errors(others)[first] <= here[first]:
-                without = fitted(rest)
-                growth = without[0][by[name]] / np.maximum(here[by[name]], 1e-12)
+        for name in (n for n in sorted(fit.values) if by[n]):
+            rest = frozenset(fit.values) - {name}
+            fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
+            if pose_errors(starts, fixed.vehicles)[by[name][0]] <= here[by[name][0]]:
+                without = _fitted_to_others(found, rest)
+                errors = pose_errors(starts, without.vehicles)
+                growth = errors[by[name]] / np.maximum(here[by[name]], 1e-12)
                 if growth.max() <= 1.0 + thresholds.USEFUL:
-                    fewer.append((growth[0], without))
+                    fewer.append((growth[0], errors, without))
         if not fewer:
             break
-        _, (here, values, left_out) = min(fewer, key=lambda one: one[0])
-    return values
+        _, here, fit = min(fewer, key=lambda one: one[0])
+    return fit.values
 
 
-def distinct_values(found: SetPosterior, values: FittedValues) -> FittedValues:
+def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
     """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
 
-    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it.
+    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. The
+    posterior is linearised where the effects are named.
     """
-    pieces = loop_pieces(found.problem, values)
+    found, values = refitted(found, values)
+    pieces, distinct = loop_pieces(found.problem, values), values
     while True:
-        sizes = estimates(found, values)
-        vague = [n for n in values if n not in pieces and not any(p.firm for p in sizes[n].values())]
-        least = next((n for n in vague if not _shows_ahead(found, values, n)), "")
+        sizes = estimates(found, distinct)
+        vague = [n for n in distinct if n not in pieces and not any(p.firm for p in sizes[n].values())]
+        least = next((n for n in vague if not _shows_ahead(found, distinct, n)), "")
         if not least:
-            return values
-        values = fitted_values(found, frozenset(values) - {least})
-
-
-@dataclasses.dataclass(frozen=True)
-class _Ahead:
-    """Errors one second ahead on flights left out, of any set of effects."""
-
-    found: SetPosterior
-    fit: Callable[[SetPosterior, EffectSet], FittedValues]
-    starts: rollout.RolloutWindows
-
-    @staticmethod
-    def of(found: SetPosterior, fit: Callable[[SetPosterior, EffectSet], FittedValues]) -> _Ahead | None:
-        """Return them; None where no stretch is so long."""
-        try:
-            return _Ahead(found, fit, rollout.RolloutWindows.of(found.problem.flights))
-        except UserError:
-            return None
-
-    def errors(self, left_out: Sequence[Values]) -> np.ndarray:
-        """Return the errors (3,) of position, tilt and heading, with values for every flight."""
-        return rollout.pose_errors(self.starts, [self.found.problem.corrected(v) for v in left_out])
-
-    def fitted(self, names: EffectSet) -> tuple[np.ndarray, FittedValues, list[FittedValues]]:
-        """Return the errors of a set fitted again, its values, and those without each flight."""
-        there, local = self.fit(self.found, names), self.found.local.with_wide_slabs(names)
-        left_out = leave_one_out(self.found.problem, local, names, there)
-        return self.errors(left_out), there, left_out
+            return refitted(found, distinct) if len(distinct) < len(values) else (found, values)
+        distinct = fitted_values(found, frozenset(distinct) - {least})
 
 
 def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
@@ -257,7 +240,7 @@ def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
     control, and from the motion little.
     """
     hold = [values.get(p.name, 0.0) for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
-    if hold and hold[0] * rollout.HORIZON > 1.0:
+    if hold and hold[0] * HORIZON > 1.0:
         return []
     acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
     return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
@@ -300,8 +283,8 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
     replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
     same = [o for o in effect.same_as if o in library]
-    if name == "com_offset" and not found.problem.requested and name in found.values:
-        same += _rotor_of_moment(found.values[name]["x"], found.values[name]["y"])
+    if name == "com_offset" and not found.problem.requested and name in found.best.values:
+        same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])
     return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))
 
 
@@ -342,16 +325,13 @@ def disturbances(problem: Problem) -> dict[str, Disturbance]:
 
 
 def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the sets of a posterior with values and their standard errors."""
+    """Return the sets of a posterior with the standard errors of their values."""
     result = []
     for scored in found.sets:
-        names = tuple(n for n in found.problem.library if n in scored.names)
-        values = {n: dict(scored.values[n]) for n in names}
-        sized = found.local.estimates(values)
-        standard_errors: dict[str, dict[str, float]] = {n: {} for n in names}
-        for (name, parameter), known in sized.items():
+        standard_errors: dict[str, dict[str, float]] = {n: {} for n in scored.effects}
+        for (name, parameter), known in found.local.estimates(scored.values).items():
             standard_errors[name][parameter] = known.error
-        result.append(ScoredSet(names, scored.probability, values, standard_errors))
+        result.append(structs.replace(scored, standard_errors=standard_errors))
     return tuple(result)
 
 
@@ -374,45 +354,6 @@ def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
             continue
         width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
         values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
-        ordered = tuple(n for n in problem.library if n in names)
         odds = best.probability * share / (1.0 - share)
-        result.append(ScoredSet(ordered, odds, values, {name: width}))
+        result.append(ScoredSet(problem.ordered(names), odds, values, {name: width}))
     return tuple(result)
-
-
-@dataclasses.dataclass(frozen=True)
-class Correction:
-    """Values of the effects that correct the vehicle: the named ones, or all of an identified vehicle.
-
-    All are estimated again where that predicts flights left out better.
-    """
-
-    vehicle: Vehicle  # with these
-    values: FittedValues
-    left_out: Sequence[Values]  # for every flight, fitted to the others
-    again: bool = False  # whether the errors of the identified vehicle were estimated again
-    half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
-
-
-def corrected(found: SetPosterior, values: FittedValues) -> Correction:
-    """Return the correction by the named effects at `values`."""
-    problem, names = found.problem, frozenset(values)
-    local = found.local.with_wide_slabs(names)
-    named = Correction(problem.corrected(values), values, leave_one_out(problem, local, names, values))
-    if not (problem.identified and values):
-        return named
-    again, local = fit_vehicle(problem, found.spread, values, names)
-    vehicle, moved = problem.corrected(again), vehicles_a_half_width_away(problem, local, names, again)
-    widths = field_half_widths(problem.vehicle, vehicle, moved)
-    whole = Correction(vehicle, again, leave_one_out_modes(problem, local, names), True, widths)
-    return min(named, whole, key=lambda one: _error_left_out(problem, one))
-
-
-def _error_left_out(problem: Problem, correction: Correction) -> float:
-    """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
-    try:
-        starts = rollout.RolloutWindows.of(problem.flights)
-    except UserError:
-        return math.inf
-    vehicles = [problem.corrected(values) for values in correction.left_out]
-    return float(rollout.errors_by_flight(starts, vehicles)[0][-1])

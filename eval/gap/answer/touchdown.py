@@ -121,7 +121,7 @@ def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[S
     total = sum(other.probability for other in found.sets)
     both = [
         ScoredSet(
-            (*one.effects, *other.values),
+            (*one.effects, *other.effects),
             one.probability * other.probability / total,
             {**one.values, **other.values},
             one.standard_errors,

@@ -44,24 +44,12 @@ class LandingReference:
         """Return the mean residual (m, 6) at t (m,) [s] after contact; none on a surface never landed on."""
         return np.stack([np.interp(t, self.time, c) for c in self.common[int(on_platform)]], axis=1)
 
-    def to_json(self) -> dict:
-        """Return the record as plain lists and numbers."""
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
-
-    @staticmethod
-    def from_json(table: dict) -> LandingReference:
-        """Return the record of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
-        floor, platform = map(int, table["count"])
-        time, common, transient, rest = (
-            np.array(table[name], float) for name in ("time", "common", "transient", "rest")
-        )
-        if common.shape != (2, 6, len(time)) or not transient.shape == rest.shape == (6,):
+    def __post_init__(self):
+        errors = self.transient.shape == self.rest.shape == (6,)
+        if self.common.shape != (2, 6, len(self.time)) or not errors:
             raise ValueError("landings of another shape")
-        if min(floor, platform) < 0 or not floor + platform or min(*transient, *rest) <= 0.0:
+        if min(self.count) < 0 or not sum(self.count) or min(*self.transient, *self.rest) <= 0.0:
             raise ValueError("landings without number or errors")
-        if not all(np.isfinite(x).all() for x in (time, common, transient, rest)):
-            raise ValueError("finite numbers")
-        return LandingReference((floor, platform), time, common, transient, rest)
 
 
 @dataclasses.dataclass

@@ -24,9 +24,10 @@ from scipy.special import logsumexp
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights
-from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE, SetProbability
+from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
+from inclined_landing.eval.gap.result import ScoredSet, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -56,7 +57,7 @@ class ContactEstimate:
 class ContactPosterior:
     """Posterior over sets of contact effects, with estimates of the most probable set."""
 
-    sets: tuple[SetProbability, ...]  # most probable first
+    sets: tuple[ScoredSet, ...]  # most probable first
     sizes: dict[str, ContactEstimate]  # of the most probable set
     gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
     unexplained: bool  # whether a common residual is significant
@@ -69,7 +70,7 @@ class ContactPosterior:
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
-        return sum(s.probability for s in self.sets if s.names & set(names))
+        return marginal(self.sets, names)
 
 
 def contact_posterior(
@@ -296,7 +297,7 @@ class _ContactModel:
             rest = names - {self.names[j]}
             table[rest].append(self.profile(rest, j, scan, others))
 
-    def distribution(self) -> tuple[tuple[SetProbability, ...], list[_Profile]]:
+    def distribution(self) -> tuple[tuple[ScoredSet, ...], list[_Profile]]:
         """Return the bagged posterior over sets, most probable first, and the profiles of the first."""
         share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
@@ -322,7 +323,8 @@ class _ContactModel:
         kept = [n for k, n in enumerate(order) if not k or probability[n] >= thresholds.REPORTED]
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
-        return tuple(SetProbability(n, float(probability[n]), values[n]) for n in kept), own[kept[0]]
+        scored = (ScoredSet(self.problem.ordered(n), float(probability[n]), values[n]) for n in kept)
+        return tuple(scored), own[kept[0]]
 
     def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
         """Return the posterior mode of a set, by index of the effect."""

@@ -149,7 +149,8 @@ class LinearGaussian:
 
     candidates: Candidates
     columns: tuple[Column, ...]
-    at: np.ndarray  # (P,) linearisation point, from neutral, in spikes
+    values: Values  # the linearisation point
+    at: np.ndarray  # (P,) the same, from neutral, in spikes
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,)
@@ -182,6 +183,7 @@ class LinearGaussian:
         return LinearGaussian(
             candidates=problem,
             columns=columns,
+            values=values,
             at=problem.coordinates(values, columns) / unit,
             a=a,
             b=b,

@@ -21,7 +21,6 @@ from inclined_landing.eval.gap.flights.noise import ErrorResponses
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.model.columns import Values
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import (
@@ -46,15 +45,13 @@ HORIZON = 1.0  # s, over which a function displaces the vehicle
 EXPECTED_SIZE = {"m/s2": 0.01, "rad/s2": 0.3}  # least prior standard deviation of a function
 
 
-def white_residuals(
-    problem: Problem, local: LinearGaussian, names: EffectSet, at: Values
-) -> list[np.ndarray]:
+def white_residuals(problem: Problem, local: LinearGaussian, names: EffectSet) -> list[np.ndarray]:
     """Return the white residuals (w, C, q) of every flight at the posterior mean of all columns.
 
-    Random effects of the flights included. at: where `local` is linearised.
+    Random effects of the flights included.
     """
     change, _ = local.posterior(names)
-    errors, jacobian_of = [], problem.jacobian(at, local.columns)
+    errors, jacobian_of = [], problem.jacobian(local.values, local.columns)
     for k, flight in enumerate(problem.flights):
         step = (change + local.random_effect(k, change)) * local.unit  # z + u of this flight
         jacobian = jacobian_of(flight, problem.form_jacobians[k])
@@ -174,7 +171,7 @@ def analyse_residual(found: SetPosterior, vehicle: Vehicle, error: float = math.
     vehicle: the corrected one. error: its position error [m] one second ahead; NaN: not known.
     """
     problem = found.problem
-    residual = white_residuals(problem, found.local, found.names, found.at)
+    residual = white_residuals(problem, found.local, found.names)
     value, variance = equivalent_sizes(problem, residual)
     size = {}
     for k, channel in enumerate(channels_of(problem)):

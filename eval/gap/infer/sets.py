@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec import structs
 from scipy.special import ndtr
 
 from inclined_landing.eval.gap import thresholds
@@ -26,6 +27,7 @@ from inclined_landing.eval.gap.infer.gaussian import (
 )
 from inclined_landing.eval.gap.model.columns import BASE, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
+from inclined_landing.eval.gap.result import ScoredSet, marginal
 
 REDUNDANT = (  # of these one is a combination of the others
     frozenset(("mass", "thrust_scale")),  # free flight shows the ratio of thrust to mass alone
@@ -57,20 +59,10 @@ class FittedSet:
     """A set of effects fitted through the simulator, and its linearisation."""
 
     names: EffectSet
-    at: FittedValues  # the linearisation point
-    values: FittedValues  # posterior mode: one Newton step further
-    local: LinearGaussian  # the model linearised at `at`
+    values: FittedValues  # posterior mode: one Newton step beyond the linearisation
+    local: LinearGaussian  # the model linearised
     screen: Evidence  # log marginal likelihoods of other sets, predicted from this linearisation
     score: float  # log posterior probability, up to a constant
-
-
-@dataclasses.dataclass(frozen=True)
-class SetProbability:
-    """Posterior probability and mode of a set of effects."""
-
-    names: EffectSet
-    probability: float
-    values: FittedValues
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,18 +70,20 @@ class SetPosterior:
     """Posterior distribution over sets of effects, with the most probable one."""
 
     problem: Problem  # with its noise estimated
-    joint: FittedValues  # fit of all effects together
-    linear: Linearisation  # there
+    linear: Linearisation  # at the fit of all effects together
     spread: Spread  # of the flights, by that
-    names: EffectSet  # the most probable set, all that scales the thrust counted as one
-    values: FittedValues  # its posterior mode
-    at: FittedValues  # its linearisation point
-    local: LinearGaussian  # the model linearised there
-    sets: tuple[SetProbability, ...]  # most probable first
+    best: FittedSet  # the most probable set, all that scales the thrust counted as one
+    local: LinearGaussian  # the model linearised where sizes are read off
+    sets: tuple[ScoredSet, ...]  # most probable first
+
+    @property
+    def names(self) -> EffectSet:
+        """Return the most probable set."""
+        return self.best.names
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
-        return sum(s.probability for s in self.sets if s.names & set(names))
+        return marginal(self.sets, names)
 
 
 def search(problem: Problem, joint: FittedValues) -> SetPosterior:
@@ -102,10 +96,10 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     scored, nodes = _bagged_posterior(problem, spread, nodes, best)
     names = _most_probable(problem, scored)
     chosen = nodes.get(names) or _fit_set(problem, spread, names, _linear_estimate(problem, best, names))
-    return SetPosterior(problem, joint, linear, spread, names, chosen.values, chosen.at, chosen.local, scored)
+    return SetPosterior(problem, linear, spread, chosen, chosen.local, scored)
 
 
-def _most_probable(problem: Problem, scored: Sequence[SetProbability]) -> EffectSet:
+def _most_probable(problem: Problem, scored: Sequence[ScoredSet]) -> EffectSet:
     """Return the most probable set; mass, thrust scale and bias are confounded and count as one."""
     together: dict[EffectSet, float] = {}
 
@@ -154,9 +148,9 @@ def _fit_set(
         at, step = problem.coordinates(values, columns), problem.coordinates(new, columns)
         step = step - at
         if best is None or score > best.score:
-            best = FittedSet(names, around, new, local, screen, score)
+            best = FittedSet(names, new, local, screen, score)
         elif np.isfinite(best.score):
-            back = problem.coordinates(best.at, columns)
+            back = problem.coordinates(best.local.values, columns)
             new = problem.values_at(names, columns, 0.5 * (back + at))
             step = at - back
         least = np.array([problem.parameter(c).negligible for c in columns])
@@ -349,7 +343,7 @@ def _exchange_candidates(
 
 def _bagged_posterior(
     problem: Problem, spread: Spread, nodes: Mapping[EffectSet, FittedSet], best: FittedSet
-) -> tuple[tuple[SetProbability, ...], dict[EffectSet, FittedSet]]:
+) -> tuple[tuple[ScoredSet, ...], dict[EffectSet, FittedSet]]:
     """Return the bagged posterior (Huggins and Miller 2023) of fitted sets and neighbours of the best.
 
     All sets are compared in the same linearisations: their error cancels in the differences. Returned are
@@ -376,7 +370,7 @@ def _bagged_posterior(
     for one, share in zip(names, (shares / shares.sum(axis=0)).mean(axis=1)):
         for subset, part in _relevant_subsets(problem, nodes.get(one, best).local, one).items():
             probability[subset] = probability.get(subset, 0.0) + part * float(share)
-    result: list[SetProbability] = []
+    result: list[ScoredSet] = []
     for one in sorted(probability, key=lambda n: -probability[n]):
         if probability[one] < thresholds.REPORTED and result:
             continue
@@ -387,18 +381,18 @@ def _bagged_posterior(
             if probability[one] > REFIT_ABOVE or not result:  # so far from the linearisation alone
                 nodes[one] = _fit_set(problem, spread, one, values)
                 values = nodes[one].values
-        result.append(SetProbability(one, probability[one], values))
+        result.append(ScoredSet(problem.ordered(one), probability[one], values))
     return _simulated(problem, result), nodes
 
 
-def _simulated(problem: Problem, sets: Sequence[SetProbability]) -> tuple[SetProbability, ...]:
+def _simulated(problem: Problem, sets: Sequence[ScoredSet]) -> tuple[ScoredSet, ...]:
     """Return the sets, at probabilities of 1 in all, whose simulation bears out their linearised score."""
     probable = [one for one in sets if one.probability > REFIT_ABOVE]
-    squares = {one.names: problem.squares(one.values) for one in probable}
+    squares = {one.effects: problem.squares(one.values) for one in probable}
     most = SIMULATED * min(squares.values(), default=math.inf)
-    kept = [one for one in sets if squares.get(one.names, 0.0) <= most]
+    kept = [one for one in sets if squares.get(one.effects, 0.0) <= most]
     total = sum(one.probability for one in kept)
-    return tuple(dataclasses.replace(one, probability=one.probability / total) for one in kept)
+    return tuple(structs.replace(one, probability=one.probability / total) for one in kept)
 
 
 def _relevant_subsets(problem: Problem, local: LinearGaussian, names: EffectSet) -> dict[EffectSet, float]:

@@ -163,6 +163,10 @@ class Candidates:
             )
         return self.library[column.effect].parameter(column.parameter)
 
+    def ordered(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return effects in the order of the library."""
+        return tuple(n for n in self.library if n in names)
+
     def neutral(self, name: str) -> dict[str, float]:
         """Return the neutral values of an effect; for the base model, zero model errors."""
         return dict.fromkeys(BASE_DEVIATIONS, 0.0) if name == BASE else self.library[name].neutral

@@ -10,8 +10,10 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from msgspec import Struct, ValidationError
 from scipy.linalg import block_diag
 
 from inclined_landing.eval.gap.flights.landings import LandingReference
@@ -26,7 +28,7 @@ from inclined_landing.eval.gap.model.columns import (
     slab_covariance,
 )
 from inclined_landing.eval.gap.model.prediction import CHANNELS
-from inclined_landing.eval.gap.result import Disturbance, ReferenceErrors
+from inclined_landing.eval.gap.result import ReferenceErrors, from_plain, plain
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Effect
@@ -34,7 +36,7 @@ from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
-VERSION = 4  # 2 had no errors of the reference's flights
+VERSION: Literal[4] = 4
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 TARGETS = (*CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
@@ -55,6 +57,16 @@ class Basis:
     centre: np.ndarray  # (k,)
     scale: np.ndarray  # (k,)
     knots: tuple[np.ndarray, ...]  # of k, in scaled inputs
+
+    def __post_init__(self):
+        count = len(self.knots) or len(self.centre)
+        if not len(self.centre) == len(self.scale) == count or min(self.scale) <= 0.0:
+            raise ValueError("as many scales above zero as inputs")
+
+    @property
+    def count(self) -> int:
+        """Return the number D of features."""
+        return self(np.zeros((1, len(self.centre)))).shape[1]
 
     @staticmethod
     def of(seen: np.ndarray, inputs: Sequence[str]) -> Basis:
@@ -149,63 +161,61 @@ class VehiclePosterior:
 
     def to_json(self, vehicle: Vehicle) -> dict:
         """Return the posterior as plain lists and numbers; `vehicle`: the one identified."""
-        functions = self.repeating
-        return {
-            "version": VERSION,
-            "vehicle": digest(vehicle),
-            "library": sorted(self.library),
-            "columns": [_row(c) for c in self.columns],
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance.tolist(),
-            "quantities": {
-                name: {
-                    "centre": b.centre.tolist(),
-                    "scale": b.scale.tolist(),
-                    "knots": [k.tolist() for k in b.knots],
-                }
-                for name, b in functions.bases.items()
-            },
-            "functions": [[*key, w.tolist()] for key, w in functions.weights.items()],
-            "errors": dataclasses.asdict(self.errors) if self.errors else None,
-            "landings": self.landings.to_json() if self.landings else None,
-            "flights": {name: list(numbers) for name, numbers in self.flights.items()},
-        }
+        file = _File(
+            version=VERSION,
+            vehicle=digest(vehicle),
+            columns=tuple(map(_row, self.columns)),
+            mean=self.mean,
+            covariance=self.covariance,
+            quantities=self.repeating.bases,
+            functions=tuple((*key, weights) for key, weights in self.repeating.weights.items()),
+            errors=self.errors,
+            landings=self.landings,
+            library=tuple(sorted(self.library)),
+            flights=self.flights,
+        )
+        return plain(file)
 
     @staticmethod
-    def from_json(table: dict) -> VehiclePosterior:
-        """Return the posterior of `to_json`. Raises ValueError, KeyError or TypeError for a damaged one."""
-        if table["version"] not in (2, VERSION):
-            raise ValueError(f"version {table['version']!r}")
-        columns = tuple(_column(*row) for row in table["columns"])
-        mean, covariance = _numbers(table["mean"], 1), _numbers(table["covariance"], 2)
-        if mean.shape != (len(columns),) or covariance.shape != (len(columns),) * 2:
+    def from_json(table: object) -> VehiclePosterior:
+        """Return the posterior of `to_json`. Raises ValidationError or ValueError for a damaged one."""
+        file = from_plain(table, _File)
+        columns = tuple(_column(*row) for row in file.columns)
+        if file.mean.shape != (len(columns),) or file.covariance.shape != (len(columns),) * 2:
             raise ValueError("as many numbers as columns")
-        wide = np.sqrt(np.maximum(covariance.diagonal(), 1e-300))
-        scaled = covariance / np.outer(wide, wide)
+        wide = np.sqrt(np.maximum(file.covariance.diagonal(), 1e-300))
+        scaled = file.covariance / np.outer(wide, wide)
         if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled).min() < -1e-6:
             raise ValueError("a covariance")
-        bases = {
-            str(name): Basis(
-                _numbers(b["centre"], 1), _numbers(b["scale"], 1), tuple(_numbers(k, 1) for k in b["knots"])
-            )
-            for name, b in table["quantities"].items()
-        }
-        weights = {(str(target), str(on)): _numbers(w, 1) for target, on, w in table["functions"]}
-        for b in bases.values():
-            knots = len(b.knots) or len(b.centre)
-            if not len(b.centre) == len(b.scale) == knots or min(b.scale) <= 0.0:
-                raise ValueError("as many scales above zero as inputs")
+        weights = {(target, on): w for target, on, w in file.functions}
         for (target, on), w in weights.items():
-            if target not in TARGETS or len(w) != bases[on](np.zeros((1, len(bases[on].centre)))).shape[1]:
+            basis = file.quantities.get(on)
+            if basis is None or target not in TARGETS or w.shape != (basis.count,):
                 raise ValueError(f"weights of {target} with {on}")
-        landings = table["landings"] if table["version"] == VERSION else None
-        library = frozenset(map(str, table.get("library", [c.effect for c in columns])))
         return VehiclePosterior(
-            *(columns, mean, covariance, ReferenceResidual(bases, weights), library),
-            errors=_errors(table),
-            landings=LandingReference.from_json(landings) if landings else None,
-            flights={str(name): tuple(map(int, seen)) for name, seen in table.get("flights", {}).items()},
+            *(columns, file.mean, file.covariance, ReferenceResidual(file.quantities, weights)),
+            frozenset(file.library or (c.effect for c in columns)),
+            errors=file.errors,
+            landings=file.landings,
+            flights=file.flights,
         )
+
+
+class _File(Struct, frozen=True):
+    """The layout of a posterior's file; files of version 2 end with the functions."""
+
+    version: Literal[2, 4]
+    vehicle: str  # its digest
+    # Effect, parameter, fixed parameters and model error of every column; see `_row`.
+    columns: tuple[tuple[str, str, tuple[tuple[str, float], ...], str], ...]
+    mean: np.ndarray
+    covariance: np.ndarray
+    quantities: Mapping[str, Basis]
+    functions: tuple[tuple[str, str, np.ndarray], ...]  # target, quantity, weights
+    errors: ReferenceErrors | None = None
+    landings: LandingReference | None = None
+    library: tuple[str, ...] = ()
+    flights: Mapping[str, tuple[int, ...]] = {}
 
 
 def free_effects() -> dict[str, Effect]:
@@ -248,7 +258,7 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
         reference = VehiclePosterior.from_json(table)
         if table["vehicle"] == digest(vehicle):
             return reference.with_new_effects(vehicle), ""
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, ValidationError) as error:
         raise UserError(
             f"{file} is damaged ({error}); identify the vehicle again, or remove the file"
         ) from error
@@ -258,56 +268,22 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
     )
 
 
-def _row(column: Column) -> list:
-    """Return a column as [effect, parameter, fixed parameters, model error]."""
-    if isinstance(column, BaseColumn):
-        return ["", column.form, [], column.form]
-    if isinstance(column, FormColumn):
-        return [column.effect, "", [], column.form]
-    return [column.effect, column.parameter, [list(x) for x in column.fixed], ""]
+def _row(column: Column) -> tuple[str, str, tuple[tuple[str, float], ...], str]:
+    """Return effect, parameter, fixed parameters and model error of a column."""
+    if isinstance(column, ParameterColumn):
+        return column.effect, column.parameter, column.fixed, ""
+    return (
+        ("", column.form, (), column.form)
+        if isinstance(column, BaseColumn)
+        else (column.effect, "", (), column.form)
+    )
 
 
-def _column(effect: str, parameter: str, fixed, error: str) -> Column:
+def _column(effect: str, parameter: str, fixed: tuple[tuple[str, float], ...], error: str) -> Column:
     """Return the column of `_row`."""
     if not error:
-        return ParameterColumn(str(effect), str(parameter), tuple((str(n), float(x)) for n, x in fixed))
-    return FormColumn(str(effect), str(error)) if effect else BaseColumn(str(error))
-
-
-def _errors(table: dict) -> ReferenceErrors | None:
-    """Return the errors of the reference's flights; None where the table has none."""
-    if table["version"] == 2 or table["errors"] is None:
-        return None
-
-    def number(value) -> float:
-        return float(_numbers(value, 0))
-
-    def interval(values) -> tuple[float, float]:
-        low, high = _numbers(values, 1)
-        return float(low), float(high)
-
-    disturbance = {
-        str(channel): Disturbance(
-            noise=number(row["noise"]),
-            size=number(row["size"]),
-            size_ci95=interval(row["size_ci95"]),
-            time=number(row["time"]),
-            time_ci95=interval(row["time_ci95"]),
-            unit=str(row["unit"]),
-        )
-        for channel, row in table["errors"]["disturbance"].items()
-    }
-    own = table["errors"]
-    worse = {str(axis): interval(errors) for axis, errors in own["worse"].items()}
-    return ReferenceErrors(number(own["error"]), number(own["floor"]), disturbance, worse)
-
-
-def _numbers(values, dimensions: int) -> np.ndarray:
-    """Return nested lists as an array; raises ValueError where they are not finite numbers."""
-    result = np.array(values, float)
-    if result.ndim != dimensions or not np.isfinite(result).all():
-        raise ValueError("a list of finite numbers")
-    return result
+        return ParameterColumn(effect, parameter, fixed)
+    return FormColumn(effect, error) if effect else BaseColumn(error)
 
 
 def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Constant]) -> float:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from inclined_landing.eval.gap.flights.noise import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
@@ -76,7 +77,7 @@ class ModelDiscrimination:
         reference: VehiclePosterior | None = None,
     ):
         total = sum(h.probability for h in hypotheses)
-        self.hypotheses = [dataclasses.replace(h, probability=h.probability / total) for h in hypotheses]
+        self.hypotheses = [structs.replace(h, probability=h.probability / total) for h in hypotheses]
         self.vehicle, self.noise_levels = vehicle, noise_levels
         proposed = {name for h in hypotheses for name in h.effects}
         # What only the requests of the motors show: flights that are planned have none.

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct, structs
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, read_reference
 from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, shown
-from inclined_landing.models.base.schema import Real, Table
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
@@ -25,15 +24,6 @@ ROOM = (
     *("platform_inclination", "platform_surface_height"),
 )
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-class _Set(Table, frozen=True):
-    """An entry of `sets` or `unidentifiable_sets`."""
-
-    effects: list[str]
-    probability: Annotated[float, Meta(ge=0, le=1)]
-    values: dict[str, dict[str, Real]] = field(default_factory=dict)
-    standard_errors: dict[str, dict[str, Real]] = field(default_factory=dict)
 
 
 class _Disturbance(Struct, frozen=True):
@@ -55,8 +45,8 @@ class _Residual(Struct, frozen=True):
 class _Report(Struct, frozen=True):
     """The entries of report.json that a plan needs; all others are ignored."""
 
-    sets: Annotated[list[_Set], Meta(min_length=1)]
-    unidentifiable_sets: list[_Set] = []
+    sets: Annotated[list[ScoredSet], Meta(min_length=1)]
+    unidentifiable_sets: list[ScoredSet] = []
     immaterial: list[str] = []
     platform: bool = False
     verdict: str = ""
@@ -84,9 +74,8 @@ class PlanInput:
             names = tuple(n for n in one.effects if not (LIBRARY[n].contact or n in report.immaterial))
             values = {n: one.values[n] for n in names}
             same = hypotheses.get(names, ScoredSet(names, 0.0, values, one.standard_errors))
-            hypotheses[names] = dataclasses.replace(same, probability=same.probability + one.probability)
-        sets = [ScoredSet(tuple(s.effects), s.probability, s.values, s.standard_errors) for s in report.sets]
-        probabilities = {name: marginal(sets, (name,)) for one in sets for name in one.effects}
+            hypotheses[names] = structs.replace(same, probability=same.probability + one.probability)
+        probabilities = {n: marginal(report.sets, (n,)) for one in report.sets for n in one.effects}
         for one in report.unidentifiable_sets:  # the best set and one effect more, which has its prior odds
             probabilities |= {n: one.probability for n in one.effects if n not in probabilities}
         typical = NoiseLevels.typical()
@@ -142,7 +131,7 @@ def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, P
     return found, None if same else vehicle
 
 
-def _check(rows: Sequence[_Set], library: Mapping[str, Effect], where: str) -> None:
+def _check(rows: Sequence[ScoredSet], library: Mapping[str, Effect], where: str) -> None:
     """Raise UserError for an unknown effect, or a value that is missing or out of bounds.
 
     library: its effects with the bounds that apply to the vehicle diagnosed.

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from inclined_landing.envs.shared.tables import new_table
 from inclined_landing.eval.base.style import BLUE, MUTED, panel, styled
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.identify import PAPER, Identification, Identified
+from inclined_landing.eval.gap.answer.identification import PAPER, Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report import figures, numbers, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows

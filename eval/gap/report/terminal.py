@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
-from inclined_landing.eval.gap.answer.identify import Identification
+from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Diagnosis
 

@@ -13,7 +13,7 @@ from inclined_landing import eval as rooms
 from inclined_landing.eval import truth
 from inclined_landing.eval.base.claims import Claim, Section
 from inclined_landing.eval.base.page import render
-from inclined_landing.eval.gap.answer.identify import Identification, Identified
+from inclined_landing.eval.gap.answer.identification import Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.report import identified
 from inclined_landing.eval.replay.page import _as_script

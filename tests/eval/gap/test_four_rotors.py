@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap import diagnose
-from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.flights.windows import REQUEST_SIGNS, prepare, prepare_all
 from inclined_landing.eval.gap.infer.gaussian import Spread
 from inclined_landing.eval.gap.model.columns import slab_covariance

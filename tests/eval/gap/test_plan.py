@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
@@ -113,7 +114,7 @@ def test_expected_probability_of_two_points_is_that_of_a_logistic_of_a_normal():
 
 def test_what_predicts_the_same_stays_in_doubt():
     discrimination = ModelDiscrimination(
-        [DRAG, dataclasses.replace(DRAG, probability=0.2)], VEHICLE, NoiseLevels.typical()
+        [DRAG, structs.replace(DRAG, probability=0.2)], VEHICLE, NoiseLevels.typical()
     )
     seen = gram(discrimination, points("run"))
     assert discrimination.gain(seen) == pytest.approx(0.0, abs=1e-6)
@@ -271,7 +272,7 @@ def test_no_flight_is_for_what_does_not_matter(tmp_path):
 
 def test_no_flight_where_none_is_needed_or_none_tells(tmp_path, capsys):
     out = tmp_path / "flight"
-    alone = report(tmp_path, dataclasses.replace(DRAG, probability=0.97))
+    alone = report(tmp_path, structs.replace(DRAG, probability=0.97))
     assert main(["plan", str(alone), "--out", str(out)]) == 0
     assert "No flight is needed: rotor drag has a probability of 97 %." in capsys.readouterr().out
     assert not out.exists()
@@ -383,5 +384,5 @@ def test_the_short_text_names_a_piece_the_scale_or_nothing():
     assert worth and "A flight would help to show whether the model lacks rotor drag or body drag:" in text
     text, worth = said(MASS, THRUST)
     assert not worth and "No flight can distinguish mass and thrust scale. Weigh the vehicle" in text
-    decided = dataclasses.replace(DRAG, probability=0.97), dataclasses.replace(BODY, probability=0.03)
+    decided = structs.replace(DRAG, probability=0.97), structs.replace(BODY, probability=0.03)
     assert said(*decided) == ("", False)

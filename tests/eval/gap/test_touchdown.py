@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec import ValidationError
 
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.named import confounded_with
@@ -17,9 +18,8 @@ from inclined_landing.eval.gap.infer.contact import (
     inflation,
 )
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
-from inclined_landing.eval.gap.infer.sets import SetProbability
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
-from inclined_landing.eval.gap.result import ScoredSet, marginal
+from inclined_landing.eval.gap.result import ScoredSet, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation.gap_blind import cases
@@ -40,9 +40,9 @@ def test_an_unlikely_effect_of_contact_is_not_named(likely):
     """Though it is in the most probable set: the others share the rest."""
     share = thresholds.NAMED + 0.05 if likely else thresholds.NAMED - 0.05
     sized = ContactEstimate(1.3, (1.1, 1.5), np.full(8, 1.3), np.full(8, 0.1))
-    probable = SetProbability(frozenset({"friction"}), share, {"friction": {"scale": 1.3}})
+    probable = ScoredSet(("friction",), share, {"friction": {"scale": 1.3}})
     posterior = ContactPosterior(
-        (probable, SetProbability(frozenset(), 1.0 - share, {})),
+        (probable, ScoredSet((), 1.0 - share)),
         {"friction": sized},
         {"friction": 1.0},
         False,
@@ -187,7 +187,7 @@ def test_what_the_reference_leaves_is_expected_of_other_landings(higher, monkeyp
     monkeypatch.setattr("inclined_landing.eval.gap.infer.landing_reference._fitted", lambda _: [{}])
     vehicle, reference, _ = landing_reference(flights[:8], VEHICLE, few)
     assert vehicle == VEHICLE and reference.count == (2, 6)
-    again = LandingReference.from_json(reference.to_json())
+    again = from_plain(plain(reference), LandingReference)
     known, unknown = (
         TouchdownProblem.of(landings_of(flights[8:], VEHICLE, one), VEHICLE, few).deviations(VEHICLE)
         for one in (again, None)
@@ -196,8 +196,8 @@ def test_what_the_reference_leaves_is_expected_of_other_landings(higher, monkeyp
     on_platform = [k for k in range(8) if (k + 8) % 4 != 3]
     assert np.abs(unknown[on_platform, 20:, 2].mean()) > 0.015
     assert np.abs(known[on_platform, 20:, 2].mean()) < 0.003
-    with pytest.raises(ValueError, match="another shape"):
-        LandingReference.from_json(reference.to_json() | {"time": [0.0]})
+    with pytest.raises(ValidationError, match="another shape"):
+        from_plain(plain(reference) | {"time": [0.0]}, LandingReference)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap import diagnose, measure_gap
-from inclined_landing.eval.gap.answer.identify import identify
+from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.base.errors import UserError

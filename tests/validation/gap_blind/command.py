@@ -97,7 +97,7 @@ def _scored(out: Path, name: str, label: dict) -> dict | None:
 def _case(case: Case, out: Path) -> None:
     """Fly one case, identify its vehicle as a user would, diagnose it, and write the report."""
     from inclined_landing.eval.gap import diagnose
-    from inclined_landing.eval.gap.answer.identify import identify
+    from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.model.reference import VehiclePosterior
     from inclined_landing.models.parameters import load_vehicle
 

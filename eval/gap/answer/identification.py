@@ -19,7 +19,9 @@ from threadpoolctl import threadpool_limits
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import disturbances
+from inclined_landing.eval.gap.answer.refit import Refit
 from inclined_landing.eval.gap.flights.distinct import fingerprint
+from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
@@ -158,7 +160,14 @@ def identify(
         fitted, kept = fewer, kept | more
     problem, values = fitted.problem, fitted.values
     result, landings, moved = landing_reference(use.logs, fitted.vehicle, LIBRARY)
-    reference, identifiable = _vehicle_posterior(problem, result)
+    disturbance, ahead, errors = disturbances(problem), fitted.ahead, None
+    if ahead and (use.judged or len(use.fitted) > 1):
+        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance, fitted.worse)
+    around = _around(problem, result)
+    reference = identified_reference(
+        around, errors=errors, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
+    )
+    identifiable = _identifiability(around, reference)
     sized = fitted.local.estimates(values)
     notes = [
         *map(summary_line, inconsistent),
@@ -174,23 +183,17 @@ def identify(
         notes.append(
             f"contact was identified from {sum(landings.count)} landings, with their common residual"
         )
-    disturbance, ahead = disturbances(problem), fitted.ahead
     if not use.judged and len(use.fitted) < 2:
         notes.append(
             "only one flight: all errors are on the fitted flight, and it is unknown whether others are "
             "predicted better"
         )
-    elif ahead:
-        errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance, fitted.worse)
-        reference = dataclasses.replace(reference, errors=errors)
     fields = field_half_widths(
         vehicle, fitted.vehicle, _vehicles_a_half_width_away(problem, values, sized)
     ) | field_half_widths(fitted.vehicle, result, moved)
     return Identification(
         vehicle=result,
-        reference=dataclasses.replace(
-            reference, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
-        ),
+        reference=reference,
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=fitted.fit,
@@ -214,7 +217,7 @@ class _Fit:
     problem: Problem
     values: FittedValues
     local: LinearGaussian
-    vehicle: Vehicle
+    vehicle: Vehicle  # with these, but those of the place
     fit: dict[str, dict[str, float]]  # as of Identification, on flights left out
     ahead: dict[str, float]  # the same
     worse: dict[str, tuple[float, float]]  # the same
@@ -227,17 +230,17 @@ class _Fit:
         spread = Spread.of(problem, problem.linearise(start, columns))
         values, _ = fit_vehicle(problem, spread, start, names)
         local = LinearGaussian.of(problem, spread, problem.linearise(values, columns), values)
-        left_out = leave_one_out(problem, local, names, values)
-        vehicle, before = _without_place(problem, values), problem.vehicle
-        judged = heldout or list(problem.flights)
-        vehicles = [vehicle] * len(judged) if heldout else [_without_place(problem, v) for v in left_out]
+        every = (values, *leave_one_out(problem, local, names, values))
+        own, *left_out = ({n: v for n, v in one.items() if not LIBRARY[n].of_the_place} for one in every)
+        refit, before = Refit(problem, own, left_out), problem.vehicle
+        judged, vehicles = refit.judged(heldout)
         fit, ahead, worse = _fits(judged, before, vehicles), {}, {}
         with contextlib.suppress(UserError):  # no stretch of a second
             starts = rollout.RolloutWindows.of(judged)
-            ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, vehicle)
+            ahead, worse = _errors_ahead(starts, before, vehicles), worse_axes(starts, before, refit.vehicle)
         if ahead and ahead["after"] > (1.0 + thresholds.WORSE) * ahead["before"]:
             worse = {"position": (ahead["before"], ahead["after"])}
-        return _Fit(problem, values, local, vehicle, fit, ahead, worse)
+        return _Fit(problem, values, local, refit.vehicle, fit, ahead, worse)
 
     def is_better_than(self, other: _Fit) -> bool:
         """Return whether the errors of `worse` grew by less, and the position error left out not by WORSE."""
@@ -304,14 +307,15 @@ def _without_place(problem: Problem, values: Values) -> Vehicle:
     return problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
 
 
-def _vehicle_posterior(
-    problem: Problem, vehicle: Vehicle
-) -> tuple[VehiclePosterior, tuple[Identifiable, ...]]:
-    """Return the posterior of the identified vehicle and the identifiability of each effect."""
+def _around(problem: Problem, vehicle: Vehicle) -> Problem:
+    """Return the problem of all effects that free flights can show, about the identified vehicle."""
     free = {name: effect for name, effect in free_effects().items() if effect.identified}
     library, _ = identifiable_effects(free, problem.flights)
-    around = _with_library(dataclasses.replace(problem, vehicle=vehicle), library)
-    reference = identified_reference(around)
+    return _with_library(dataclasses.replace(problem, vehicle=vehicle), library)
+
+
+def _identifiability(around: Problem, reference: VehiclePosterior) -> tuple[Identifiable, ...]:
+    """Return the identifiability of each effect, best identified first."""
     wide = slab_deviations(around, reference.columns)
     error = np.sqrt(np.diag(reference.covariance))
     scale = np.where(error > 0.0, error, 1.0)
@@ -327,7 +331,7 @@ def _vehicle_posterior(
         ]
         confounded = tuple(others) if share > thresholds.ROUGH else ()
         result.append(Identifiable(name, share, confounded, LIBRARY[name].regimes))
-    return reference, tuple(sorted(result, key=lambda one: one.share))
+    return tuple(sorted(result, key=lambda one: one.share))
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
@@ -337,7 +341,7 @@ def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
 
 
 def _fits(
-    flights: list[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
+    flights: Sequence[MeasuredFlight], before: Vehicle, after: Sequence[Vehicle]
 ) -> dict[str, dict[str, float]]:
     """Return the fit in percent of every channel: velocity changes over FIT_HORIZON, open-loop angles."""
     parts: dict[str, list] = {}
@@ -406,8 +410,17 @@ def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iter
         yield _without_place(problem, one)
 
 
-def identified_reference(problem: Problem) -> VehiclePosterior:
-    """Return the posterior of the vehicle of `problem`, all effects with their slab priors."""
+def identified_reference(
+    problem: Problem,
+    *,
+    errors: ReferenceErrors | None,
+    landings: LandingReference | None,
+    flights: Mapping[str, tuple[int, ...]],
+) -> VehiclePosterior:
+    """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
+
+    errors, landings, flights: as of `VehiclePosterior`.
+    """
     columns, names = problem.columns([*problem.library, BASE]), frozenset(problem.library)
     linear = problem.linearise({}, columns)
     local = LinearGaussian.of(problem, Spread.of(problem, linear), linear, {})
@@ -419,5 +432,10 @@ def identified_reference(problem: Problem) -> VehiclePosterior:
     prior = local.slab.diagonal() * local.unit**2
     met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
-    repeating = reference_residual(problem, white_residuals(problem, local, names, {}))
-    return VehiclePosterior(tuple(columns), mean, known, repeating, frozenset(free_effects()))
+    repeating = reference_residual(problem, white_residuals(problem, local, names))
+    return VehiclePosterior(
+        *(tuple(columns), mean, known, repeating, frozenset(free_effects())),
+        errors=errors,
+        landings=landings,
+        flights=flights,
+    )
