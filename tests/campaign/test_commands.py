@@ -72,7 +72,7 @@ def run(line: str, folder: Path) -> str:
 
 
 def refused(name: str, option: str, value: str) -> None:
-    """Fail unless a command refuses a value of an option before it writes anything."""
+    """Fail unless a command refuses a value of an option, by its name, before it writes anything."""
     words = LINES.get(name, name).split()
     if f"--{option}" in words:
         at = words.index(f"--{option}")
@@ -84,7 +84,10 @@ def refused(name: str, option: str, value: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         place(Path(folder))
         line = "\t".join([*words, f"--{option}={value}"])
-        damage.used_or_refused(Path(folder), lambda: run(line, Path(folder)), accepted)
+        said = damage.used_or_refused(Path(folder), lambda: run(line, Path(folder)), accepted)
+        assert option in said or value[:20] in said or not value.isprintable(), (
+            f"{option} {value[:20]}: {said}"
+        )
 
 
 def of(keep) -> st.SearchStrategy[tuple[str, str]]:

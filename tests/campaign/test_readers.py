@@ -154,28 +154,19 @@ class Harmful:
 # Instructions that torch never writes, in the place of the weights' pickle.
 PICKLES = {
     "runs code": pickle.dumps({"a": Harmful()}, 2),
-    "protocol 5": pickle.dumps({"a": [1]}, 5),
-    "memo at 2^31": b"\x80\x02}r\xff\xff\xff\x7f.",
     "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
-    "nested": b"\x80\x02)" + b"\x85" * 900_000 + b".",
-    "doubling": b"\x80\x02)q\x00" + b"h\x00h\x00\x86q\x00" * 100 + b".",
-    "its own element": b"\x80\x02}q\x00X\x01\x00\x00\x00ah\x00s.",
 }
 # What a tensor of the network may be.
 TENSORS = {
     "one more axis": lambda t: t[None],
     "one row less": lambda t: t[:-1].clone(),
     "expanded": lambda t: t.flatten()[:1].expand(1_000_000_000),
-    "a view": lambda t: torch.stack([t, t], -1)[..., 0],
     "a huge stride": lambda t: t.as_strided((1, *t.shape), (2**62, *t.stride())),
-    "bfloat16": lambda t: t.bfloat16(),
     "complex": lambda t: t.to(torch.complex64),
     "sparse": lambda t: t.to_sparse(),
     "meta": lambda t: t.to("meta"),
     "NaN": lambda t: torch.full_like(t, torch.nan),
-    "1e300": lambda t: torch.full_like(t.double(), 1e300),
     "a number": lambda t: 1.0,
-    "an array": lambda t: t.numpy(),
 }
 
 
@@ -201,14 +192,11 @@ NETWORKS = (
 ARRAYS = {
     "objects": lambda a: np.array([Harmful()], object),
     "integers": lambda a: a.astype(int),
-    "halves": lambda a: a.astype(np.float16),
     "complex": lambda a: a.astype(complex),
     "text": lambda a: a.astype(str),
-    "records": lambda a: a.view([("a", a.dtype)]),
     "one more axis": lambda a: a[None],
     "columns first": lambda a: np.asfortranarray(a),
     "one row less": lambda a: a[:-1],
-    "nothing": lambda a: a[:0],
     "NaN": lambda a: np.full_like(a, np.nan),
     "1e300": lambda a: np.full(a.shape, 1e300),
 }
@@ -284,14 +272,20 @@ READERS = {
 
 
 def judged(reader: Reader, name: str, change: Callable[[bytes], bytes] | None, put=None) -> str:
-    """Return what becomes of good files of which one is changed, or something else is put in its place."""
+    """Return what becomes of good files of which one is changed, or something else is put in its place.
+
+    A refusal names a file or the folder that it is in.
+    """
     with tempfile.TemporaryDirectory() as place:
         for path, content in reader.good().items():
             (Path(place) / path).parent.mkdir(parents=True, exist_ok=True)
             (Path(place) / path).write_bytes(change(content) if change and path == name else content)
         if put is not None:
             damage.replace(Path(place) / name, put)
-        return damage.used_or_refused(Path(place), lambda: reader.take(Path(place)), reader.works)
+        said = damage.used_or_refused(Path(place), lambda: reader.take(Path(place)), reader.works)
+        names = {part for path in reader.good() for part in Path(path).parts}
+        assert not said or any(part in said for part in names), f"names no file: {said}"
+        return said
 
 
 @pytest.fixture(autouse=True)
@@ -344,7 +338,6 @@ def test_nothing_in_the_network_of_a_policy_is_executed(kind, tmp_path, monkeypa
     assert {name for name, sentence in refused.items() if not sentence} <= {
         "columns first",
         "a huge stride",
-        "a view",
     }
 
 

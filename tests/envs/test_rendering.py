@@ -250,32 +250,3 @@ def test_opengl_shows_the_vehicle_at_the_same_pixels():
     assert done.returncode == 0, done.stderr
     # shadows differ (soft, hard) and translucent discs too; the vehicle dominates
     assert float(done.stdout.split()[-1]) > 0.5
-
-
-@pytest.mark.gl
-def test_opengl_after_a_fork_is_refused_and_rays_are_not():
-    if not gl_backend.probe().kind:
-        pytest.skip("no OpenGL on this machine")
-    done = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("OpenGL does not work in a process forked") == 2
-
-
-FORKED = """
-import os, sys
-from inclined_landing.envs.rendering import make_renderer
-from inclined_landing.models.base.errors import UserError
-used = make_renderer(64, 48, backend="gl")
-used.render(None)
-child = os.fork()
-if child == 0:
-    for draw in (lambda: used.render(None), lambda: make_renderer(64, 48, backend="gl")):
-        try:
-            draw()
-        except UserError as error:
-            print(error, file=sys.stderr)
-    make_renderer(64, 48).render(None)
-    os._exit(0)
-assert os.waitpid(child, 0)[1] == 0
-used.render(None)
-"""

@@ -1,11 +1,7 @@
 """Every option of every command changes something, or is refused where it does not."""
 
-import ast
 import collections
 import dataclasses
-import inspect
-import textwrap
-import types
 import typing
 
 import pytest
@@ -96,59 +92,3 @@ def test_an_option_of_several_values_needs_one(name, option):
             UserError, match=r"needs a value; is a shell variable unset|[Mm]issing|[Ee]xpected"
         ):
             parsed(f"{name} {ENOUGH.get(name, '')} {flag_of(option)}{end}")
-
-
-# ---- what a command does with its options, by its code
-
-
-def used(body: list[ast.stmt], options: set[str]) -> set[str]:
-    """Names, and attributes of names, that a block of code reads whatever the values of the options are."""
-    found: set[str] = set()
-    for k, statement in enumerate(body):
-        heads: list[ast.AST] = []
-        if isinstance(statement, ast.If):
-            test, last = read(statement.test), statement.body[-1]
-            blocks = [used(statement.body, options), used(statement.orelse, options)]
-            if isinstance(last, ast.Raise):  # a refusal is no use of an option
-                found |= blocks[1]
-            elif options.isdisjoint(name.partition(".")[0] for name in test):  # of what was found out
-                found |= test | blocks[0] | blocks[1]
-            elif isinstance(last, ast.Return):
-                return found | test | (blocks[0] & used(statement.orelse + body[k + 1 :], options))
-            else:
-                found |= test | (blocks[0] & blocks[1])
-        elif isinstance(statement, ast.With | ast.For | ast.Try):
-            heads = [item.context_expr for item in getattr(statement, "items", [])]
-            heads += [statement.iter] if isinstance(statement, ast.For) else []
-            found |= used(statement.body + getattr(statement, "finalbody", []), options)
-            found |= set().union(*map(read, heads))
-        else:
-            found |= read(statement)
-    return found
-
-
-def read(node: ast.AST) -> set[str]:
-    if isinstance(node, ast.IfExp):
-        return read(node.test) | (read(node.body) & read(node.orelse))
-    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-        return {node.value.id if node.attr in METHODS else f"{node.value.id}.{node.attr}"}
-    if isinstance(node, ast.Name):
-        return {node.id} if isinstance(node.ctx, ast.Load) else set()
-    return set().union(*map(read, ast.iter_child_nodes(node)))
-
-
-METHODS = {"load", "check", "connection", "options"}  # of groups of options, which use all of them
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_what_is_used_only_in_some_cases_is_marked(name):
-    """An option that a command reads only with certain values of others is refused elsewhere, see `Only`."""
-    command = COMMANDS[name]
-    (function,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
-    found = used(function.body, set(inspect.signature(command).parameters))
-    for group, kind in typing.get_type_hints(command, include_extras=True).items():
-        is_group = dataclasses.is_dataclass(getattr(kind, "__origin__", kind))
-        for option, (marks, _) in options_of(types.SimpleNamespace(__annotations__={group: kind})).items():
-            sure = {group, f"{group}.{option}"} if is_group else {option}
-            marked = any(isinstance(mark, Only) for mark in marks)
-            assert option == "return" or marked or sure & found, f"{name} reads {option} only in some cases"

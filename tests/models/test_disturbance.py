@@ -152,15 +152,6 @@ def test_without_it_no_bit_changes(kind):
     np.testing.assert_array_equal(fly(plant_of(kind, vehicle=V, disturbance=1)), plain)  # still air
 
 
-def test_a_few_vehicles_alone_go_on():
-    plant = plant_of("mujoco", disturbance=1)
-    before, now = plant.state.copy(), plant.disturbance.now.copy()
-    plant.advance(COMMANDS[0], ids=np.array([2, 5]))
-    moved = (plant.state != before).any(axis=1)
-    assert moved.nonzero()[0].tolist() == [2, 5]
-    np.testing.assert_array_equal((plant.disturbance.now != now).any(axis=1), moved)
-
-
 def test_an_environment_has_the_disturbance_of_its_seed(tmp_path):
     write_vehicle(tmp_path / "restless.toml", RESTLESS)
     options = {"vehicle": str(tmp_path / "restless.toml"), "plant_options": {"disturbance": 0}}

@@ -735,16 +735,6 @@ def test_a_corrected_vehicle_is_a_file(tmp_path):
     assert load_vehicle(tmp_path / "part.toml") == changed("thrust_bias", force=0.01)
 
 
-@pytest.mark.parametrize("change, sentence", [
-    ({"effects_thrust_delay": -0.01}, r"effects\.thrust_delay is -0\.01 s; it must be from 0 to 1 s"),
-    ({"effects_mocap_delay": math.nan}, r"effects\.mocap_delay is not a finite number"),
-])  # fmt: skip
-@pytest.mark.parametrize("kind", BOTH)
-def test_impossible_effects_are_refused(kind, change, sentence):
-    with pytest.raises(UserError, match=sentence):
-        make_plant(kind, 1, dataclasses.replace(V, **change))
-
-
 def test_what_a_vehicle_has_already_it_may_have_less_of():
     """A delay of 7 ms may be 7 ms shorter, and no more; without one it can only grow."""
     effect = LIBRARY["thrust_delay"]

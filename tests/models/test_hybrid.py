@@ -119,7 +119,9 @@ def test_every_control_step_is_the_engines(case, seed):
     hybrid.set_platform(np.arange(n), rng.uniform(-0.8, 0.8, n), rng.uniform(size=n) < present, turned)
     if perturbed:
         hybrid.perturb(thrust_scale=rng.uniform(0.8, 1.2, n), mass_scale=rng.uniform(0.9, 1.1, n))
-        hybrid.perturb(lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8)
+        hybrid.perturb(
+            lag_scale=0.7, drag_change=0.5, gain_scale=1.2, time_constant_scale=0.8, thrust_bias=0.01
+        )
     if foot is not None:
         hybrid.set_contact(np.arange(n), foot_height=foot)
     if hybrid.platforms:

@@ -12,7 +12,7 @@ from inclined_landing.models.attitude import LAG, VX, VZ, X, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import MujocoPlant, make_plant
+from inclined_landing.models.plants import make_plant
 
 SHIPPED = load_vehicle()
 MASS, LENGTH = 0.005, 0.4
@@ -103,14 +103,6 @@ def test_energy_is_conserved(kind, options, share):
     assert min(tension) > 0.0
 
 
-def test_a_load_at_rest_pulls_with_its_weight():
-    """At L q'^2 = 0 under a hovering vehicle; and turning with it, with the force of the circle."""
-    assert M * load.pull(*load.HANGING, 0.0, 0.0, G / (1.0 - SHARE), SHARE, LENGTH) == pytest.approx(MASS * G)
-    reduced = M * MASS / (M + MASS)
-    whirl = load.pull(0.0, 0.0, -1.0, 6.0, 8.0, 0.0, 0.0, 0.0, 0.0, SHARE, LENGTH)
-    assert M * whirl == pytest.approx(reduced * LENGTH * 100.0)
-
-
 def test_both_plants_fly_it_alike():
     """Full commands for 3 s, from swings of all directions, motors and masses that differ, in moving air."""
     n, rng = 8, np.random.default_rng(2)
@@ -158,12 +150,6 @@ def test_a_step_along_a_measured_attitude_follows_the_equations(length):
     error = 300 * (math.sqrt(17.0 / length) * 0.01) ** 5 / 120
     assert np.abs(coarse[:3] - fine[:3]).max() < error
     assert np.abs(speed - wanted).max() < error * SHARE * math.sqrt(17.0 * length)
-
-
-def test_a_step_without_load_is_the_force_itself():
-    free = np.array(load.HANGING)
-    assert load.advance(free, 1.0, -2.0, 9.0, 0.0, 0.3, 0.01) == (1.0, -2.0, 9.0)
-    assert abs(free[0]) > 1e-5  # and the string swings, so that slopes in the mass at none are right
 
 
 @pytest.mark.parametrize("kind, options", PLANTS)
@@ -216,10 +202,3 @@ def test_the_effect_adds_loads_and_goes_with_the_vehicles_mass():
     # The length alone says nothing: it has no size, and is no end of two columns.
     assert length.size(1.2) == 0.0 and effect.reference is None
     assert effect.apply(SHIPPED, {"length": 1.2}) == SHIPPED
-
-
-def test_the_engine_has_a_body_only_for_a_load():
-    assert MujocoPlant(1, SHIPPED).model.nq == 7
-    model = MujocoPlant(1, V).model
-    assert model.nq == 11 and model.body("load").mass[0] == MASS
-    np.testing.assert_array_equal(model.body("load").ipos, [0.0, 0.0, -LENGTH])

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.models import geometry
+from inclined_landing.models import geometry, perturbation
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS
@@ -129,23 +129,6 @@ def test_reset_of_a_few_leaves_the_others_alone(build):
     later = history(plant, joined)
     assert_same([a[rest] for a in later], [a[rest] for a in whole[len(whole) // 2 :]])
     assert_same([a[ids] for a in later], [a[ids] for a in whole[: len(whole) // 2]])
-
-
-@pytest.mark.parametrize("kind", ["mujoco", "analytic"])
-def test_a_finer_control_period_flies_the_same_held_commands(kind):
-    """Five periods of one engine step are one of five, bit for bit."""
-    fine, coarse = (
-        make_plant(kind, 3, control_period=period, **({"substeps": substeps} if kind == "analytic" else {}))
-        for period, substeps in ((0.004, 1), (None, 5))
-    )
-    states, commands = random_states(3), random_commands(20, 3)
-    for plant in (fine, coarse):
-        plant.reset(np.arange(3), states)
-    for row in commands:
-        for _ in range(5):
-            fine.step(row)
-        coarse.step(row)
-        np.testing.assert_array_equal(fine.state, coarse.state)
 
 
 def test_restore_replays_bit_for_bit(build):
@@ -352,36 +335,6 @@ def test_an_absent_platform_is_never_touched(kind):
     assert plant.state[0, Z] < 0.6  # it passed
 
 
-APPROACHES = {
-    "from above": lambda a: on_slab(0.03, a, vz=-0.15, pitch=0.0),
-    "from above, uphill": lambda a: on_slab(0.03, a, 0.25, vz=-0.15, pitch=0.0),
-    "from above, tilted": lambda a: on_slab(0.06, a, vz=-0.3, roll=0.3, pitch=0.1),
-    "beside the left edge": lambda a: hover((-0.55, 0.1, 0.3), vx=0.4),
-    "from the right": lambda a: hover((0.55, -0.1, 0.3), vx=-0.4),
-}
-
-
-@pytest.mark.parametrize("approach", APPROACHES)
-@pytest.mark.parametrize("degrees", [-45, -25.7, 0, 30])
-def test_geometric_and_physical_detection_agree(approach, degrees):
-    """Same first control step, give or take one: 0.94 mm of approximation and the paths' difference of
-    0.1 mm are less than the 3 mm that the vehicle moves in a step."""
-    alpha = math.radians(degrees)
-    state = APPROACHES[approach](alpha)
-    command = np.array([[V.hover_pwm, *(state[0, [ROLL, PITCH]] / V.attitude_gain), 0.0]])
-    first = {}
-    for plant in (MujocoPlant(1), AnalyticPlant(1, attitude="rate_loop", substeps=5)):
-        plant.set_platform([0], alpha)
-        plant.reset([0], state)
-        for step in range(60):
-            plant.step(command)
-            if plant.contacts.platform[0]:
-                first[plant.kind] = step
-                break
-    assert set(first) == {"mujoco", "analytic"}, first
-    assert first["mujoco"] > 2 and abs(first["mujoco"] - first["analytic"]) <= 1, first
-
-
 @pytest.mark.parametrize("kind", ["mujoco", "hybrid", "analytic"])
 def test_the_keep_out_zone_is_near_but_not_touch(kind):
     plant = make_plant(kind, 3, keep_out=0.04)
@@ -407,7 +360,34 @@ def test_the_keep_out_zone_has_no_force():
     assert not any(force.any() for force in flights[1][3::5])
 
 
+@pytest.mark.parametrize("kind", ["mujoco", "analytic", "hybrid"])
+def test_the_neutral_perturbation_changes_no_bit(kind):
+    """Also there and back, after which the engine's fields are expanded."""
+    neutral, flights = dict(zip(perturbation.NAMES, perturbation.NEUTRAL)), []
+    for changes in ((), (neutral,), ({"thrust_scale": 1.1, "mass_scale": 1.1}, neutral)):
+        plant = make_plant(kind, 4)
+        plant.reset(np.arange(4), random_states(4))
+        for change in changes:
+            plant.perturb(**change)
+        flights.append(history(plant, random_commands(20, 4)))
+    assert_same(flights[0], flights[1])
+    assert_same(flights[0], flights[2])
+
+
 # --- errors ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("changes, sentence", [
+    ({"wind": 1.0}, "unknown perturbation 'wind'; choose from thrust_scale"),
+    ({"mass_scale": 0.0}, "perturbation mass_scale must be finite and scales must be positive"),
+    ({"lag_scale": -1.0}, "lag_scale"),
+    ({"thrust_bias": np.nan}, "thrust_bias"),
+])  # fmt: skip
+def test_wrong_perturbations_are_refused(changes, sentence):
+    plant = AnalyticPlant(2)
+    with pytest.raises(UserError, match=sentence):
+        plant.perturb(**changes)
+    assert (plant.perturbation == perturbation.NEUTRAL).all()
 
 
 @pytest.mark.parametrize("kind, options, sentence", [

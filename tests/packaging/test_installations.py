@@ -29,6 +29,19 @@ def test_no_command_needs_the_opengl_that_mujoco_gl_names(value, tmp_path):
     assert done.returncode == 0 and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
+def test_figures_are_ours_whatever_a_matplotlibrc_says(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("backend: TkAgg\ntext.usetex: True\nsavefig.dpi: 11\n")
+    done = run(
+        ["-m", "inclined_landing.eval", "figure", "landing-nominal", "--out", "f"],
+        cwd=tmp_path,
+        HOME=str(tmp_path),
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(path.stat().st_size > 10_000 for path in (tmp_path / "f").glob("*.png"))  # not of 11 dpi
+    assert list((tmp_path / "f").glob("*.png"))
+
+
 @pytest.fixture
 def read_only():
     """The words before a command that sees the installation read-only."""

@@ -36,16 +36,6 @@ def touchdown(flight):
     return record_touchdown(flight)
 
 
-def test_the_flight_is_flown_again_bit_for_bit(flight, touchdown):
-    seen = 0
-    for t, state in zip(touchdown.t, touchdown.state):
-        tick = t / V.command_control_period
-        if abs(tick - round(tick)) < 1e-9:
-            np.testing.assert_array_equal(state, flight.state[round(tick)])
-            seen += 1
-    assert seen > 10
-
-
 def test_forces_begin_with_the_touch_and_end_with_the_weight(touchdown):
     net = touchdown.net_forces
     before = round(LEAD / STEP)

@@ -141,29 +141,6 @@ def test_every_camera_shows_another_picture(page):
     assert min(shares) > 0.05
 
 
-def test_contact_forces_are_drawn(page):
-    """When the first touch is, switching forces off takes red pixels away."""
-    page.evaluate("Replay.player.select(0); Replay.player.view('pad')")
-    touch = page.evaluate("Replay.player.flights[0].events.find(([, name]) => name === 'first touch')[0]")
-    page.evaluate(f"Replay.player.seek({touch + 0.002})")
-    red = []
-    for on in ("true", "false"):
-        page.evaluate(f"Replay.player.toggle('forces', {on})")
-        seen = picture(page)
-        red.append(((seen[..., 0] > 150) & (seen[..., 1:3].max(axis=2) < 80)).sum())
-    page.evaluate("Replay.player.toggle('forces', true)")
-    assert red[0] > red[1] + 20
-
-
-def test_a_measured_flight_and_its_simulation_share_their_curves(page):
-    page.evaluate("Replay.player.select(1)")
-    titles = page.locator("#curves figcaption b").all_inner_texts()
-    assert "Measured to simulated position" in [title.strip() for title in titles]
-    keys = page.locator("#curves .key").all_inner_texts()
-    assert any("measured" in key for key in keys) and any("simulated" in key for key in keys)
-    page.evaluate("Replay.player.select(0)")
-
-
 def test_names_stay_names(page):
     assert page.title() == HOSTILE and page.inner_text("h1") == HOSTILE
     assert HOSTILE in page.locator("#flights b").nth(1).inner_text()

@@ -112,31 +112,6 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert show._equal(SUCCESS, STRICT, {(): row | {"success": row["strict"]}})
 
 
-def test_a_recorded_flight_replays(landing):
-    policy = Constant(landing, 0.1, -0.05)
-    start = hover_states(np.array([[1.5, 0.0, 1.8]]), load_vehicle())
-    flight = record_flight(policy, "mujoco", start[0])
-    assert len(flight.t) == landing.max_steps + 1
-    assert flight.duration == pytest.approx(6.0)
-    assert not flight.success and flight.inclination == ALPHA
-    np.testing.assert_array_equal(flight.state[0], start[0])
-    plant = make_plant("mujoco", 1)
-    plant.reset(np.arange(1), start)
-    for k in range(50):
-        plant.step(flight.commands[k][None])
-        np.testing.assert_array_equal(plant.state[0], flight.state[k + 1])
-    assert flight.task.goal.tolist() == [0.0, 1.25, 0.0, 0.0, ALPHA]
-
-
-def test_flights_do_not_depend_on_their_company(landing):
-    policy = Constant(landing, -0.1, 0.1)
-    states = hover_states(np.array([[1.0, 0, 2.0], [-1.0, 0, 1.6], [0.4, 0, 1.5]]), load_vehicle())
-    together = record_flights(policy, "mujoco", states, steps=80)
-    for flight, state in zip(together, states):
-        alone = record_flight(policy, "mujoco", state, steps=80)
-        np.testing.assert_array_equal(alone.state, flight.state)
-
-
 def test_wrong_arguments_of_record_flights_are_one_sentence(landing):
     policy = Constant(landing, 0, 0)
     for arguments, options, sentence in (

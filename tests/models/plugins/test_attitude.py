@@ -74,24 +74,6 @@ def test_paper_loop_is_the_limit_of_a_fast_rate_loop(build):
     assert roll == pytest.approx(0.3 * v.attitude_gain * (1 - math.exp(-1)), rel=2e-3)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("hook, scale, constant", [("gain", 0.7, "gain"), ("dyn", 1.6, "time_constant")])
-def test_hooks_of_roll_and_pitch(build, axis, hook, scale, constant):
-    model = build()
-    getattr(model, f"actuator_{hook}prm")[1 + axis, 0] = scale
-    want = list(expected(build))
-    want[axis] = expected(build, **{constant: scale * getattr(build.vehicle, f"attitude_{constant}")})[axis]
-    assert flown(build, model) == pytest.approx(want, abs=TOLERANCE)
-
-
-def test_hooks_of_yaw(build):
-    model = build()
-    model.actuator_gainprm[3, 0] = 0.5
-    model.actuator_dynprm[3, 0] = 2.0
-    want = expected(build, COMMAND * [1, 1, 0.5], yaw_bandwidth=build.vehicle.attitude_yaw_bandwidth / 2)
-    assert flown(build, model) == pytest.approx(want, abs=TOLERANCE)
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_hook_trim(build, axis):
     model = build()

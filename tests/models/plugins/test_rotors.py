@@ -122,22 +122,6 @@ def test_drag_is_relative_to_the_wind(build):
     np.testing.assert_allclose(data.qfrc_passive, 0, atol=1e-18)
 
 
-def test_hooks_of_thrust(build):
-    model = build()
-    before = moving(build, model).actuator_force[0]
-    model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 0] = 0.88, -0.01
-    assert moving(build, model).actuator_force[0] == pytest.approx(0.88 * before - 0.01, rel=ROUNDING)
-
-
-def test_hook_drag_change(build):
-    model = build()
-    before = moving(build, model).qfrc_passive.copy()
-    model.actuator_biasprm[0, 1] = 0.5
-    np.testing.assert_allclose(moving(build, model).qfrc_passive, 1.5 * before, rtol=ROUNDING)
-    model.actuator_biasprm[0, 1] = -1.0
-    assert np.all(moving(build, model).qfrc_passive == 0)
-
-
 @pytest.mark.parametrize(
     ("attribute", "text", "rule"),
     [
