@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import re
-import sys
 import time
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
+from msgspec import Meta
 from scipy import stats
 
-from inclined_landing.eval.base import style
+from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.flights.windows import prepare_all
@@ -36,7 +35,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-from .shared import in_processes, table
+from .shared import answered, check_folder, table, table_of
 
 HALVES = ("development", "heldout", "fresh")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
@@ -45,18 +44,6 @@ TUNED = tuple(
     name
     for name, effect in LIBRARY.items()
     if any(p.constant and not p.constant.field.startswith("effects_") for p in effect.parameters)
-)
-BARS = {
-    "sure": ("known causes of medium size or more, named sure", 0.80),
-    "possible": ("the same, among the possible", 0.95),
-    "wrong": ("sure names that are wrong", 0.05),
-    "interval": ("told sizes within the 95 % interval", 0.85),
-    "nothing": ("nothing changed, but a sure name", 0.10),
-    "unknown": ("causes outside the library that are flagged", 1.0),
-}
-HEADER = (
-    *("set", "told", "flights", "verdict", "sure", "possible", "told size", "found"),
-    *("error after 1 s, cm", "tuning"),
 )
 
 
@@ -67,7 +54,7 @@ def command(
     *,
     half: Literal["development", "heldout", "fresh", "all"] = "development",
     only: tuple[str, ...] = (),
-    processes: Annotated[int, tyro.conf.arg(metavar="INT")] = 2,
+    processes: Annotated[int, Meta(ge=1, le=64)] = 2,
 ) -> None:
     """Known causes in real flights of five laboratories: is the right one named, and how large (minutes)?
 
@@ -82,24 +69,17 @@ def command(
     if not rows:
         known = sorted({r.set for r in known_rows()})
         raise UserError(f"no rows; --only takes {', '.join(known)}, and not all have every half")
-    if not 1 <= processes <= 64:
-        raise UserError(f"--processes must lie from 1 to 64, not {processes}")
-    if not data.is_dir():
-        raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
-    folder = out / "rows"
-    style.make_folder(folder)
-    missing = [r for r in rows if not (folder / f"{r.key}.json").exists()]
-    for (_, row), result in in_processes(_answered, [(data, row) for row in missing], processes):
-        storage.write_text(folder / f"{row.key}.json", storage.to_json(result))
-        print(line(result), file=sys.stderr, flush=True)
-    results = [json.loads((folder / f"{r.key}.json").read_text("utf-8")) for r in rows]
-    storage.write_text(out / "table.md", summary_text(results) + "\n\n" + table(HEADER, map(cells, results)))
-    found = {"rows": results, "summary": summary(results)}
-    storage.write_text(out / "causes.json", storage.to_json(found))
-    print(summary_text(results))
+    check_folder(data)
+    found = answered(out / "rows", _answer, {row.key: (data, row) for row in rows}, processes)
+    results = list(found.values())
+    counted = {what: share for what, share in summary(results).items() if share["of"]}
+    text = table(["", "share [95 %]"], counted.items()) + "\n" + errors(results) + "\n"
+    storage.write_text(out / "table.md", text + "\n" + table_of(list(map(cells, results))))
+    storage.write_json(out / "causes.json", {"rows": results, "summary": counted})
+    print(text)
 
 
-def _answered(data: Path, row: Row) -> dict:
+def _answer(data: Path, row: Row) -> dict:
     """Return the answer to a row, or why there is none."""
     common = {key: getattr(row, key) for key in ("set", "name", "kind", "half", "dose")}
     try:
@@ -356,21 +336,32 @@ def _found(row: Row, d: Diagnosis, vehicle: Vehicle, pwm: float) -> dict | None:
     return {"value": ratio(values), "ci95": sorted(ends)}
 
 
-def summary(results: Sequence[dict]) -> dict[str, tuple[int, int]]:
-    """Return the counts of `BARS`: how many, and of how many."""
-    answered = [r for r in results if "error" not in r and r["kind"] != "dose"]
-    causes = [r for r in answered if r["kind"] == "cause"]
-    clear = [r for r in causes if r["strength"] != "weak"]
-    told = [r for r in causes if r["told"]]
-    nothing = [r for r in answered if r["kind"] == "nothing"]
-    outside = [r for r in answered if r["kind"] == "unknown"]
+def summary(results: Sequence[dict]) -> dict[str, dict]:
+    """Return what the answers are counted by, each as a proportion."""
+    rows = [r for r in results if "error" not in r and r["kind"] != "dose"]
+    kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("cause", "nothing", "unknown")}
+    clear = [r for r in kinds["cause"] if r["strength"] != "weak"]
+    told = [r for r in kinds["cause"] if r["told"]]
+    sure = sum(r["sure names"] for r in rows)
+    tuned = [r for r in rows if r["tuning"]]
+    named = sum(len(r["tuning"]["names"]) for r in tuned)
+
+    def share(words: str, some: Sequence[dict], hit: Callable[[dict], Any]) -> dict[str, dict]:
+        return {words: proportion(sum(map(bool, map(hit, some))), len(some))}
+
     return {
-        "sure": (sum(r["right sure"] for r in clear), len(clear)),
-        "possible": (sum(r["right possible"] for r in clear), len(clear)),
-        "wrong": (sum(len(r["wrong"]) for r in answered), sum(r["sure names"] for r in answered)),
-        "interval": (sum(_holds(r) for r in told), len(told)),
-        "nothing": (sum(bool(r["sure names"]) for r in nothing), len(nothing)),
-        "unknown": (sum(r["flagged"] for r in outside), len(outside)),
+        **share("causes of medium size or more that are named sure", clear, lambda r: r["right sure"]),
+        **share("the same, sure or possible", clear, lambda r: r["right possible"]),
+        "sure names that are wrong": proportion(sum(len(r["wrong"]) for r in rows), sure),
+        **share("recorded sizes within the 95 % interval", told, _holds),
+        **share("nothing changed, and a sure name", kinds["nothing"], lambda r: r["sure names"]),
+        **share("causes outside the library that are flagged", kinds["unknown"], lambda r: r["flagged"]),
+        **share("verdict unknown for a known cause", kinds["cause"], lambda r: r["verdict"] == "unknown"),
+        **share("the same, nothing changed", kinds["nothing"], lambda r: r["verdict"] == "unknown"),
+        **share(
+            "parameter tuning: right name", [r for r in clear if r["tuning"]], lambda r: r["tuning"]["right"]
+        ),
+        "parameter tuning: names that are wrong": proportion(sum(r["tuning"]["wrong"] for r in tuned), named),
     }
 
 
@@ -382,78 +373,36 @@ def _holds(r: dict) -> bool:
     return low - r["told"]["tolerance"] <= r["told"]["value"] <= high + r["told"]["tolerance"]
 
 
-def summary_text(results: Sequence[dict]) -> str:
-    """Return the counts beside their bars, a line each."""
-    lines = []
-    for key, (count, of) in summary(results).items():
-        words, bar = BARS[key]
-        sign = "at most" if key in ("wrong", "nothing") else "at least"
-        share = f"{100 * count / of:.0f} %" if of else "none"
-        lines.append(f"{words}: {count}/{of} ({share}; {sign} {100 * bar:.0f} %)")
-    lines += [_unknown_counts(results), _errors(results), _tuning_counts(results)]
-    return "\n".join(lines)
-
-
-def _unknown_counts(results: Sequence[dict]) -> str:
-    """Return how often the verdict is `unknown` where the library has the cause, or nothing was changed."""
-    known = [r for r in results if "error" not in r and r["kind"] in ("cause", "nothing")]
-    counts = [
-        f"{sum(r['verdict'] == 'unknown' for r in rows)}/{len(rows)} {words}"
-        for words, rows in (
-            ("known causes", [r for r in known if r["kind"] == "cause"]),
-            ("rows with nothing changed", [r for r in known if r["kind"] == "nothing"]),
-        )
-    ]
-    return f"called unknown as well: {', '.join(counts)}"
-
-
-def _errors(results: Sequence[dict]) -> str:
+def errors(results: Sequence[dict]) -> str:
     """Return the median error one second ahead, before and after, where a right name is sure."""
     rows = [r for r in results if "error" not in r and r["kind"] == "cause" and r["right sure"]]
     ends = [[r[when] for r in rows if r[when] is not None] for when in ("before", "after")]
     before, after = (f"{100 * np.median(one):.0f}" if one else "-" for one in ends)
-    return f"error one second ahead where a right name is sure, median: {before} to {after} cm"
+    return f"Error after 1 s where a right name is sure, median: {before} to {after} cm."
 
 
-def _tuning_counts(results: Sequence[dict]) -> str:
-    """Return on how many causes of medium size or more tuning has a right name, and its wrong names."""
-    rows = [(r, r["tuning"]) for r in results if r.get("tuning")]
-    clear = [one for r, one in rows if r["kind"] == "cause" and r["strength"] != "weak"]
-    right, names = sum(one["right"] for one in clear), sum(len(one["names"]) for _, one in rows)
-    wrong = sum(one["wrong"] for _, one in rows)
-    counted = f"right among its names {right}/{len(clear)}; {wrong} of its {names} names are wrong"
-    return f"parameter tuning: {counted}"
-
-
-def line(r: dict) -> str:
-    """Return a row as a line of progress."""
-    if "error" in r:
-        return f"{r['set']}: {r['name']}: {r['error']}"
-    if r["kind"] == "dose":
-        return f"{r['set']}: {r['name']}: {r['parameter']} {_interval(r['found'])}"
-    return f"{r['set']}: {r['name']}: {'; '.join(_names(r, True)) or r['verdict']} ({r['seconds']:.0f} s)"
-
-
-def cells(r: dict) -> list[str]:
+def cells(r: dict) -> dict[str, str]:
     """Return a row as a line of the table."""
+    line = dict.fromkeys(("set", "told", "flights", "verdict", "sure", "possible"), "")
+    line |= dict.fromkeys(("told size", "found", "error after 1 s [cm]", "tuning"), "")
+    line |= {"set": r["set"], "told": r["name"]}
     if "error" in r:
-        return [r["set"], r["name"], "", f"not read: {r['error']}", *[""] * 6]
-    flights, found = " and ".join(map(str, r["flights"])), _interval(r["found"])
+        return line | {"verdict": f"not read: {r['error']}"}
+    line["flights"] = " and ".join(map(str, r["flights"]))
+    if r["found"]:
+        line["found"] = _sized(r["found"]["value"], *r["found"]["ci95"])
     if r["kind"] == "dose":
-        told = f"{r['parameter']} at {r['dose']:g}"
-        return [r["set"], r["name"], flights, "", "", "", told, found, "", ""]
+        return line | {"told size": f"{r['parameter']} at {r['dose']:g}"}
     odd = f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
-    sure, possible = "; ".join(_names(r, True)), ", ".join([*_names(r, False), *r["possible"]])
-    told = f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else ""
-    error = "" if r["before"] is None else f"{100 * r['before']:.0f} to {100 * r['after']:.0f}"
-    one = r["tuning"]
-    tuning = f"{'right' if one['right'] else 'missed'}, {one['wrong']} wrong" if one else ""
-    return [r["set"], r["name"], flights, r["verdict"] + odd, sure, possible, told, found, error, tuning]
-
-
-def _interval(found: dict | None) -> str:
-    """Return what was found of a told size or dose, with its interval."""
-    return _sized(found["value"], *found["ci95"]) if found else ""
+    tuning = r["tuning"]
+    return line | {
+        "verdict": r["verdict"] + odd,
+        "sure": "; ".join(_names(r, True)),
+        "possible": ", ".join([*_names(r, False), *r["possible"]]),
+        "told size": f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else "",
+        "error after 1 s [cm]": f"{100 * r['before']:.0f} to {100 * r['after']:.0f}" if r["before"] else "",
+        "tuning": f"{'right' if tuning['right'] else 'missed'}, {tuning['wrong']} wrong" if tuning else "",
+    }
 
 
 def _names(r: dict, sure: bool) -> list[str]:

@@ -9,41 +9,39 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
-from typing import Annotated, TypeAlias
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
 import tyro
 from msgspec import Meta
+from rich.console import Console
+from rich.progress import track
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import share_cell, spread_cell
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.fly import FlightOptions
-from inclined_landing.eval.flying.interfaces import FlightClock
 from inclined_landing.eval.flying.pilot import Pilot
 from inclined_landing.eval.flying.plan import FlightPlan
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.simulated import firmware
 from inclined_landing.eval.flying.simulated.body import named_vehicle
 from inclined_landing.eval.flying.simulated.faults import DEAD_MAN_DELAY, FAULTS, Fault
-from inclined_landing.eval.flying.simulated.flight import SimulatedFlight, fly_simulated
+from inclined_landing.eval.flying.simulated.flight import fly_simulated
 from inclined_landing.eval.flying.simulated.world import Setting, Trace
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.attitude import PITCH, PWM, VX, VZ, X, Z, rotations
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
-from .shared import progress, table_of
+from .shared import table_of
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
-# The landing policy, the set-point policy, the starts x, z [m].
-Loaded: TypeAlias = tuple[Policy, Policy, list[tuple[float, float]]]
-
 
 AFTER = 6.0  # s that the world goes on after the pilot: what is in the air comes down
 REST_SPEED = 0.03  # m/s over the last quarter of a second
@@ -84,83 +82,91 @@ def command(
     if not policies or not vehicles:
         raise UserError("name at least one policy and one vehicle")
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
-    loaded = {name: FlightOptions(name).load() for name in policies}
-    count = flights * (len(CASES) if faults else len(policies) * len(vehicles) * 3)
-    with progress() as bar:
-        task = bar.add_task("flights", total=count)
-
-        def done() -> None:
-            bar.advance(task)
-
-        if faults:
-            first = loaded[policies[0]], settings[vehicles[0]]
-            records = fly_cases(*first, flights, seed, done)
-        else:
-            records = fly_table(loaded, settings, flights, seed, done)
-    print(table_of([(fault_cells if faults else start_cells)(record) for record in records]))
+    plans = {name: _plans(name) for name in policies}
+    if faults:
+        planned = [case_flights(plans[policies[0]], settings[vehicles[0]], flights, seed)]
+    else:
+        planned = [start_flights(plans[p], settings[v], flights, seed) for p in policies for v in vehicles]
+    every = [one for flights_ in planned for one in flights_]
+    flown = [fly_once(*one) for one in track(every, console=Console(stderr=True), transient=True)]
+    if faults:
+        rows = [fault_row(case, flown[k * flights : (k + 1) * flights]) for k, case in enumerate(CASES)]
+    else:
+        parts = np.array_split(np.arange(len(flown)), len(planned))
+        names = [{"policy": p, "vehicle": v} for p in policies for v in vehicles]
+        rows = [name | start_row([flown[k] for k in part]) for name, part in zip(names, parts)]
+    print(table_of(rows))
     if not faults:
         first, scattered = (100 * one["share"] for one in PAPER_RESULTS)
         print(f"The paper's, real: goal box in {first:.1f} %, from scattered starts {scattered:.1f} %.")
     if out is not None:
+        asked = {"policies": policies, "vehicles": vehicles, "faults": faults, "seed": seed}
+        each = [dataclasses.asdict(one) for one in flown]
         with runs.staged_run(out) as folder:
-            kind = "faults" if faults else "starts"
-            asked = {"kind": kind, "policies": list(policies), "vehicles": list(vehicles), "seed": seed}
-            storage.write_json(folder / "results.json", asked | {"flights": flights, "rows": records})
+            storage.write_json(folder / "results.json", asked | {"rows": rows, "flights": each})
         print(out)
-    return 3 if faults and any(row["safe"] < row["met"] for row in records) else 0
+    return 3 if faults and any(row["safe"]["count"] < row["safe"]["of"] for row in rows) else 0
 
 
-def fly_table(
-    policies: Mapping[str, Loaded],
-    vehicles: Mapping[str, Setting],
-    flights: int,
-    seed: int,
-    done: Callable[[], None],
-) -> list[dict]:
-    """Return a row for every policy on every vehicle: `flights` from each of the paper's starts.
+def _plans(policy: str) -> list[FlightPlan]:
+    """Return the plans of a policy, one for each of the paper's starts."""
+    landing, hover, starts = FlightOptions(policy).load()
+    return [FlightPlan(landing, hover, start) for start in starts]
 
-    done: called after each flight. The seeds are the same for every policy and vehicle, so that they meet the
-    same noise.
+
+def start_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> Iterator[tuple]:
+    """Yield the arguments of `fly_once`: so many flights from each start.
+
+    The seeds are the same for every policy and vehicle, so that they meet the same noise.
     """
-    rows = []
-    for policy, (landing, hover, starts) in policies.items():
-        for vehicle, setting in vehicles.items():
-            flown = []
-            for start, own in zip(starts, seeds_of(seed, len(starts), flights)):
-                for number in own:
-                    flown.append(fly_once(FlightPlan(landing, hover, start), setting, int(number)))
-                    done()
-            rows.append({"policy": policy, "vehicle": vehicle} | counted(flown))
-    return rows
+    for plan, own in zip(plans, seeds_of(seed, len(plans), flights)):
+        yield from ((plan, setting, int(number)) for number in own)
 
 
-def counted(flown: list[Flown]) -> dict:
-    """Return shares, times and every flight as plain values."""
-    landing = [f.report.landing_time for f in flown if f.report.landing_time is not None]
-    speeds = [math.hypot(*f.truth.speed) for f in flown if f.truth.speed is not None]
-    down = [bool(f.truth.rests) and f.truth.outside == 0.0 for f in flown]
+def case_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> Iterator[tuple]:
+    """Yield the arguments of `fly_once`: so many flights of every case, from the starts in turn.
+
+    Seeds are even where the fault begins in the approach, odd where it begins in the landing.
+    """
+    for case, own in zip(CASES, seeds_of(seed, len(CASES), flights)):
+        for k, number in enumerate(own):
+            yield plans[k // 2 % len(plans)], setting, int(number) // 2 * 2 + k % 2, case
+
+
+def seeds_of(seed: int, rows: int, flights: int) -> np.ndarray:
+    """Return seeds (rows, flights)."""
+    return np.random.SeedSequence(seed).generate_state(rows * flights).reshape(rows, flights)
+
+
+def start_row(flown: Sequence[Flown]) -> dict:
+    """Return a line of the table: proportions, times and speeds."""
+    truths = [one.truth for one in flown]
+    times = [one.report["landing_time"] for one in flown if one.report["landing_time"] is not None]
     return {
-        "reported": proportion(sum(f.report.landed for f in flown), len(flown)),
-        "strict": proportion(sum(f.truth.strict for f in flown), len(flown)),
-        "rests": proportion(sum(f.truth.landed for f in flown), len(flown)),
-        "safe": proportion(sum(down), len(flown)),
-        "landing_time": spread(landing),
-        "goal_speed": spread(speeds),
-        "flights": [flight_record(one) for one in flown],
+        "goal box, seen by the pilot": proportion(sum(one.report["landed"] for one in flown), len(flown)),
+        "truly, before a touch": proportion(sum(t.strict for t in truths), len(flown)),
+        "at rest on its feet": proportion(sum(t.landed for t in truths), len(flown)),
+        "down, never outside": proportion(
+            sum(bool(t.rests) and t.outside == 0.0 for t in truths), len(flown)
+        ),
+        "landing [s]": spread(times),
+        "speed in the box [m/s]": spread([math.hypot(*t.speed) for t in truths if t.speed is not None]),
     }
 
 
-def start_cells(row: dict) -> dict:
-    """Return a line of the table: shares in percent with Wilson's 95 % interval, medians with quantiles."""
+def fault_row(case: Case, flown: Sequence[Flown]) -> dict:
+    """Return a line of the table: how the flights ended in which the fault came to happen."""
+    met = [one for one in flown if one.began is not None]
+    outcomes = Counter(one.report["outcome"] for one in met)
     return {
-        "policy": row["policy"],
-        "vehicle": row["vehicle"],
-        "goal box, seen by the pilot": share_cell(row["reported"]),
-        "truly, before a touch": share_cell(row["strict"]),
-        "at rest on its feet": share_cell(row["rests"]),
-        "down, never outside": share_cell(row["safe"]),
-        "landing [s]": spread_cell(row["landing_time"]),
-        "speed in the box [m/s]": spread_cell(row["goal_speed"]),
+        "fault": f"{case.what} ({case.name})",
+        "how the flights ended": ", ".join(f"{name} {n}" for name, n in outcomes.most_common()),
+        "safe": proportion(sum(is_safe(case, one) for one in met), len(met)),
+        "motors off, worst [s]": max((max(0.0, one.truth.off - one.began) for one in met), default=None),
+        "at most [s]": case.limit,
+        "outside, worst [m]": max((one.truth.outside for one in met), default=None),
+        "outside, at most [m]": case.outside,
+        "the limit": case.why,
     }
 
 
@@ -171,7 +177,6 @@ def start_cells(row: dict) -> dict:
 class Truth:
     """What the world knows of one flight; times [s] are the world's."""
 
-    flew: bool  # did it leave the floor
     goal: float | None  # when it was in the goal box first
     speed: tuple[float, float] | None  # vx, vz there, m/s
     touched: float | None  # when it touched the platform first
@@ -197,36 +202,40 @@ class Flown:
     """A flight as the pilot reports it, and as it was."""
 
     seed: int
-    report: FlightReport
+    report: dict  # see `_plain`
     truth: Truth
-    faults: tuple[tuple[float, str], ...]  # when, which
+    began: float | None  # s, when the fault did
 
 
-def fly_once(
-    plan: FlightPlan,
-    setting: Setting,
-    seed: int,
-    *,
-    faults: tuple[Fault, ...] = (),
-    in_landing: tuple[Fault, ...] = (),
-    prepare: Callable[[SimulatedFlight, Pilot], None] = lambda flight, pilot: None,
-    interrupted: bool = False,
-) -> Flown:
-    """Fly, and let the world go on for a while.
+def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = None) -> Flown:
+    """Fly, with a fault that begins at a moment drawn from the seed, and let the world go on for a while.
 
-    in_landing: faults that begin their `after` [s] after the hand-over to the landing policy. prepare: called
-    before the flight, for faults of the pilot itself. interrupted: this flight is meant to be; else an
-    interruption, which the pilot turns into a report, goes on to the caller.
     Raises UserError where the pilot's checks refuse to fly.
     """
-    flight = fly_simulated(setting, seed=seed, faults=faults)
-    world = flight.world
+    name = None if case is None else case.name
+    in_landing = (seed % 2 == 1 and name != "setpoint-nan") or name == "policy-nan"
+    after = float(np.random.default_rng((seed, 1)).uniform(*(LANDING if in_landing else APPROACH)))
+    fault = Fault(name, "air", after) if name in FAULTS else None
+    flight = fly_simulated(setting, seed=seed, faults=[fault] if fault and not in_landing else [])
+    world, began = flight.world, []
+
+    def happen() -> None:
+        began.append(flight.clock.now())
+
+    def interrupt() -> None:
+        """As a signal would, out of whatever the pilot waits in."""
+        happen()
+        raise KeyboardInterrupt
 
     def say(line: str) -> None:
-        if line.startswith("hand-over"):
-            for fault in in_landing:
-                world.schedule(world.time + fault.after, lambda f=fault: world.begin(f))
+        if line.startswith("hand-over") and fault and in_landing:
+            world.schedule(world.time + after, lambda: world.begin(fault))
 
+    calls = 1 + round(after / plan.landing.task.vehicle.command_control_period)
+    if name == "policy-nan":
+        plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
+    elif name == "setpoint-nan":
+        plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
     radio = Radio(flight.link, flight.clock, plan.landing.task.vehicle.command_angle_limit)
     try:
         radio.connect(flight.uri)
@@ -237,18 +246,28 @@ def fly_once(
                 break
         else:
             raise UserError(f"not ready to fly: {'; '.join(failed)}")
-        prepare(flight, pilot)
+        if name == "interrupt":
+            world.schedule(world.time + 2.0 + after, interrupt)
         report = pilot.fly()
-        if report.outcome == safety.INTERRUPTED.name and not interrupted:
-            raise KeyboardInterrupt
+        if report.outcome == safety.INTERRUPTED.name and name != "interrupt":
+            raise KeyboardInterrupt  # of this program itself, which the pilot turned into a report
     finally:
         radio.close()
     world.advance(world.time + AFTER)
-    return Flown(seed, report, truth_of(world.trace, plan), tuple(world.begun_faults))
+    began += [moment for moment, _ in world.begun_faults]
+    return Flown(seed, _plain(report), truth_of(world.trace, plan), began[0] if began else None)
+
+
+def _plain(report: FlightReport) -> dict:
+    """Return of the pilot's report what the tables count."""
+    names = ("outcome", "error", "landed", "landing_time", "rests")
+    retreat = report.retreat.name if report.retreat else None
+    final = None if report.final is None else report.final.tolist()
+    return {name: getattr(report, name) for name in names} | {"retreat": retreat, "final": final}
 
 
 def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
-    """What happened, from every engine step."""
+    """Return what happened, from every engine step."""
     task, v = plan.landing.task, plan.landing.task.vehicle
     state, time = trace.state, trace.time
     size = task.goal_size if task.goal_size is not None else 0.0
@@ -266,7 +285,6 @@ def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
     up = rotations(np.ascontiguousarray(state[-1:, PITCH - 1 : PITCH + 2]))[0][:, 2]
     first = int(inside[0]) if len(inside) else None
     return Truth(
-        flew=bool(len(running)) and not trace.touching[:, 2].all(),
         goal=None if first is None else float(time[first]),
         speed=None if first is None else (float(state[first, VX]), float(state[first, VZ])),
         touched=float(time[np.argmax(on_platform)]) if on_platform.any() else None,
@@ -276,25 +294,6 @@ def truth_of(trace: Trace, plan: FlightPlan) -> Truth:
         outside=float(max(0.0, (low - positions).max(), (positions - high).max())),
         last=tuple(positions[-1].tolist()),
     )
-
-
-def flight_record(flown: Flown) -> dict:
-    """Return one flight in plain values."""
-    report = flown.report
-    return {
-        "seed": flown.seed,
-        "outcome": report.outcome,
-        "retreat": report.retreat.name if report.retreat else None,
-        "error": report.error,
-        "landing_time": report.landing_time,
-        "faults": [list(fault) for fault in flown.faults],
-        "truth": dataclasses.asdict(flown.truth),
-    }
-
-
-def seeds_of(seed: int, starts: int, flights: int) -> np.ndarray:
-    """Return seeds (starts, flights)."""
-    return np.random.SeedSequence(seed).generate_state(starts * flights).reshape(starts, flights)
 
 
 # --- faults ---
@@ -346,42 +345,8 @@ CASES = (
 )
 
 
-def fly_case(case: Case, plan: FlightPlan, setting: Setting, seed: int) -> Flown:
-    """One flight with it, at a drawn moment: in the approach for even seeds, else the landing."""
-    random = np.random.default_rng((seed, 1))
-    in_landing = (seed % 2 == 1 and case.name != "setpoint-nan") or case.name == "policy-nan"
-    after = float(random.uniform(*(LANDING if in_landing else APPROACH)))
-    if case.name in FAULTS:
-        fault = Fault(case.name, "air", after)
-        which = {"in_landing": (fault,)} if in_landing else {"faults": (fault,)}
-        return fly_once(plan, setting, seed, **which)
-    moments: list[float] = []
-    clocks: list[FlightClock] = []
-
-    def happen() -> None:
-        moments.append(clocks[0].now())
-
-    def prepare(flight: SimulatedFlight, pilot: Pilot) -> None:
-        clocks.append(flight.clock)
-        if case.name == "interrupt":
-            flight.world.schedule(flight.world.time + 2.0 + after, interrupt)
-
-    def interrupt() -> None:
-        """As a signal would, out of whatever the pilot waits in."""
-        happen()
-        raise KeyboardInterrupt
-
-    calls = 1 + round(after / plan.landing.task.vehicle.command_control_period)
-    if case.name == "policy-nan":
-        plan = dataclasses.replace(plan, landing=_failing(plan.landing, calls, happen))
-    elif case.name == "setpoint-nan":
-        plan = dataclasses.replace(plan, setpoint=_failing(plan.setpoint, calls, happen))
-    flown = fly_once(plan, setting, seed, prepare=prepare, interrupted=case.name == "interrupt")
-    return dataclasses.replace(flown, faults=tuple((moment, case.name) for moment in moments[:1]))
-
-
 def _failing(policy: Policy, calls: int, failed: Callable[[], None]) -> Policy:
-    """The policy, whose actions are NaN after so many."""
+    """Return the policy with actions that are NaN after so many calls."""
     broken, count = copy.copy(policy), 0
 
     def predict(observation: np.ndarray) -> np.ndarray:
@@ -396,59 +361,7 @@ def _failing(policy: Policy, calls: int, failed: Callable[[], None]) -> Policy:
     return broken
 
 
-def fly_cases(
-    policy: Loaded, setting: Setting, flights: int, seed: int, done: Callable[[], None]
-) -> list[dict]:
-    """Every case, so many flights each, from the paper's starts in turn; see `record`."""
-    landing, hover, starts = policy
-    records = []
-    for case, own in zip(CASES, seeds_of(seed, len(CASES), flights)):
-        flown = []
-        for k, number in enumerate(own):
-            plan = FlightPlan(landing, hover, starts[k // 2 % len(starts)])
-            flown.append(fly_case(case, plan, setting, int(number) // 2 * 2 + k % 2))
-            done()
-        records.append(record(case, flown))
-    return records
-
-
-def record(case: Case, flown: list[Flown]) -> dict:
-    """How a case went: `safe` of `met`, those in which it came to happen."""
-    met = [f for f in flown if f.faults]
-    late = [max(0.0, f.truth.off - f.faults[0][0]) for f in met]
-    outcomes: dict[str, int] = {}
-    for f in met:
-        outcomes[f.report.outcome] = outcomes.get(f.report.outcome, 0) + 1
-    return {
-        "case": case.name,
-        "what": case.what,
-        "why": case.why,
-        "limit": case.limit,
-        "outside_limit": case.outside,
-        "flights": len(flown),
-        "met": len(met),
-        "safe": sum(is_safe(case, f) for f in met),
-        "off": max(late, default=None),
-        "outside": max((f.truth.outside for f in met), default=None),
-        "outcomes": outcomes,
-        "each": [flight_record(f) for f in flown],
-    }
-
-
 def is_safe(case: Case, flown: Flown) -> bool:
-    """Motors off in time, at rest somewhere, and not farther outside than stated."""
-    late = flown.truth.off - flown.faults[0][0]
+    """Return whether the motors went off in time, and it rests, not farther outside than stated."""
+    late = flown.truth.off - flown.began
     return bool(late <= case.limit and flown.truth.rests and flown.truth.outside <= case.outside)
-
-
-def fault_cells(row: dict) -> dict:
-    """Return a line of the table."""
-    return {
-        "fault": row["case"],
-        "how it ended": ", ".join(f"{name} {count}" for name, count in sorted(row["outcomes"].items())),
-        "safe": f"{row['safe']} of {row['met']}",
-        "motors off after [s]": row["off"],
-        "at most [s]": row["limit"],
-        "outside [m]": row["outside"],
-        "at most [m]": row["outside_limit"],
-    }

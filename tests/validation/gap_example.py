@@ -19,7 +19,7 @@ from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from tests.validation.gap_blind.accepted import NOT_COMPARED
 from tests.validation.gap_blind.causes import Drawn
-from tests.validation.gap_blind.generate import fly_all, write_csv
+from tests.validation.gap_blind.generate import fly_all, logs, write_csv
 from tests.validation.shared import check_known
 
 _NUMBERS = {name: next(iter(values.values())) for name, values in tomllib.loads(HIDDEN).items()}
@@ -64,8 +64,8 @@ def command(
         for k, (name, count) in enumerate(SETS.items()):
             (folder / name).mkdir()
             recordings = fly_all(drawn, np.random.default_rng((seed, k)), count=count)
-            for j, recording in enumerate(recordings):
-                write_csv(recording, folder / name / f"{name}_{j + 1:02d}.csv", voltage=drawn.voltage)
+            for j, log in enumerate(logs(recordings, voltage=drawn.voltage)):
+                write_csv(log, folder / name / f"{name}_{j + 1:02d}.csv")
         if cause is None:
             write_hidden(folder)
         elif cause not in NOT_COMPARED:

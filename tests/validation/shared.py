@@ -1,18 +1,21 @@
-"""What the commands share: tables in Markdown, names that are known, work in processes."""
+"""What the commands share: tables in Markdown, known names, and cases answered in processes."""
 
 from __future__ import annotations
 
-import dataclasses
 import multiprocessing
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from inclined_landing.envs.shared.tables import spread_cell
+from inclined_landing.eval.base import style
+from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
 
@@ -23,28 +26,34 @@ def check_known(what: str, names: Iterable[str], known: Collection[str]) -> None
             raise UserError(f"unknown {what} {name!r}; choose from {', '.join(known)}")
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def check_folder(data: Path) -> None:
+    """Raise UserError unless there is a folder with the clones of the public sets."""
+    if not data.is_dir():
+        raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return a table in Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
+    lines = [header, ["---"] * len(header), *(map(cell, row) for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---") + "\n"
 
 
-def table_of(rows: Sequence[Any]) -> str:
-    """Return a table in Markdown of mappings or records with the same keys, whose numbers are rounded."""
-    plain = [row if isinstance(row, Mapping) else dataclasses.asdict(row) for row in rows]
-    if not plain:
-        return ""
-    return table(
-        [key.replace("_", " ") for key in plain[0]], [list(map(cell, row.values())) for row in plain]
-    )
+def table_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table in Markdown of mappings with the same keys."""
+    return table([key.replace("_", " ") for key in rows[0]], [list(row.values()) for row in rows])
 
 
 def cell(value: Any) -> str:
-    """Return a number with four digits, a pair as a value with the half-width of its interval."""
+    """Return a number with four digits, a proportion with its interval, a spread with its quantiles."""
+    if isinstance(value, dict) and "share" in value:
+        if value["share"] is None:
+            return ""
+        low, high = (100 * end for end in value["interval"])
+        return f"{value['count']} of {value['of']} [{low:.0f}, {high:.0f} %]"
+    if isinstance(value, dict):
+        return spread_cell(value)
     if isinstance(value, float):
         return f"{value:.4g}"
-    if isinstance(value, tuple) and len(value) == 2:
-        return f"{value[0]:.4g} ± {value[1]:.2g}"
     return "" if value is None else str(value)
 
 
@@ -54,20 +63,33 @@ def progress() -> Progress:
     return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
-def in_processes(
-    work: Callable, calls: Sequence[tuple], processes: int, done: int = 0
-) -> Iterator[tuple[tuple, Any]]:
-    """Yield (arguments, result) of every call as it ends, with a bar.
+def answered(
+    folder: Path, work: Callable[..., Any], calls: Mapping[str, tuple], processes: int
+) -> dict[str, Any]:
+    """Return what `work` answers to every call, by its name, in the order of `calls`.
 
-    done: calls that were made before. Raises UserError where a process is killed.
+    An answer is kept as NAME.json in `folder` as soon as it is there, and not asked for again. Raises
+    UserError where a process is killed.
     """
+    style.make_folder(folder)
+    files = {name: folder / f"{name}.json" for name in calls}
+    todo = {name: call for name, call in calls.items() if not files[name].exists()}
+    for name, answer in in_processes(work, todo, processes, len(calls) - len(todo)):
+        storage.write_json(files[name], answer)
+    return {name: storage.read_json(file, "answer") for name, file in files.items()}
+
+
+def in_processes(
+    work: Callable[..., Any], calls: Mapping[str, tuple], processes: int, done: int
+) -> Iterator[tuple[str, Any]]:
+    """Yield name and result of every call as it ends, with a bar of which `done` were made before."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"  # the processes share the cores already
     # A spawned process starts clean: threads of libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with progress() as bar, ProcessPoolExecutor(processes, mp_context=context) as pool:
         task = bar.add_task("cases", total=done + len(calls), completed=done)
-        jobs = {pool.submit(work, *call): call for call in calls}
+        jobs = {pool.submit(work, *call): name for name, call in calls.items()}
         try:
             for job in as_completed(jobs):
                 yield jobs[job], job.result()

@@ -1,8 +1,6 @@
 """Known causes in real flights: the file of rows, the judgement, and the counts; made-up flights only."""
 
 import dataclasses
-import re
-import tomllib
 from fnmatch import fnmatch
 from types import SimpleNamespace
 
@@ -10,7 +8,6 @@ import pytest
 
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests import ROOT
 from tests.validation import causes, trust
 
 ROW = causes.Row(
@@ -21,7 +18,7 @@ ROW = causes.Row(
 RESULT = {
     **{"set": "lab", "name": "a weight", "kind": "cause", "half": "development", "strength": "strong"},
     **{"dose": None, "told": {"of": "thrust", "value": 0.9, "tolerance": 0.02}, "verdict": "effects"},
-    **{"found": {"value": 0.893, "ci95": [0.87, 0.917]}, "before": 0.612, "after": 0.148},
+    **{"found": {"value": 0.893, "ci95": [0.87, 0.917]}, "before": 0.612, "after": 0.148, "inconsistent": []},
     "tuning": {"right": True, "wrong": 1, "names": ["mass", "rotor_drag"]},
     **{"right sure": True, "right possible": True, "sure names": 1, "wrong": [], "flagged": False},
 }
@@ -127,39 +124,35 @@ def test_found_thrust_is_that_over_mass():
     assert causes._found(ROW, diagnosis(scaled), vehicle, vehicle.hover_pwm) is None  # no size was told
 
 
-def test_summary_counts_each_bar_by_hand():
+def test_summary_counts_by_hand():
     weak = made(strength="weak") | {"right sure": False}
     possible = made(found=None) | {"right sure": False, "sure names": 2, "wrong": ["wind"]}
     outside = made(kind="unknown", told=None, found=None, flagged=True)
-    same = made(kind="nothing", told=None, found=None) | {"sure names": 0}
+    same = made(kind="nothing", told=None, found=None) | {"sure names": 0, "verdict": "unknown"}
     narrow = made(found={"value": 0.8, "ci95": [0.7, 0.879]})  # with the tolerance of 0.02 short of 0.9
     touching = made(found={"value": 0.8, "ci95": [0.7, 0.881]})
-    got = causes.summary([RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE])
-    assert got == {
-        "sure": (3, 4),  # the weak one does not count
-        "possible": (4, 4),
-        "wrong": (1, 7),
-        "interval": (3, 5),  # one was not found, one is too narrow
-        "nothing": (0, 1),
-        "unknown": (1, 1),
-    }
-    text = causes.summary_text([RESULT, weak, made(kind="nothing", told=None), ERROR, DOSE])
-    assert "called unknown as well: 0/2 known causes, 0/1 rows with nothing changed" in text
-    assert "where a right name is sure, median: 61 to 15 cm" in text
-    assert "parameter tuning: right among its names 1/1; 3 of its 6 names are wrong" in text
+    results = [RESULT, weak, possible, outside, same, narrow, touching, ERROR, DOSE]
+    counts = [(share["count"], share["of"]) for share in causes.summary(results).values()]
+    assert counts == [
+        (3, 4),  # sure: the weak one does not count
+        (4, 4),  # possible
+        (1, 7),  # wrong
+        (3, 5),  # interval: one was not found, one is too narrow
+        (0, 1),  # nothing changed
+        (1, 1),  # outside the library
+        (0, 5),  # called unknown, of known causes
+        (1, 1),  # the same, nothing changed
+        (4, 4),  # tuning
+        (7, 14),
+    ]
+    assert "61 to 15 cm" in causes.errors(results)
+    lines = [causes.cells(r) for r in (RESULT | {"flights": [3, 2], "named": [], "possible": {}}, ERROR)]
+    assert lines[0]["told size"] == "thrust 0.9" and lines[0]["found"] == "0.893 [0.87, 0.917]"
+    assert lines[0].keys() == lines[1].keys() and lines[1]["verdict"].startswith("not read")
 
 
-def test_the_recorded_counts_are_those_of_the_page():
-    """A column of the page's table is a group of the figure."""
-    text = (ROOT / "docs/evidence/known_causes.md").read_text("utf-8")
-    lines = {
-        "right sure": "causes of medium size or more",
-        "right": "the same, sure or",
-        "wrong sure": "sure names that",
-        "tuning": "parameter tuning",
-    }
-    recorded = tomllib.loads(trust.RECORDED.read_text("utf-8"))
-    for key, begin in lines.items():
-        cells = re.search(rf"^\| {begin}.*", text, re.MULTILINE)[0]
-        counts = [[int(a), int(b)] for a, b in re.findall(r"(\d+) of (\d+)", cells)]
-        assert counts == [group[key] for group in recorded.values()], begin
+def test_the_figure_has_the_groups_of_the_page():
+    groups, counts = trust.recorded(trust.PAGE.read_text("utf-8"))
+    assert {len(found) for found in counts.values()} == {len(groups)}
+    (axes,) = trust.draw(groups, counts).axes
+    assert len(axes.patches) == len(groups) * len(trust.BARS)

@@ -17,10 +17,11 @@ from inclined_landing.eval.gap.flights.usable import read_flights
 from inclined_landing.eval.gap.model.reference import read_reference
 from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.result import REFERENCE
+from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.gap.test_report import example
 from tests.validation.gap_blind.causes import Drawn
-from tests.validation.gap_blind.generate import fly_all, table
+from tests.validation.gap_blind import generate
 
 HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})
 FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "vehicle.toml"}
@@ -29,8 +30,8 @@ FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "ve
 @pytest.fixture(scope="module")
 def flown():
     """Four flights of 8 s with weak propellers, as tables of the documented CSV."""
-    recordings = fly_all(HIDDEN, np.random.default_rng(3), count=4, seconds=8.0)
-    return [table(recording, voltage=True) for recording in recordings]
+    recordings = generate.fly_all(HIDDEN, np.random.default_rng(3), count=4, seconds=8.0)
+    return [log_table(log) for log in generate.logs(recordings, voltage=True)]
 
 
 @pytest.fixture

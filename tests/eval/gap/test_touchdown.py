@@ -22,17 +22,24 @@ from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProble
 from inclined_landing.eval.gap.result import ScoredSet, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.validation.gap_blind import cases
-from tests.validation.gap_blind.generate import landings, logs
+from tests.validation.gap_blind import cases, causes
+from tests.validation.gap_blind.generate import land_all, logs
 
 VEHICLE = load_vehicle()
+
+
+def flown(cause, seed):
+    """Return sixteen landings with a strong cause of contact (None: without), and what is hidden."""
+    rng = np.random.default_rng(seed)
+    drawn = causes.Drawn({}, {}) if cause is None else causes.draw(cause, "strong", rng)
+    return logs(land_all(drawn, rng), contact=True), drawn.parameters
 
 
 @pytest.fixture(scope="module")
 def higher():
     """Sixteen landings on a platform some 3 cm off its nominal height, and its offset."""
-    recordings, drawn = landings("platform_height", "strong", seed=23)
-    return logs(recordings, contact=True), drawn.parameters["offset"]
+    flights, hidden = flown("platform_height", 23)
+    return flights, hidden["offset"]
 
 
 @pytest.mark.parametrize("likely", [False, True])
@@ -219,16 +226,14 @@ def test_effects_of_contact_are_named_on_two_engines(engine, cause):
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["contact_stiffness", "contact_damping"])
 def test_springs_and_dampers_are_told_apart(cause):
-    recordings, _ = landings(cause, "strong", seed=403)
-    _, found = contact_posterior(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
+    _, found = contact_posterior(landings_of(flown(cause, 403)[0], VEHICLE), VEHICLE, LIBRARY)
     assert found.names == {cause}
 
 
 @pytest.mark.slow
 def test_where_nothing_is_hidden_no_effect_of_contact_is_sure():
     """Two contact models are not alike: a false name may be the likeliest set, but is no certainty."""
-    recordings, _ = landings(None, None, seed=415)
-    _, found = contact_posterior(landings_of(logs(recordings, contact=True), VEHICLE), VEHICLE, LIBRARY)
+    _, found = contact_posterior(landings_of(flown(None, 415)[0], VEHICLE), VEHICLE, LIBRARY)
     assert max(found.probability(name) for name in LIBRARY) < 0.8 and not found.unexplained
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -33,6 +33,10 @@ class Drawn:
     parameters: dict[str, float]
     voltage: bool = False
     spread: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+
+    def world_of(self, rng: np.random.Generator) -> World:
+        """Return the world of one flight."""
+        return World(**self.world | {field: rng.uniform(*ends) for field, ends in self.spread.items()})
 
 
 Draw = Callable[[float, np.random.Generator, Reality], Drawn]
@@ -227,17 +231,13 @@ def draw(name: str, size: str, rng: np.random.Generator, reality: Reality | None
     return how(sizes[SIZES.index(size)] * rng.uniform(0.85, 1.15), rng, reality)
 
 
-def combined(*drawn: Drawn, names: Sequence[str] = ()) -> Drawn:
-    """All of `drawn` in one world; factors multiply. Parameters are keyed `name.parameter`."""
+def combined(*drawn: Drawn) -> Drawn:
+    """Return all of `drawn` in one world, where factors multiply, without their parameters."""
     world: dict[str, float] = {}
     for one in drawn:
         for field, value in one.world.items():
             if World._field_defaults[field] == 1.0:
                 value *= world.get(field, 1.0)
             world[field] = value
-    return Drawn(
-        world,
-        {f"{name}.{key}": value for name, one in zip(names, drawn) for key, value in one.parameters.items()},
-        any(one.voltage for one in drawn),
-        {field: ends for one in drawn for field, ends in one.spread.items()},
-    )
+    spread = {field: ends for one in drawn for field, ends in one.spread.items()}
+    return Drawn(world, {}, any(one.voltage for one in drawn), spread)

@@ -18,16 +18,16 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
-from ..shared import check_known, in_processes
-from . import score
+from ..shared import answered, check_known
 from .cases import ENGINES, ROTORPY, SETS, Case, of_set
+from .score import score_case
 from .tables import markdown, results_of
 
 _NEEDED = {
     "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
     "bullet": ("pybullet",),
 }
-_SET, _LABELS, _RESULTS = "set.json", "sealed/labels.json", "results.json"
+_SET, _LABELS = "set.json", "sealed/labels.json"
 
 
 def command(
@@ -51,17 +51,16 @@ def command(
     check_known("set", [set], (*SETS, ROTORPY, *ENGINES))
     if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
         raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
-    drawn = of_set(set, seed, cases)
-    labels = {case.name: case.label() for case in drawn}
+    drawn = {case.name: case for case in of_set(set, seed, cases)}
+    labels = {name: case.label() for name, case in drawn.items()}
     with runs.owned(out, _SET):
         storage.remove_parts(out)
         description = _open_set(out, {"set": set, "seed": seed, "cases drawn": len(drawn)}, labels)
-        style.make_folder(out / "reports")
-        todo = [(case, out) for case in drawn if _scored(out, case.name, labels[case.name]) is None]
-        for _ in in_processes(_case, todo, processes, len(drawn) - len(todo)):
-            pass
-        results = description | results_of([_scored(out, *one) for one in sorted(labels.items())])
-    storage.write_json(out / _RESULTS, results)
+        calls = {name: (case,) for name, case in drawn.items()}
+        reports = answered(out / "reports", _case, calls, processes)
+    rows = [{"case": name} | score_case(labels[name], reports[name]) for name in sorted(drawn)]
+    results = description | results_of(rows)
+    storage.write_json(out / "results.json", results)
     storage.write_text(out / "table.md", markdown(results))
     print(markdown(results))
     print(f"{len(drawn)} cases were judged; the table is {out / 'table.md'}.")
@@ -78,24 +77,13 @@ def _open_set(out: Path, description: dict, labels: dict) -> dict:
     else:
         found = description | {"versions": runs.versions()}
         storage.write_json(out / _SET, found)
-    for name in (_LABELS, _RESULTS, "reports/case.json"):
-        storage.check_file(out / name)
     style.make_folder((out / _LABELS).parent)
     storage.write_text(out / _LABELS, sealed)
     return found
 
 
-def _scored(out: Path, name: str, label: dict) -> dict | None:
-    """Return the row of one case in the results; None where its report is not there, or damaged."""
-    try:
-        report = storage.read_json(out / "reports" / f"{name}.json", "report")
-        return {"case": name} | score.score_case(label, report)
-    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError):
-        return None
-
-
-def _case(case: Case, out: Path) -> None:
-    """Fly one case, identify its vehicle as a user would, diagnose it, and write the report."""
+def _case(case: Case) -> dict:
+    """Fly one case, identify its vehicle as a user would, and return the report of the diagnosis."""
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.model.reference import VehiclePosterior
@@ -114,5 +102,4 @@ def _case(case: Case, out: Path) -> None:
         report = diagnose(flown.gap, vehicle, **known, curves=False).to_json()
     except UserError as error:
         report = {"verdict": "failed", "effects": [], "notes": [str(error)]}
-    report |= {"identify seconds": spent, "wall seconds": time.perf_counter() - began}
-    storage.write_json(out / "reports" / f"{case.name}.json", report)
+    return report | {"identify seconds": spent, "wall seconds": time.perf_counter() - began}

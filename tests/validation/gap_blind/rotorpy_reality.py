@@ -346,8 +346,7 @@ def fly_groups(
     for group, (drawn, count) in enumerate(groups):
         rounds = [rng.permutation(KINDS) for _ in range(-(-count // len(KINDS)))]
         for kind in np.concatenate(rounds)[:count] if count else ():
-            fields = drawn.world | {field: rng.uniform(*ends) for field, ends in drawn.spread.items()}
-            todo.append((str(kind), World(**fields), group))
+            todo.append((str(kind), drawn.world_of(rng), group))
     flown: dict[int, Recording] = {}
     for _ in range(_TRIES):
         left = [k for k in range(len(todo)) if k not in flown]
