@@ -20,8 +20,8 @@ from inclined_landing.eval.gap.result import REFERENCE
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.gap.test_report import example
-from tests.validation.gap_blind.causes import Drawn
 from tests.validation.gap_blind import generate
+from tests.validation.gap_blind.causes import Drawn
 
 HIDDEN = Drawn(world={"thrust_scale": 0.88}, parameters={})
 FILES = {"gap.png", "landing.xml", "report.html", "report.json", "run.json", "vehicle.toml"}
