@@ -40,7 +40,7 @@ def command(
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import figures, identified, model, run, terminal, tracks, words
+    from inclined_landing.eval.gap.report import figures, files, identified, terminal, tracks, words
     from inclined_landing.eval.gap.report.page import page
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models.parameters import load_vehicle
@@ -88,8 +88,8 @@ def command(
                 base = folder / REFERENCE
                 base.parent.mkdir()
                 identified.write(found, base.parent, base=source.vehicle)
-            model.write(d, nominal, folder, base=base)
-            run.write(
+            files.write(d, nominal, folder, base=base)
+            files.write_report(
                 folder,
                 "gap",
                 html,
@@ -105,8 +105,8 @@ def command(
 
 def _flight(d: Diagnosis, vehicle: Vehicle, known: VehiclePosterior, out: Path) -> tuple[str, str]:
     """Return sentences on the most informative flight, and the command that plans one; "" for none."""
+    from inclined_landing.eval.gap.plan.doubt import most_informative_flight
     from inclined_landing.eval.gap.plan.reading import PlanInput
-    from inclined_landing.eval.gap.plan.words import most_informative_flight
 
     try:
         text, worth = most_informative_flight(PlanInput.of(d, vehicle, known))

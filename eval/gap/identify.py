@@ -21,7 +21,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
-    from inclined_landing.eval.gap.report import identified, model, run
+    from inclined_landing.eval.gap.report import files, identified
     from inclined_landing.models.parameters import load_vehicle
 
     nominal = load_vehicle(source.vehicle)
@@ -43,7 +43,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     try:
         with runs.staged_run(out) as folder:
             identified.write(found, folder, base=source.vehicle)
-            run.write(folder, "identify", html, found.to_json(), source, began, versions)
-        written = out / model.VEHICLE
+            files.write_report(folder, "identify", html, found.to_json(), source, began, versions)
+        written = out / files.VEHICLE
     finally:
         identified.show(found, flights.notes, written)

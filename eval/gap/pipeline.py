@@ -22,8 +22,7 @@ from inclined_landing.eval.gap.answer.named import (
 from inclined_landing.eval.gap.answer.refit import corrected
 from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
-from inclined_landing.eval.gap.flights.distinct import check_unused
-from inclined_landing.eval.gap.flights.usable import usable_flights
+from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual

@@ -447,9 +447,7 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
-        record = plain(self)
-        for name in _DRAWN:
-            del record[name]
+        record = plain({name: value for name, value in vars(self).items() if name not in _DRAWN})
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained

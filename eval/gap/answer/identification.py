@@ -20,9 +20,8 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.answer.refit import Refit
-from inclined_landing.eval.gap.flights.distinct import fingerprint
 from inclined_landing.eval.gap.flights.landings import LandingReference
-from inclined_landing.eval.gap.flights.usable import usable_flights
+from inclined_landing.eval.gap.flights.usable import fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
     estimate_noise,
@@ -45,6 +44,7 @@ from inclined_landing.eval.gap.result import (
     InconsistentFlights,
     ReferenceErrors,
     SetAside,
+    plain,
 )
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
@@ -107,24 +107,9 @@ class Identification:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
-        return {
-            "version": VERSION,
-            "vehicle": {f: getattr(self.vehicle, f) for f in self.fields},
-            "parameters": [dataclasses.asdict(p) for p in self.parameters],
-            "identifiable": [dataclasses.asdict(one) for one in self.identifiable],
-            "fit": self.fit,
-            "ahead": self.ahead,
-            "worse": self.worse,
-            "kept": self.kept,
-            "regimes": self.regimes,
-            "disturbance": {channel: dataclasses.asdict(d) for channel, d in self.disturbance.items()},
-            "fields": self.fields,
-            "flights": self.flights,
-            "notes": self.notes,
-            "inconsistent_flights": [dataclasses.asdict(one) for one in self.inconsistent_flights],
-            "set_aside": [dataclasses.asdict(one) for one in self.set_aside],
-            "paper": PAPER,
-        }
+        record = {name: value for name, value in vars(self).items() if name != "reference"}
+        vehicle = {f: getattr(self.vehicle, f) for f in self.fields}
+        return plain(record | {"version": VERSION, "vehicle": vehicle, "paper": PAPER})
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already

@@ -176,7 +176,6 @@ def estimate(
     flights: Sequence,
     errors: Sequence[np.ndarray],
     weights: Sequence[np.ndarray] | None = None,
-    seed: int = 0,
 ) -> NoiseModel:
     """Return the maximum-likelihood noise model of errors (m, C), measured minus predicted, of `flights`.
 
@@ -186,12 +185,12 @@ def estimate(
     windows = [f.cut(e) for f, e in zip(flights, errors)]
     if weights is not None:
         windows = [w * np.sqrt(counts)[:, None] for w, counts in zip(windows, weights)]
-    columns = [_fit_channel(flights, windows, c, seed) for c in range(flights[0].channels)]
+    columns = [_fit_channel(flights, windows, c) for c in range(flights[0].channels)]
     size, size_ends, time, time_ends, noise = (np.array(x) for x in zip(*columns))
     return NoiseModel(size, size_ends.T, time, time_ends.T, noise)
 
 
-def _fit_channel(flights, windows, channel: int, seed: int):
+def _fit_channel(flights, windows, channel: int):
     """Return (size, its interval, correlation time, its interval, noise factor) of a channel."""
     parts = [_simultaneous_modes(f, w, channel) for f, w in zip(flights, windows) if f.logged[channel]]
     if not parts:
@@ -202,7 +201,7 @@ def _fit_channel(flights, windows, channel: int, seed: int):
     sizes = SIZE_FACTORS * np.sqrt(max(typical, 1e-12))
     table = np.stack([_log_likelihood(part, sizes) for part in parts])  # (f, times, noise, sizes)
     best = np.unravel_index(int(np.argmax(table.sum(axis=0))), table.shape[1:])
-    rng = np.random.default_rng((seed, channel))
+    rng = np.random.default_rng((0, channel))
     counts = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), BOOTSTRAP_SAMPLES)
     drawn = np.tensordot(counts, table[:, :, best[1], :], axes=1)
     places = [np.unravel_index(int(np.argmax(x)), x.shape) for x in drawn]

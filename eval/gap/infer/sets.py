@@ -176,11 +176,9 @@ def _all_nonzero(problem: Problem, names: EffectSet, values: Values) -> bool:
     return all(np.any(problem.sizes(name, values)) for name in names)
 
 
-def posterior_mode(
-    problem: Problem, local: LinearGaussian, names: EffectSet, weights: np.ndarray | None = None
-) -> FittedValues:
+def posterior_mode(problem: Problem, local: LinearGaussian, names: EffectSet) -> FittedValues:
     """Return the posterior mode of a set's effects within bounds, the others' spikes marginalised."""
-    return problem.values_at(names, local.columns, local.bounded_mode(names, weights) * local.unit)
+    return problem.values_at(names, local.columns, local.bounded_mode(names) * local.unit)
 
 
 def leave_one_out(

@@ -15,8 +15,8 @@ from inclined_landing.eval.gap.plan import SECONDS
 
 if TYPE_CHECKING:
     from inclined_landing.eval.gap.plan.design import Plan
+    from inclined_landing.eval.gap.plan.doubt import InDoubt
     from inclined_landing.eval.gap.plan.reading import PlanInput
-    from inclined_landing.eval.gap.plan.words import InDoubt
 
 
 def command(
@@ -44,17 +44,18 @@ def command(
     from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.base.style import save_figure
     from inclined_landing.eval.gap import thresholds
-    from inclined_landing.eval.gap.plan import words
+    from inclined_landing.eval.gap.plan import doubt
     from inclined_landing.eval.gap.plan.design import design
     from inclined_landing.eval.gap.plan.picture import picture
     from inclined_landing.eval.gap.plan.reading import read_report
+    from inclined_landing.eval.gap.report import words
     from inclined_landing.models.base import storage
 
     plan_input, arena = read_report(report, vehicle)
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED and not plan_input.vary:
         probability = words.probability(best.probability)
-        say(f"No flight is needed: {words.set_label(best)} has a probability of {probability}.")
+        say(f"No flight is needed: {doubt.set_label(best)} has a probability of {probability}.")
         return
     with stages() as tick:
         plan = design(
@@ -68,17 +69,17 @@ def command(
             seed=seed,
             tick=tick,
         )
-    found = words.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
-    beyond = words.measured_otherwise(found)
+    found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
+    beyond = doubt.measured_otherwise(found)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
-        say(words.in_doubt(found), *beyond)
+        say(doubt.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
-    lines = [words.in_doubt(found), *filter(None, [words.outcome(found)])] if found else []
+    lines = [doubt.in_doubt(found), *filter(None, [doubt.outcome(found)])] if found else []
     lines += beyond
     if plan_input.vary:
-        lines.append(words.variation(plan_input.vary))
-    lines += words.why_near(plan)
+        lines.append(doubt.variation(plan_input.vary))
+    lines += doubt.why_near(plan)
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.reference.csv())
         storage.write_json(
@@ -86,8 +87,8 @@ def command(
         )
         save_figure(picture(plan, found, plan_input.platform), folder / "plan.png")
     flight = out / "flight.csv"
-    say(*words.flight(plan), *lines)
-    print(f"To fly it: {words.fly_command(flight, plan_input.platform, arena)}")
+    say(*doubt.flight(plan), *lines)
+    print(f"To fly it: {doubt.fly_command(flight, plan_input.platform, arena)}")
     say(f"The most informative flight is {flight}.", style="bold")
 
 

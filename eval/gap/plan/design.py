@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -12,13 +12,16 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
-from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
-from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, ScoredSet
+from inclined_landing.eval.gap.plan.information import (
+    ModelDiscrimination,
+    NoiseLevels,
+    RegressorCoverage,
+    ScoredSet,
+)
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.vehicle import Vehicle
 
 PIECES_PER_KIND = 8  # random safe pieces of every kind
@@ -74,7 +77,6 @@ def design(
     seconds: float = SECONDS,
     platform: bool = False,
     reference: VehiclePosterior | None = None,
-    library: Mapping[str, Effect] = LIBRARY,
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
 ) -> Plan:
@@ -94,7 +96,7 @@ def design(
         )
     known = probable_sets(hypotheses)
     levels = noise_levels or NoiseLevels.typical()
-    discrimination = ModelDiscrimination(known, vehicle, levels, library, reference)
+    discrimination = ModelDiscrimination(known, vehicle, levels, reference=reference)
     tick("pieces")
     coverage = RegressorCoverage(vary, space, discrimination.noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
@@ -131,14 +133,14 @@ def probable_sets(hypotheses: Sequence[ScoredSet]) -> list[ScoredSet]:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def most_informative_piece(
-    discrimination: ModelDiscrimination, space: Space, seconds: float = SECONDS
+    discrimination: ModelDiscrimination, space: Space
 ) -> tuple[Piece, float, np.ndarray]:
     """Return the piece of the largest information gain when repeated, that gain, and the forecast (K, K).
 
     Three pieces of each kind are tried: two seconds for all of them.
     """
     none = RegressorCoverage((), space, discrimination.noise_levels.noise)
-    search = _Search(discrimination, none, space, seconds, np.random.default_rng(0), drawn=2)
+    search = _Search(discrimination, none, space, SECONDS, np.random.default_rng(0), drawn=2)
     gains = {piece: discrimination.gain(search.repeated(piece)) for piece in search.pool}
     best = max(gains, key=gains.__getitem__)
     return best, gains[best], discrimination.forecast(search.repeated(best))

@@ -3,6 +3,10 @@
 Every set predicts the flight at its own values; their uncertainties, and negligible sizes of all other
 effects, are normal. The prediction is linear in both, so that the Gram matrix of white predictions is a
 sufficient statistic of a flight. Gram matrices are additive over pieces of flight.
+
+For a residual that no effect explains, the information about unknown functions of the regressors of the
+residual analysis counts too. A smooth function of one is a Gaussian process with a squared exponential
+kernel, approximated by random Fourier features (Rahimi and Recht 2007).
 """
 
 from __future__ import annotations
@@ -18,18 +22,24 @@ from msgspec import structs
 from inclined_landing.eval.gap.flights.noise import Whitening
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight, prepare
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, SPIKE
+from inclined_landing.eval.gap.infer.residual import regressors
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.plan.setpoints import Setpoints
+from inclined_landing.eval.gap.plan import pieces
+from inclined_landing.eval.gap.plan.pieces import Space
+from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.vehicle import Vehicle
 
 # Shares of the linear model's information over which gains are averaged: a real flight has less.
 INFORMATION_SHARES = (1.0, 0.1, 0.01)
 DRAWS = 20  # Monte Carlo samples of every set
+FEATURES = 16  # of an unknown function of regressors
+CORRELATION_TIME = 0.3  # s, of the disturbance: samples closer than this count as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,37 +184,36 @@ class ModelDiscrimination:
         white[shared] = self._axes.T @ white[shared]
         return white @ white.T
 
-    def expected(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
+    def expected(self, gram: np.ndarray) -> np.ndarray:
         """Return (K, K): the expected posterior probability of every set j where the set i is true.
 
         gram (P, P), or (K, P, P) where the flight is another one under every set.
         """
-        return self._after(gram, (1.0,), seed)[0].mean(axis=1)
+        return self._after(gram, (1.0,))[0].mean(axis=1)
 
-    def forecast(self, gram: np.ndarray, seed: int = 0) -> np.ndarray:
+    def forecast(self, gram: np.ndarray) -> np.ndarray:
         """Return `expected` (K, K) averaged over INFORMATION_SHARES, as a real flight has less than all."""
-        return self._after(gram, INFORMATION_SHARES, seed).mean(axis=(0, 2))
+        return self._after(gram, INFORMATION_SHARES).mean(axis=(0, 2))
 
-    def gain(self, gram: np.ndarray, seed: int = 0) -> float:
+    def gain(self, gram: np.ndarray) -> float:
         """Return the expected information gain [nat], averaged over INFORMATION_SHARES; gram as above."""
         # I = H(p) - E H(p | data),  H(p) = -sum_j p_j log p_j  (Lindley 1956)
         p = self.probabilities
-        after = [p @ _entropy(one).mean(axis=1) for one in self._after(gram, INFORMATION_SHARES, seed)]
+        after = [p @ _entropy(one).mean(axis=1) for one in self._after(gram, INFORMATION_SHARES)]
         return float(_entropy(p) - np.mean(after))
 
-    def _after(self, gram: np.ndarray, shares: Sequence[float], seed: int) -> np.ndarray:
+    def _after(self, gram: np.ndarray, shares: Sequence[float]) -> np.ndarray:
         """Return posterior probabilities (S, K, DRAWS, K) after each share of the information of a flight."""
         if gram.ndim == 2:
             root = _matrix_root(gram)
-            each = [self._simulated_posteriors(x * gram, math.sqrt(x) * root, seed) for x in shares]
-            return np.stack(each)
-        return np.stack([self._after(one, shares, seed)[:, k] for k, one in enumerate(gram)], axis=1)
+            return np.stack([self._simulated_posteriors(x * gram, math.sqrt(x) * root) for x in shares])
+        return np.stack([self._after(one, shares)[:, k] for k, one in enumerate(gram)], axis=1)
 
-    def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray, seed: int) -> np.ndarray:
+    def _simulated_posteriors(self, gram: np.ndarray, root: np.ndarray) -> np.ndarray:
         """Return posterior probabilities (K, DRAWS, K) after flights simulated with each set."""
         # Data enter as their scalar products with the directions: y = G x + N(0, G), x the direction of the
         # true set i with its parameters drawn. Posterior p_j ~ p_j p(y | j), parameters of j marginalised.
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         x = rng.standard_normal((len(self), DRAWS, len(gram))) * self.free[:, None]
         x[np.arange(len(self)), :, np.arange(len(self))] += 1.0
         seen = x @ gram + rng.standard_normal(x.shape) @ root.T
@@ -237,3 +246,63 @@ def _matrix_root(gram: np.ndarray) -> np.ndarray:
 def _entropy(p: np.ndarray) -> np.ndarray:
     """Return the entropy (...,) [nat] of probabilities (..., K)."""
     return -(p * np.log(np.maximum(p, 1e-300))).sum(axis=-1)
+
+
+class _RandomFeatures:
+    """Random Fourier features of a regressor, standardised by the samples (m, k) it is made from."""
+
+    def __init__(self, samples: np.ndarray):
+        k = samples.shape[1]
+        self.mean, scale = samples.mean(axis=0), samples.std(axis=0)
+        self.scale = np.where(scale > 0.0, scale, 1.0)
+        rng = np.random.RandomState(0)  # legacy generator: keeps plans reproducible
+        self.weights = np.sqrt(1.0 / k) * rng.normal(size=(k, FEATURES))
+        self.phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Return the features (m, FEATURES) of samples (m, k)."""
+        # phi(x) = sqrt(2 / D) cos(W' x + b),  E phi(x)' phi(y) = exp(-|x - y|^2 / (2 k))
+        z = (x - self.mean) / self.scale
+        return np.sqrt(2.0 / FEATURES) * np.cos(z @ self.weights + self.phases)
+
+
+class RegressorCoverage:
+    """Unknown functions of some regressors, named by group or by single input; none for no names.
+
+    Raises UserError for an unknown name.
+    """
+
+    def __init__(self, names: Sequence[str], space: Space, noise: np.ndarray):
+        path = pieces.joined_path([pieces.midpoint(k) for k in pieces.kinds(space)], space)
+        typical = self._inputs(prepare(setpoints(path, space.vehicle).log("usual", noise), space.vehicle))
+        for name in names:
+            if name not in typical:
+                known = ", ".join(typical)
+                raise UserError(f"unknown quantity {shown(repr(name))}; choose from {known}")
+        self._features = {name: _RandomFeatures(typical[name]) for name in names}
+
+    @staticmethod
+    def _inputs(flight: MeasuredFlight) -> dict[str, np.ndarray]:
+        """Return the values (m, k) of every group of regressors, and (m, 1) of every single one."""
+        groups = regressors([flight])
+        single = {
+            one: arrays[0][:, inputs.index(one), None] for inputs, arrays in groups.values() for one in inputs
+        }
+        return single | {name: arrays[0] for name, (_, arrays) in groups.items()}
+
+    def gram(self, flight: MeasuredFlight) -> np.ndarray:
+        """Return the Gram matrices (g, FEATURES, FEATURES) of the features of every function on a flight."""
+        result = np.zeros((len(self._features), FEATURES, FEATURES))
+        if self._features:
+            inputs = self._inputs(flight)
+            for k, (name, features) in enumerate(self._features.items()):
+                x = features(inputs[name][flight.usable])
+                result[k] = x.T @ x * flight.dt / CORRELATION_TIME
+        return result
+
+    def gain(self, gram: np.ndarray) -> float:
+        """Return the information gain about the functions [nat per feature], their mean; 0 for none."""
+        if not self._features:
+            return 0.0
+        # Bayesian linear regression with weights ~ N(0, 1):  I = 1/2 log det(1 + Phi' Phi)
+        return float(0.5 * np.linalg.slogdet(np.eye(FEATURES) + gram)[1].mean() / FEATURES)

@@ -27,7 +27,7 @@ from inclined_landing.eval.base.style import (
     time_colours,
 )
 from inclined_landing.eval.gap.plan.design import Plan
-from inclined_landing.eval.gap.plan.words import InDoubt
+from inclined_landing.eval.gap.plan.doubt import InDoubt
 from inclined_landing.eval.gap.report.words import label
 from inclined_landing.models.vehicle import Vehicle
 

@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.answer.identification import PAPER, Identificatio
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report import figures, numbers, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
-from inclined_landing.eval.gap.report.model import VEHICLE, disturbance_fields, rounded, rounded_fields
+from inclined_landing.eval.gap.report.files import VEHICLE, disturbance_fields, rounded, rounded_fields
 from inclined_landing.eval.gap.report.page import render
 from inclined_landing.eval.gap.report.terminal import print_answer
 from inclined_landing.models.base import storage
@@ -150,27 +150,20 @@ def page(
     """Return the HTML page; heldout: names of the flights held out for the fit in percent."""
     return render(
         "identify.html.j2",
+        found,
         command="identify",
         title=headline(found),
         lead=sentences(found),
-        found=found,
         identifiable=identifiable_rows(found),
         identifiable_heads=IDENTIFIABLE,
         identifiability=figures.svg(identifiability(found)),
-        inconsistent_flights=found.inconsistent_flights,
-        set_aside=found.set_aside,
         percent=_percent,
         paper=PAPER["fit"],
-        colours=(BEFORE, AFTER),
         heads=_HEADS,
         rows=rows(found.parameters),
         changed=rows(changed_parameters(found)),
-        noise_rows=words.noise_rows(found.disturbance),
-        words=words,
-        vehicle=VEHICLE,
-        flights=found.flights,
         heldout=heldout,
-        notes=(*found.notes, *notes),
+        notes=notes,
         seconds=seconds,
         versions=versions,
     )
@@ -199,7 +192,7 @@ def show(found: Identification, notes: Sequence[str] = (), vehicle: Path | None 
     answer = headline(found)
     if vehicle is not None:
         answer += f" The vehicle file is {vehicle}."
-    print_answer(answer, sentences(found), constants, (*found.notes, *notes), found)
+    print_answer(answer, sentences(found), constants, notes, found)
 
 
 def write(found: Identification, folder: Path, *, base: Path | None = None) -> None:

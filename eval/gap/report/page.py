@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
+from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.report import figures, words
-from inclined_landing.eval.gap.report.model import MJCF, VEHICLE
+from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
 from inclined_landing.eval.gap.report.numbers import exact, interval
 from inclined_landing.eval.gap.report.tracks import EVERY, Track
 from inclined_landing.eval.gap.result import Diagnosis
@@ -46,36 +47,35 @@ def page(
     )
     return render(
         "gap.html.j2",
+        d,
         command="gap",
         title=words.headline(d),
         lead=[text for text in (words.how_much(d),) if text],
         caption=caption,
         answers=words.answers(d),
         flight=flight or words.possible_sentence(d),
-        d=d,
-        inconsistent_flights=d.inconsistent_flights,
-        set_aside=d.set_aside,
-        words=words,
         rows=rows,
-        effect_rows=words.probability_rows(d),
-        set_rows=words.set_rows(d),
-        noise_rows=words.noise_rows(d.disturbance),
         where=figures.where_tables(d.where),
         figures={name: [figures.svg(one) for one in some] for name, some in drawn.items()},
-        colours=(figures.BEFORE, figures.AFTER),
-        vehicle=VEHICLE,
         mjcf=MJCF,
-        flights=d.flights,
         heldout=[name for name in d.heldout if name not in d.flights],
-        notes=(*d.notes, *notes),
+        notes=notes,
         seconds=sum(d.seconds.values()),
         versions=versions,
     )
 
 
-def render(template: str, *, notes: Sequence[str], **content) -> str:
-    """Return a template of this package filled in; notes: sentences, repetitions removed."""
-    lines = [words.plain(note) for note in dict.fromkeys(notes)]
-    text = base_page.render(__package__, template, notes=lines, **content)
+def render(template: str, found: Diagnosis | Identification, *, notes: Sequence[str], **content) -> str:
+    """Return a template of this package filled in; notes: sentences, in addition to those of `found`."""
+    text = base_page.render(
+        __package__,
+        template,
+        found=found,
+        notes=words.notes(found.notes, notes),
+        words=words,
+        colours=(figures.BEFORE, figures.AFTER),
+        vehicle=VEHICLE,
+        **content,
+    )
     # No line ends between a number and its unit.
     return re.sub(r" (?=%)|(?<=\d) (?=(?:cm|mm|ms|deg)\b)", "\u00a0", text)

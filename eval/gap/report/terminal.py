@@ -33,7 +33,7 @@ def show(
             answer.add_row(one.title + f", {parameter}" * bool(parameter), number, ends, *last)
             last = ("", "")
     headline = words.headline(d) + (f" The report is {report / 'report.html'}." if report else "")
-    print_answer(headline, words.sentences(d, flight), answer, (*d.notes, *notes), d, following)
+    print_answer(headline, words.sentences(d, flight), answer, notes, d, following)
 
 
 def print_answer(
@@ -45,7 +45,7 @@ def print_answer(
     following: str = "",
 ) -> None:
     """Print an answer, the notes first and the headline last; repeated notes are removed."""
-    say(*(f"Note: {words.plain(note)}" for note in dict.fromkeys(notes)), style="dim")
+    say(*(f"Note: {note}" for note in words.notes(found.notes, notes)), style="dim")
     if rows.row_count:
         show_table(rows)
     say(*sentences)

@@ -468,6 +468,11 @@ def residual_sentences(d: Diagnosis) -> list[str]:
     return lines
 
 
+def notes(*groups: Sequence[str]) -> list[str]:
+    """Return the notes of some groups as a person reads them, each once."""
+    return [plain(note) for note in dict.fromkeys(note for group in groups for note in group)]
+
+
 def plain(text: str) -> str:
     """Return a sentence of the diagnosis with displayed names of effects and units."""
     for name in LIBRARY:

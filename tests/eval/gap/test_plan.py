@@ -12,10 +12,9 @@ from msgspec import structs
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior, free_effects
-from inclined_landing.eval.gap.plan import pieces, safety, words
-from inclined_landing.eval.gap.plan.coverage import RegressorCoverage
+from inclined_landing.eval.gap.plan import doubt, pieces, safety
 from inclined_landing.eval.gap.plan.design import design
-from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, RegressorCoverage
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.gap.result import REFERENCE, ScoredSet
@@ -187,15 +186,15 @@ def test_the_design_is_safe_repeatable_and_tells(plan):
     assert kinds & {"run", "circle"}
     # Drag shows at any height: nothing brings the flight near the floor.
     assert not any(span.piece.near for span in plan.path.spans)
-    assert plan.without is None and words.why_near(plan) == []
+    assert plan.without is None and doubt.why_near(plan) == []
 
 
 def test_the_scale_tells_mass_from_thrust():
     discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
     expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
-    found = words.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)
+    found = doubt.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)
     assert not any(one.resolved for one in found)
-    assert "Weigh the vehicle" in " ".join(words.measured_otherwise(found))
+    assert "Weigh the vehicle" in " ".join(doubt.measured_otherwise(found))
 
 
 @pytest.mark.slow
@@ -207,7 +206,7 @@ def test_a_flight_goes_near_the_floor_where_it_must_and_says_why():
     near = [span.piece for span in low.path.spans if span.piece.near]
     assert near and max(piece.height for piece in near) > 0.1
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
-    (said,) = words.why_near(low)
+    (said,) = doubt.why_near(low)
     assert "because ground effect cannot be identified higher up" in said
 
 
@@ -378,7 +377,7 @@ def test_an_unknown_remainder_is_excited_broadly():
 
 def test_the_short_text_names_a_piece_the_scale_or_nothing():
     def said(*hypotheses):
-        return words.most_informative_flight(plan_input(*hypotheses))
+        return doubt.most_informative_flight(plan_input(*hypotheses))
 
     text, worth = said(DRAG, BODY)
     assert worth and "A flight would help to show whether the model lacks rotor drag or body drag:" in text

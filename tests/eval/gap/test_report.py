@@ -18,9 +18,9 @@ from inclined_landing.eval.gap.answer.identification import worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
 from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
+from inclined_landing.eval.gap.plan.doubt import most_informative_flight
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.plan.words import most_informative_flight
-from inclined_landing.eval.gap.report import figures, model, terminal, words
+from inclined_landing.eval.gap.report import figures, files, terminal, words
 from inclined_landing.eval.gap.report.numbers import interval
 from inclined_landing.eval.gap.report.page import page
 from inclined_landing.eval.gap.report.tracks import Track
@@ -497,7 +497,7 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
 
 def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
     d = example()
-    model.write(d, load_vehicle(), tmp_path)
+    files.write(d, load_vehicle(), tmp_path)
     disturbance = {
         "disturbance_acceleration": (0.0, 0.0, 0.3),
         "disturbance_acceleration_time": (0.0, 0.0, 0.25),
@@ -522,7 +522,7 @@ def test_the_corrected_model_is_a_vehicle_file_with_provenance(tmp_path):
 
 def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
     d = example()
-    model.write(d, load_vehicle(), tmp_path)
+    files.write(d, load_vehicle(), tmp_path)
     code = "import mujoco, sys; print(mujoco.MjModel.from_xml_path(sys.argv[1]).nplugin)"
     done = subprocess.run(
         [sys.executable, "-c", code, tmp_path / "landing.xml"], capture_output=True, text=True, cwd=tmp_path

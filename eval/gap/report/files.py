@@ -1,14 +1,16 @@
-"""The corrected model as files: a vehicle file and the MJCF."""
+"""The files of a report's folder: page, answer and record of the run, vehicle file and MJCF."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
@@ -17,6 +19,16 @@ from inclined_landing.models.vehicle import Vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
 Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"
+
+
+def write_report(
+    folder: Path, command: str, page: str, answer: dict, source: FlightSource, began: float, versions: dict
+) -> None:
+    """Write report.html, report.json and run.json: the command, its options, its time, the versions."""
+    storage.write_text(folder / "report.html", page)
+    storage.write_json(folder / "report.json", answer)
+    statistics = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
+    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **statistics})
 
 
 def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:
@@ -69,13 +81,13 @@ def disturbance_fields(disturbance: Mapping[str, Disturbance]) -> tuple[dict[str
     """
     fields: dict[str, Any] = {}
     widths: dict[str, Any] = {}
+    none = Disturbance(0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), "")
     for name, channels in (("acceleration", "x y z"), ("angular", "roll pitch yaw")):
-        channels_ = [
-            disturbance[c] if c in disturbance and disturbance[c].size else None for c in channels.split()
-        ]
+        known = [disturbance.get(c, none) for c in channels.split()]
+        known = [d if d.size else none for d in known]
         for field, of in ((f"disturbance_{name}", "size"), (f"disturbance_{name}_time", "time")):
-            ends = [getattr(d, f"{of}_ci95") if d else (0.0, 0.0) for d in channels_]
-            fields[field] = tuple(rounded(getattr(d, of)) if d else 0.0 for d in channels_)
+            fields[field] = tuple(rounded(getattr(d, of)) for d in known)
+            ends = [getattr(d, f"{of}_ci95") for d in known]
             widths[field] = tuple(rounded(round(0.5 * (high - low), 9)) for low, high in ends)
     return fields, widths
 
