@@ -5,10 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Sequence
 
 from inclined_landing.envs.shared.statistics import number
-from inclined_landing.envs.shared.tables import new_table, say, show_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +60,7 @@ class Table:
     caption: str
     heads: tuple[str, ...]
     rows: list[tuple]
-    labels: int = 2  # columns in front that name the row; in the terminal they are repeated, aligned left
+    labels: int = 2  # columns in front that name the row
 
     @property
     def numbers(self) -> tuple[str, ...]:
@@ -105,19 +103,3 @@ class Section:
             "remarks": self.remarks,
             "data": self.data,
         }
-
-
-def show_sections(sections: Sequence[Section]) -> None:
-    """Print the tables of sections, but not those under a caption, which a page folds; and the remarks."""
-    for section in sections:
-        for table in section.tables:
-            if table.caption:
-                continue
-            printed = new_table(section.title, *table.heads, labels=table.labels)
-            grouped = not all(row[0] for row in table.rows)
-            for row in table.rows:
-                if grouped and row[0]:
-                    printed.add_section()
-                printed.add_row(*row)
-            show_table(printed)
-        say(*section.remarks)

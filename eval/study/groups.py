@@ -86,11 +86,8 @@ def _fly(policy: Policy, plant: str, scale: float, disturbance: bool, seed: int)
 
 
 def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:
-    """Return the paper's result next to which landings stand, and a sentence on each policy."""
+    """Return a sentence on each policy, and the paper's result next to which landings stand."""
     remarks = []
-    if any(policy.task.cut_at_success and not policy.task.observes_slope for policy in policies.values()):
-        shares = " and ".join(f"{100 * result['share']:.1f} %" for result in PAPER_RESULTS)
-        remarks.append(f"The paper reports {shares} from its three starts and within 0.1 m around them.")
     for name, policy in policies.items():
         measure = policy.task.measures[0]
         rows = results.all(measure, policy=name)
@@ -102,6 +99,9 @@ def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:
         ]
         hint = "" if any(row["count"] for row in rows) else _sign_hint(policy)
         remarks.append(f"{name} {'; '.join(parts)}.{hint}")
+    if any(policy.task.cut_at_success and not policy.task.observes_slope for policy in policies.values()):
+        shares = " and ".join(f"{100 * result['share']:.1f} %" for result in PAPER_RESULTS)
+        remarks.append(f"The paper reports {shares} from its three starts and within 0.1 m around them.")
     return remarks
 
 

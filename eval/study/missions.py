@@ -128,8 +128,9 @@ def _remarks(results: Results) -> list[str]:
     flights = results.flights
     lost = flights[(flights["leg"] != WHOLE) & ~flights["done"]]
     ends = Counter(f"{end} in the {leg}" for end, leg in zip(lost["end"], lost["leg"]))
-    said = [f"Lost: {', '.join(f'{many} {how}' for how, many in ends.items())}."] if ends else []
-    return [*said, f"At rest on the feet after {count_words(results.one(DONE, leg=WHOLE), 'missions')}."]
+    lost_words = ", ".join(f"{many} {how}" for how, many in ends.items())
+    said = f"At rest on the feet after {count_words(results.one(DONE, leg=WHOLE), 'missions')}"
+    return [f"{said}; lost: {lost_words}." if ends else f"{said}."]
 
 
 def _draw(missions: Sequence[Mission], look: Look | None, folder: Path) -> Mapping[str, str]:

@@ -143,13 +143,13 @@ def _check(policy: Policy, baseline: Policy) -> None:
 
 
 def _remarks(cannot_hold: Sequence[float], angle: float, results: Results) -> list[str]:
-    """Return what is not counted, and how often vehicles came to rest."""
-    said = [
-        f"Not counted: friction {mu:g}, which is below tan({angle:.1f} deg) and cannot hold the vehicle."
-        for mu in cannot_hold
-    ]
+    """Return how often vehicles came to rest, and what is not counted."""
+    said = []
     for motors in (OWN, CUT):
         rows = results.all(AT_REST, motors=motors, contact="all") or results.all(AT_REST, motors=motors)
         where = "" if rows[0]["contact"] else f" with {rows[0]['effect']}"
         said.append(f"{motors.capitalize()}: {AT_REST.said} in {count_words(rows[0])}{where}.")
-    return said
+    return said + [
+        f"Not counted: friction {mu:g}, which is below tan({angle:.1f} deg) and cannot hold the vehicle."
+        for mu in cannot_hold
+    ]

@@ -100,4 +100,4 @@ def study(
 def _remarks(whole: bool, results: Results) -> list[str]:
     """Return whether this is a result of the benchmark, and a sentence on each controller."""
     rows = results.all(AT_REST, scenario=None, speed=None)
-    return [PARTLY] * (not whole) + [f"{row['policy']} {AT_REST.said} in {count_words(row)}." for row in rows]
+    return [f"{row['policy']} {AT_REST.said} in {count_words(row)}." for row in rows] + [PARTLY] * (not whole)

@@ -280,8 +280,24 @@ def write_json(path: str | Path, value: object) -> None:
 
 
 def to_json(value: object) -> str:
-    """Return JSON text; NumPy numbers and arrays become plain ones, NaN and infinity become null."""
-    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    """Return JSON text, each row of a table on one line.
+
+    NumPy numbers and arrays become plain ones, NaN and infinity become null.
+    """
+    return _lines(_plain(value), "\n", in_list=True)
+
+
+def _lines(value: Any, line: str, in_list: bool = False) -> str:
+    """Return JSON text whose lines begin with `line`; flat lists, and flat items of lists, are one line."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    flat = not any(isinstance(item, (dict, list)) and item for item in inner)
+    if not inner or (flat and (in_list or isinstance(value, list))):
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    deeper = line + "  "
+    if isinstance(value, dict):
+        texts = [f"{json.dumps(key, ensure_ascii=False)}: {_lines(x, deeper)}" for key, x in value.items()]
+        return "{" + deeper + f",{deeper}".join(texts) + line + "}"
+    return "[" + deeper + f",{deeper}".join(_lines(x, deeper, in_list=True) for x in value) + line + "]"
 
 
 def _plain(value: object) -> object:

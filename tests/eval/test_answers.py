@@ -1,4 +1,7 @@
-"""Every command ends with its outcome in a sentence; tables fit the screen, progress is not on stdout."""
+"""Commands end, and studies begin, with their outcome in a sentence; tables fit the screen.
+
+Progress is not on stdout.
+"""
 
 import re
 
@@ -7,13 +10,14 @@ from rich.text import Text
 
 from inclined_landing.envs.shared.tables import new_table, show_table
 from inclined_landing.eval import cli
+from inclined_landing.eval.cli import COMMANDS
 from inclined_landing.train import cli as train
 from tests.campaign.inputs import place
 
 SHARE = r"\(\d+\.\d % \[\d+\.\d, \d+\.\d\]\)"
 SMALL = "--width 96 --height 64 --backend ray"
 FLOWN = "robustness landing --plant analytic"
-# Command lines, {place} being a folder of the campaign's, and how their last lines end.
+# Command lines, {place} being a folder of the campaign's, and how what they say ends.
 QUICK = {
     "doctor": r"All requirements are met\..*",
     "effects": r"The library has \d+ effects; .*\.",
@@ -85,7 +89,7 @@ def printed(line, folder, capsys) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("line", "outcome"), LINES)
-def test_the_last_line_says_what_came_out(line, outcome, tmp_path, monkeypatch, capsys):
+def test_a_sentence_says_what_came_out(line, outcome, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.chdir(tmp_path)
     place(tmp_path)
@@ -95,8 +99,10 @@ def test_the_last_line_says_what_came_out(line, outcome, tmp_path, monkeypatch, 
     if "/run" in line:
         printed("train setpoint --steps 4096 --no-report --out {place}/run", tmp_path, capsys)
     out, _ = printed(line, tmp_path, capsys)
-    last = out.splitlines()[-1]
-    assert re.search(f"{outcome}$", last), last
+    if COMMANDS.get(line.split()[0], ("",))[0] == "study":  # its answer comes first
+        assert re.search(f"{outcome}$", out[: out.index("\n  ")], re.MULTILINE), out
+    else:
+        assert re.search(f"{outcome}$", out.splitlines()[-1]), out
     rows = [row for row in out.splitlines() if row.endswith(" ")]  # of tables, which fill their width
     assert max(map(len, rows), default=0) <= 80
     assert not {"━", "\r", "…"} & set(out)
@@ -104,7 +110,7 @@ def test_the_last_line_says_what_came_out(line, outcome, tmp_path, monkeypatch, 
 
 def test_every_command_has_its_line():
     """But view, which needs a display."""
-    assert {line.split()[0] for line in QUICK | LONG} == set(cli.COMMANDS) - {"view"} | {"train"}
+    assert {line.split()[0] for line in QUICK | LONG} == set(COMMANDS) - {"view"} | {"train"}
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])

@@ -136,7 +136,7 @@ def test_the_figure_shows_effects_that_cost_landings():
     assert shown == {"mass": 94} and not panels["Weak effects"]
     assert panels["Medium effects"]["b"]["mass"]["count"] == 100
     said = results.study.remarks(results)
-    assert "Under 1 of 2 effects every policy" in said[1]
+    assert "Under 1 of 2 effects every policy" in said[2]
     # mean over the effects of the paired differences: (0.04 + 0.06) / 2
     assert results.one("strict difference", policy="b", size="medium")["value"] == pytest.approx(0.05)
 
@@ -158,6 +158,9 @@ def test_the_figure_shows_effects_that_cost_landings():
         (("setpoint", "--over=slopes"), "setpoint, not for landing"),
         (("a=",), "a policy must be POLICY or LABEL=POLICY"),
         ((), "name at least one policy"),
+        (("--over", "moving", "landing-nominal"), "flies in a plane"),  # in any order
+        (("--over", "moving", "thrust", "landing-nominal"), "flies in a plane"),
+        (("landing", "--over", "moving", "thrst"), "--over"),
     ],
 )
 def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp_path, capsys):
