@@ -79,7 +79,7 @@ def _choices(target: Callable) -> dict[str, Container[str]]:
     from inclined_landing.envs.shared.options import flag_of
     from inclined_landing.models.base import schema
 
-    found = {}
+    found: dict[str, Container[str]] = {}
     for name, kind in schema.kinds_of(target).items():
         of_each = get_args(kind)[0] if get_origin(kind) is tuple else None
         if get_origin(of_each) is Literal:
