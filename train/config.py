@@ -39,39 +39,52 @@ NET_ARCH = (64, 64)
 DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
 
 
-# --- presets: values of options that are not set -----------------------------------------------------
+# --- defaults that depend on what is trained ----------------------------------------------------------
+
+# A row holds where all of its conditions do; of two that hold the later one wins. They replace values of the
+# task's own `training`; options that are given replace theirs.
+#   law: the task's training starts from the feedback law `descent`
+#   drawn: every episode's vehicle is drawn (the task's `drawn_vehicles`; not with --nominal or --fastest)
+#   one slope: neither --steepest nor --randomise is given
+#   fixed: the number of steps is fixed
+# `all_commands` says whether actions reach every PWM, as some vehicles need, or those around hover.
+DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
+    ({}, {"randomise": None, "history": 0, "all_commands": False, "evaluate_every": 16}),
+    ({"drawn": True}, {"randomise": "robust", "history": 3, "all_commands": True}),
+    # With a lambda of 0.95 half a million steps land 78 % of the drawn vehicles, with this one 84 % (means of
+    # four seeds).
+    (
+        {"drawn": True, "dimensions": 2, "one slope": True},
+        {"environments": 128, "rollout": 32, "gae_lambda": 0.85},
+    ),
+    # Vehicles differ in more than in the plane: with its rates one of three seeds learned the landing.
+    ({"drawn": True, "dimensions": 3, "law": False}, {"rollout": 128, "learning_rate": 1e-3}),
+    # Touchdown over moving platforms: one vehicle, and a motion to be told by its history.
+    ({"law": True, "dimensions": 3, "nominal": False}, {"history": 3, "all_commands": True}),
+    # Touchdown in the plane begins with a landing policy, and explores more.
+    (
+        {"law": True, "dimensions": 2},
+        {
+            "start_from": "landing-nominal",
+            "learning_rate": 4e-4,
+            "log_std_init": -1.2,
+            "gamma": 0.99,
+            "steps": 1_500_000,
+            "environments": 64,
+            "batch_size": 512,
+        },
+    ),
+    ({"randomised": True, "fixed": True}, {"evaluate_every": 32}),
+)
 
 
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """Values of options that depend on which vehicles are flown."""
-
-    randomise: str | None  # ranges that each episode's vehicle is drawn from; None: one vehicle
-    history: int  # past steps that the policy is given, to tell a vehicle or a platform's motion by
-    all_commands: bool  # do actions reach every PWM, as some vehicles need; or what is around hover
-
-
-NOMINAL = Preset(randomise=None, history=0, all_commands=False)
-DRAWN = Preset(randomise="robust", history=3, all_commands=True)
-# Touchdown over moving platforms: one vehicle, and a motion to be told.
-MOVING = Preset(randomise=None, history=3, all_commands=True)
-EVALUATE_EVERY, EVALUATE_DRAWN_EVERY = 16, 32  # iterations; the second in runs of a fixed length
-# Values in place of the task's training defaults. Landing drawn vehicles in space, where they differ in more:
-# with the rates of the plane one of three seeds learned it.
-SPACE: dict[str, Any] = {"rollout": 128, "learning_rate": 1e-3}
-# Landing vehicles drawn from the default ranges on one slope. With a lambda of 0.95 half a million steps land
-# 78 % of them, with this one 84 % (means of four seeds).
-ONE_SLOPE: dict[str, Any] = {"environments": 128, "rollout": 32, "gae_lambda": 0.85}
-# Touchdown in the plane begins with a landing policy, and explores more.
-PLANE: dict[str, Any] = {
-    "start_from": "landing-nominal",
-    "learning_rate": 4e-4,
-    "log_std_init": -1.2,
-    "gamma": 0.99,
-    "steps": 1_500_000,
-    "environments": 64,
-    "batch_size": 512,
-}
+def defaults(**conditions: Any) -> dict[str, Any]:
+    """Return the values of the rows of DEFAULTS that hold under these conditions."""
+    values: dict[str, Any] = {}
+    for wanted, row in DEFAULTS:
+        if all(conditions[name.replace(" ", "_")] == value for name, value in wanted.items()):
+            values |= row
+    return values
 
 
 # --- options ----------------------------------------------------------------------------------------
@@ -269,7 +282,7 @@ class TrainConfig:
         return dataclasses.asdict(self) | paths | {"net_arch": list(self.net_arch or ())}
 
 
-# --- defaults ---------------------------------------------------------------------------------------
+# --- resolving --------------------------------------------------------------------------------------
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
@@ -297,22 +310,23 @@ def resolve(config: TrainConfig) -> TrainConfig:
         in_space = start in (None, DESCENT) or trained_options(start).get("dimensions") == 3
         dimensions = 3 if in_space else None
 
-    # Which vehicles, and how learning begins.
-    by_law = training.start_from == DESCENT and dimensions == 3
-    is_drawn = (dimensions or 2) in kind.drawn_vehicles and config.fastest is None and not config.nominal
-    preset = DRAWN if is_drawn else MOVING if by_law and not config.nominal else NOMINAL
-    if training.start_from == DESCENT and not by_law:
-        training = dataclasses.replace(training, **PLANE)
-    if is_drawn and dimensions == 3 and not by_law:
-        training = dataclasses.replace(training, **SPACE)
-    elif is_drawn and dimensions != 3 and config.randomise is None and config.steepest is None:
-        training = dataclasses.replace(training, **ONE_SLOPE)
     if config.nominal and config.randomise is not None:
         raise UserError("--nominal and --randomise cannot be combined")
-    randomise = config.randomise or preset.randomise
+    is_drawn = (dimensions or 2) in kind.drawn_vehicles and config.fastest is None and not config.nominal
+    of_case = defaults(
+        law=training.start_from == DESCENT,
+        drawn=is_drawn,
+        dimensions=dimensions or 2,
+        nominal=config.nominal,
+        one_slope=config.randomise is None and config.steepest is None,
+        randomised=is_drawn or config.randomise is not None,
+        fixed=config.steps is not None or training.success is None,
+    )
+    randomise = config.randomise or of_case["randomise"]
 
     # The task's training defaults, except where options are given.
     named = [field.name for field in dataclasses.fields(training)]
+    training = dataclasses.replace(training, **{name: of_case[name] for name in named if name in of_case})
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
     learning = dataclasses.replace(training, **chosen)
     schema.check(learning, None, flag_of)
@@ -323,14 +337,14 @@ def resolve(config: TrainConfig) -> TrainConfig:
     same = policy if policy is not None and trained_task(policy) == kind.name else None
     before = {} if same is None else trained_options(same)
     values |= _ending(config, training, training.min_steps if same is None else CARRIED_ON)
+    values["evaluate_every"] = config.evaluate_every
     if config.evaluate_every is None:
-        of_drawn = randomise is not None and "success" not in values
-        values["evaluate_every"] = EVALUATE_DRAWN_EVERY if of_drawn else EVALUATE_EVERY
+        values["evaluate_every"] = of_case["evaluate_every"]
     values["history"] = config.history
     if config.history is None:
-        values["history"] = preset.history if same is None else before.get("history", 0)
+        values["history"] = of_case["history"] if same is None else before.get("history", 0)
     values["observe_vehicle"] = config.observe_vehicle or bool(before.get("observe_vehicle"))
-    values |= _action_map(config, policy, preset)
+    values |= _action_map(config, policy, of_case["all_commands"])
     values["net_arch"] = tuple(config.net_arch or _net_arch(policy) or NET_ARCH)
 
     samples = values["environments"] * values["rollout"]
@@ -377,7 +391,7 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
     }
 
 
-def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict[str, Any]:
+def _action_map(config: TrainConfig, policy: str | None, all_commands: bool) -> dict[str, Any]:
     """Return what actions command, `pwm_centre` and `pwm_span`: as in the policy to start from."""
     from inclined_landing.envs.policy import action_map, trained_options
 
@@ -387,7 +401,7 @@ def _action_map(config: TrainConfig, policy: str | None, preset: Preset) -> dict
         before = action_map(trained_options(policy))
         centre = before[0] if centre is None else centre
         span = before[1] if span is None else span
-    if preset.all_commands and centre is None and span is None:
+    if all_commands and centre is None and span is None:
         low, high = load_vehicle(config.vehicle).command_pwm_range
         centre, span = 0.5 * (low + high), 0.5 * (high - low)
     if span is None:
