@@ -37,6 +37,7 @@ COMMON = (
 CARRIED_ON = 100_000  # min_steps of a run that goes on from a policy of its task
 NET_ARCH = (64, 64)
 DESCENT = "descent"  # in place of a policy in --from: the feedback law of the module of this name
+FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane
 
 
 # --- defaults that depend on what is trained ----------------------------------------------------------
@@ -65,7 +66,7 @@ DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
     (
         {"law": True, "dimensions": 2},
         {
-            "start_from": "landing-nominal",
+            "start_from": FOR_PLANE,
             "learning_rate": 4e-4,
             "log_std_init": -1.2,
             "gamma": 0.99,

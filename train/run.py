@@ -18,7 +18,7 @@ import dataclasses
 import math
 import os
 import shutil
-from collections.abc import Container, Iterable
+from collections.abc import Container
 from pathlib import Path
 
 from stable_baselines3.common.logger import Logger
@@ -27,7 +27,6 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.save import actor_of, write_policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.tasks import is_path
-from inclined_landing.envs.tasks.base import VEHICLE_KINDS
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -43,6 +42,7 @@ from inclined_landing.train.callbacks import (
 )
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig
+from inclined_landing.train.ending import COMPLETE, Ending
 from inclined_landing.train.evaluation import PeriodicEvaluation
 from inclined_landing.train.events import EventFile
 from inclined_landing.train.record import (
@@ -58,10 +58,6 @@ from inclined_landing.train.record import (
 
 CHECKPOINT = "checkpoint.pt"
 VEHICLE = COPIED["vehicle"]
-# Evaluations at the lowest learning rate of which the second half is better than the first by less than this
-# share rise no more.
-PATIENCE, RISING = 4, 0.01
-COMPLETE = 1.0 - 1e-9  # level of a curriculum that is
 NOT_REACHED = 3  # exit code
 TARGET = 0.99  # success that "time to 99 %" means
 _BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder holds before its first checkpoint
@@ -115,6 +111,8 @@ class Run:
             raise cannot_continue(self.folder / RECORD, error) from error
         if saved is not None:
             self._restore(saved)
+        self.ending = Ending(self.config, self.curriculum, self.history, self.evaluations)
+        if saved is not None:
             self.metrics = self._finished()
 
     def _make(self, fresh: bool) -> None:
@@ -218,7 +216,8 @@ class Run:
             callbacks.append(every(1, self._in_time))
         resumed_at = None if self.begun_at is None else model.num_timesteps
         model.set_logger(Logger(str(self.folder), [EventFile(self.folder / "tensorboard", resumed_at)]))
-        remaining = 0 if self.reached() else config.most_steps() - model.num_timesteps
+        begun = model.num_timesteps
+        remaining = 0 if self.ending.reached(begun) else config.most_steps() - begun
         whole = math.ceil(remaining / self.config.per_iteration) * self.config.per_iteration
         reached = False
         self.clock.switch("training")
@@ -238,9 +237,9 @@ class Run:
             if self.config.randomise is not None and not self.curriculum.settled(self.model.num_timesteps):
                 return  # the share of varied vehicles still rises
         self.evaluate()
-        if self.reached():
+        if self.ending.reached(self.model.num_timesteps):
             raise _Reached
-        if self.config.success is not None and not self._succeeds(VEHICLE_KINDS) and self._rises_no_more():
+        if self.ending.has_stalled():
             self.curriculum.learn_again()
 
     def evaluate(self) -> None:
@@ -253,8 +252,12 @@ class Run:
         self.evaluations.append({"steps": int(self.model.num_timesteps), **self.clock.columns(), **score})
         for name, value in score.items():
             self.model.logger.record(f"evaluation/{name}", value)
-        self.progress.notice = f", evaluation {self.evaluation.words(score)}"
+        self.progress.notice = f", evaluation {self._words()}"
         self.clock.switch("training")
+
+    def _words(self) -> str:
+        """Return the last evaluation in a few words, nothing before the first."""
+        return self.evaluation.words(self.evaluations[-1]) if self.evaluations else ""
 
     def checkpoint(self, iteration: int) -> None:
         """Write everything that a continuation needs, in one atomically written file; then the curves."""
@@ -295,9 +298,9 @@ class Run:
         self.clock.switch("training")
         best = max(self.evaluations, key=lambda e: e["score"], default=None)
         metrics = {
-            "finished": self._over(),
-            "reached": None if self.config.success is None else self.reached(),
-            "ended": self._how_it_ended(),
+            "finished": self.ending.is_over(steps),
+            "reached": None if self.config.success is None else self.ending.reached(steps),
+            "ended": self.ending.words(steps, self._words()),
             "steps": int(steps),
             "seconds": {name: round(value, 2) for name, value in self.clock.spent.items()},
             "cpu_seconds": round(self.clock.cpu, 2),
@@ -317,7 +320,7 @@ class Run:
 
     def _finished(self) -> dict | None:
         """Return metrics.json of a run that has come to its end, otherwise None."""
-        if not (self.folder / "final.zip").is_file() or not self._over():
+        if not (self.folder / "final.zip").is_file() or not self.ending.is_over(self.model.num_timesteps):
             return None
         try:
             metrics = storage.read_json(self.folder / "metrics.json", "file")
@@ -326,55 +329,6 @@ class Run:
         if not isinstance(metrics, dict) or metrics.get("finished") is not True:
             return None
         return metrics | {"config": self._as_recorded()}
-
-    def _over(self) -> bool:
-        return self.reached() or self.model.num_timesteps >= self.config.most_steps()
-
-    def reached(self) -> bool:
-        """Return whether the run has reached the wanted success, and its fewest steps.
-
-        In a randomised run with the nominal vehicle and with varied ones; there may be none that lands all of
-        these, so after some restarts of the learning rate they need only rise no more.
-        """
-        if self.config.success is None or self.model.num_timesteps < (self.config.min_steps or 0):
-            return False
-        plateau = self.curriculum.restarts >= self.curriculum.most_restarts and self._rises_no_more()
-        return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
-
-    def _succeeds(self, kinds: Iterable[str]) -> bool:
-        """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
-
-        kinds: vehicles with which they must in a randomised run, keys of VEHICLE_KINDS.
-        """
-        config, last = self.config, self.evaluations[-2:]
-        if len(last) < 2:
-            return False
-        complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
-        columns = ["score"] if config.randomise is None else [f"score_{kind}" for kind in kinds]
-        return all(e["steps"] in complete and min(e[c] for c in columns) >= config.success for e in last)
-
-    def _rises_no_more(self) -> bool:
-        """Return whether the last evaluations at the lowest learning rate have stopped rising."""
-        settled = [e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])][-PATIENCE:]
-        half = PATIENCE // 2
-        return len(settled) == PATIENCE and sum(settled[half:]) <= sum(settled[:half]) + half * RISING
-
-    def _how_it_ended(self) -> str:
-        """Return how the run ended, in one sentence."""
-        config, steps = self.config, self.model.num_timesteps
-        if config.success is None:
-            return f"{'ended' if self._over() else 'stopped'} after {steps} of {config.steps} steps"
-        twice = f"two evaluations in a row at {100 * config.success:g} %"
-        asked = twice if config.randomise is None else f"{twice} with the nominal and with varied vehicles"
-        if self.reached() and self._succeeds(VEHICLE_KINDS):
-            return f"{asked} after {steps} steps"
-        if self.reached():
-            varied = f"no further rise with varied ones ({100 * self.evaluations[-1]['score_varied']:.0f} %)"
-            return f"{twice} with the nominal vehicle and {varied} after {steps} steps"
-        last = f"the last one gave {self.evaluation.words(self.evaluations[-1])}"
-        most = f" of at most {config.max_steps}" if not self._over() else ""
-        level = f"the curriculum stood at level {self.curriculum.level:.2f}"
-        return f"ended without {asked}: after {steps} steps{most} {last}, and {level}"
 
     def policy_file(self) -> bytes:
         """Return the present policy with its metadata, as a file."""

@@ -36,7 +36,7 @@ from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, X, Y, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
-from inclined_landing.train.config import DESCENT, PLANE
+from inclined_landing.train.config import DESCENT, FOR_PLANE
 from inclined_landing.train.descent import Descent
 
 CRITIC_FIRST = 65_536  # environment steps in which the actor is left alone
@@ -60,7 +60,7 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
         return Descent(task)
     usual = task.training.start_from
     if usual == DESCENT:
-        usual = PLANE["start_from"]  # in the law's place any policy of this task
+        usual = FOR_PLANE  # in the law's place any policy of this task
     wanted = trained_task(usual) if usual and trained_task(name) != task.name else task.name
     return load_policy(name, wanted, vehicle=vehicle, inclination=task.options.get("inclination"))
 

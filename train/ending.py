@@ -1,0 +1,81 @@
+"""When a training run ends: after its steps, or when evaluations reach the wanted success."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+from inclined_landing.envs.tasks.base import VEHICLE_KINDS
+from inclined_landing.train.config import TrainConfig
+from inclined_landing.train.curriculum import Curriculum
+
+COMPLETE = 1.0 - 1e-9  # level of a curriculum that is complete
+# Evaluations at the lowest learning rate of which the second half is better than the first by less than this
+# share rise no more.
+PATIENCE, RISING = 4, 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Ending:
+    """The rule by which a run of this resolved configuration ends.
+
+    history, evaluations: the run's lists of rows, which grow as it is trained.
+    """
+
+    config: TrainConfig
+    curriculum: Curriculum
+    history: list[dict]
+    evaluations: list[dict]
+
+    def is_over(self, steps: int) -> bool:
+        """Return whether the run has come to its end after this many steps."""
+        return self.reached(steps) or steps >= self.config.most_steps()
+
+    def reached(self, steps: int) -> bool:
+        """Return whether the run has reached the wanted success, and its fewest steps.
+
+        A randomised run must reach it with the nominal vehicle and with varied ones. There may be no policy
+        that lands all of these, so after some restarts of the learning rate they need only rise no more.
+        """
+        if self.config.success is None or steps < (self.config.min_steps or 0):
+            return False
+        plateau = self.curriculum.restarts >= self.curriculum.most_restarts and self._rises_no_more()
+        return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
+
+    def has_stalled(self) -> bool:
+        """Return whether evaluations rise no more before they reach the wanted success."""
+        return self.config.success is not None and not self._succeeds(VEHICLE_KINDS) and self._rises_no_more()
+
+    def words(self, steps: int, last: str) -> str:
+        """Return in one sentence how the run ended after this many steps; last: its last evaluation in words."""
+        config = self.config
+        if config.success is None:
+            return f"{'ended' if self.is_over(steps) else 'stopped'} after {steps} of {config.steps} steps"
+        twice = f"two evaluations in a row at {100 * config.success:g} %"
+        asked = twice if config.randomise is None else f"{twice} with the nominal and with varied vehicles"
+        if self.reached(steps) and self._succeeds(VEHICLE_KINDS):
+            return f"{asked} after {steps} steps"
+        if self.reached(steps):
+            varied = f"no further rise with varied ones ({100 * self.evaluations[-1]['score_varied']:.0f} %)"
+            return f"{twice} with the nominal vehicle and {varied} after {steps} steps"
+        most = f" of at most {config.max_steps}" if not self.is_over(steps) else ""
+        level = f"the curriculum stood at level {self.curriculum.level:.2f}"
+        return f"ended without {asked}: after {steps} steps{most} the last one gave {last}, and {level}"
+
+    def _succeeds(self, kinds: Iterable[str]) -> bool:
+        """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
+
+        kinds: vehicles with which they must in a randomised run, keys of VEHICLE_KINDS.
+        """
+        config, last = self.config, self.evaluations[-2:]
+        if len(last) < 2:
+            return False
+        complete = {row["steps"] for row in self.history if row["level"] >= COMPLETE}
+        columns = ["score"] if config.randomise is None else [f"score_{kind}" for kind in kinds]
+        return all(e["steps"] in complete and min(e[c] for c in columns) >= config.success for e in last)
+
+    def _rises_no_more(self) -> bool:
+        """Return whether the last evaluations at the lowest learning rate have stopped rising."""
+        settled = [e["score"] for e in self.evaluations if self.curriculum.settled(e["steps"])][-PATIENCE:]
+        half = PATIENCE // 2
+        return len(settled) == PATIENCE and sum(settled[half:]) <= sum(settled[:half]) + half * RISING
