@@ -47,7 +47,7 @@ class Ending:
         return self.config.success is not None and not self._succeeds(VEHICLE_KINDS) and self._rises_no_more()
 
     def words(self, steps: int, last: str) -> str:
-        """Return in one sentence how the run ended after this many steps; last: its last evaluation in words."""
+        """Return in one sentence how the run ended after these steps; last: its last evaluation in words."""
         config = self.config
         if config.success is None:
             return f"{'ended' if self.is_over(steps) else 'stopped'} after {steps} of {config.steps} steps"
