@@ -16,14 +16,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import track
 
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion, spread
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.eval.flying import safety
 from inclined_landing.eval.flying.fly import FlightOptions
 from inclined_landing.eval.flying.pilot import Pilot
@@ -88,7 +87,11 @@ def command(
     else:
         planned = [start_flights(plans[p], settings[v], flights, seed) for p in policies for v in vehicles]
     every = [one for flights_ in planned for one in flights_]
-    flown = [fly_once(*one) for one in track(every, console=Console(stderr=True), transient=True)]
+    flown = []
+    with stages(len(every), "flights") as tick:
+        for one in every:
+            flown.append(fly_once(*one))
+            tick()
     if faults:
         rows = [fault_row(case, flown[k * flights : (k + 1) * flights]) for k, case in enumerate(CASES)]
     else:

@@ -8,13 +8,12 @@ constants.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 import tyro
 from msgspec import Meta
-from rich.console import Console
-from rich.progress import track
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
@@ -26,7 +25,7 @@ from tests.validation import simulator
 from tests.validation.gap_blind import cases as blind
 from tests.validation.gap_blind import generate
 from tests.validation.gap_blind.causes import Drawn
-from tests.validation.shared import check_known, table
+from tests.validation.shared import answered, check_known, table_of
 
 FLIGHTS = 10
 CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight
@@ -52,38 +51,39 @@ def command(
     family: Annotated[str, tyro.conf.arg(metavar="{dev,fresh}")] = "dev",
     cases: Annotated[int, Meta(ge=1, le=1000)] = 6,
     seed: Seed = 0,
+    processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
     """Flights of another vehicle or day among the others: are they found, and only they (minutes).
 
     Args:
-        out: new folder for contradictions.json and contradictions.md.
+        out: folder for contradictions.json and contradictions.md; an interrupted run goes on in it.
         family: families of realities to draw from.
         cases: realities; each gives a set of every kind.
         seed: of realities and flights.
+        processes: realities at a time.
     """
     check_known("family", [family], blind.SETS)
-    runs.check_new_run(out)
-    rows = []
-    for k in track(range(cases), console=Console(stderr=True), transient=True):
-        rows += of_reality(blind.SETS[family][k % len(blind.SETS[family])], (seed, k))
-    with runs.staged_run(out) as folder:
-        storage.write_json(folder / "contradictions.json", {"sets": rows, "versions": runs.versions()})
-        storage.write_text(folder / "contradictions.md", markdown(rows))
-    print(markdown(rows), end="")
+    members = blind.SETS[family]
+    calls = {f"{family}_{seed}_{k}": (members[k % len(members)], (seed, k)) for k in range(cases)}
+    rows = [
+        row for found in answered(out / "realities", of_reality, calls, processes).values() for row in found
+    ]
+    storage.write_json(out / "contradictions.json", {"sets": rows, "versions": runs.versions()})
+    storage.write_text(out / "contradictions.md", table_of(counted(rows)))
+    print(table_of(counted(rows)), end="")
 
 
-def of_reality(family: str, entropy: tuple[int, ...], mixed=None, seconds: float = 20.0) -> list[dict]:
-    """One row of what was said for every kind of `mixed` (None: all) in a reality of a family."""
+def of_reality(family: str, entropy: tuple[int, ...]) -> list[dict]:
+    """Return a row of what was said for every kind of MIXED in a reality of a family."""
     rng = np.random.default_rng(entropy)
     reality = simulator.draw(family, rng)
 
     def fly(world):
         drawn = Drawn(world, {}, spread=CHARGE)
-        return generate.logs(generate.fly_all(drawn, rng, reality, count=FLIGHTS, seconds=seconds))
+        return generate.logs(generate.fly_all(drawn, rng, reality, count=FLIGHTS))
 
     usual, rows = fly({}), []
-    for kind in mixed or MIXED:
-        (world, truth), count = MIXED[kind]
+    for kind, ((world, truth), count) in MIXED.items():
         other = {int(k) for k in rng.permutation(FLIGHTS)[:count]}
         flown = fly(world) if other else usual
         logs = [(flown if k in other else usual)[k] for k in range(FLIGHTS)]
@@ -94,7 +94,7 @@ def of_reality(family: str, entropy: tuple[int, ...], mixed=None, seconds: float
 
 
 def judged(said: tuple[InconsistentFlights, ...], flights: frozenset[str], truth: dict) -> dict:
-    """Whether these flights were said to contradict the others, how many other groups, and in what.
+    """Return whether these flights were said to contradict the others, how many other groups, and in what.
 
     inside: whether the interval of each true difference, where it was said, holds it.
     """
@@ -113,13 +113,19 @@ def judged(said: tuple[InconsistentFlights, ...], flights: frozenset[str], truth
     return {"found": bool(right), "other": len(said) - len(right), "effects": effects, "inside": inside}
 
 
-def markdown(rows: list[dict]) -> str:
-    """The table of all kinds."""
+def counted(rows: Sequence[dict]) -> list[dict]:
+    """Return a line of the table for every kind."""
     lines = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
         same = [row for row in rows if row["kind"] == kind]
         inside = [x for row in same for x in row["inside"]]
-        found = str(sum(row["found"] for row in same)) if MIXED[kind][1] else ""
-        hits = f"{sum(inside)} of {len(inside)}" if inside else ""
-        lines.append([kind, str(len(same)), found, str(sum(row["other"] > 0 for row in same)), hits])
-    return table(["differs", "sets", "found", "other flights said", "interval holds the difference"], lines)
+        lines.append(
+            {
+                "differs": kind,
+                "sets": len(same),
+                "found": sum(row["found"] for row in same) if MIXED[kind][1] else None,
+                "other flights reported": sum(row["other"] > 0 for row in same),
+                "interval holds the difference": f"{sum(inside)} of {len(inside)}" if inside else None,
+            }
+        )
+    return lines

@@ -10,12 +10,11 @@ No two calls contain the same: the table says so in its columns, and a speed wit
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import importlib.metadata
 import os
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,12 +30,13 @@ from inclined_landing.eval.machine.benchmark import machine_line
 from inclined_landing.models.base import storage
 from inclined_landing.models.plants import make_plant
 
+from .shared import table_of
+
 PERIOD = 0.02  # s, of a control step
+_CONTENTS = ("contact", "task", "precision", "integrator", "vehicles")
+_SPEEDS = ("per_second", "per_CPU_second")
 VEHICLES = 4096  # of a simulator that flies many at a time
-_CONTENTS = ("contact", "task", "precision", "integrator")
-_SPEEDS = ("steps_per_second", "steps_per_cpu_second")
-COLUMNS = ("simulator", *_CONTENTS, "vehicles", "per second", "per CPU second")
-_EXTRA = "pip install 'inclined-landing[baselines]'"
+INSTALL = "pip install 'inclined-landing[baselines]' PyFlyt"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +45,7 @@ class Simulation:
 
     step: advances all vehicles by `seconds`, and returns once their states are computed.
     contact: how surfaces act on vehicles. task: the one whose observation, reward and resets are included.
+    package: whose version is stated.
     """
 
     step: Callable[[], Any]
@@ -53,23 +54,14 @@ class Simulation:
     task: str
     precision: str
     integrator: str
+    package: str = "inclined-landing"
     seconds: float = PERIOD
 
 
-@dataclasses.dataclass(frozen=True)
-class Peer:
-    """A simulator: how it is built for a number of vehicles and a seed, and how it is installed.
-
-    modules: what must be importable. package: whose version is stated. install: the command.
-    """
-
-    build: Callable[[int, int], Simulation]
-    modules: tuple[str, ...] = ()
-    package: str = "inclined-landing"
-    install: str = ""
+Build: TypeAlias = Callable[[int, int], Simulation]  # for a number of vehicles, from a seed
 
 
-def _ours(kind: str, contact: str, integrator: str) -> Peer:
+def _ours(kind: str, contact: str, integrator: str) -> Build:
     def build(vehicles: int, seed: int) -> Simulation:
         rng = np.random.default_rng(seed)
         task = make_task("landing", pwm_centre="hover")
@@ -86,10 +78,10 @@ def _ours(kind: str, contact: str, integrator: str) -> Peer:
 
         return Simulation(step, vehicles, contact, "landing", "64 bits", integrator)
 
-    return Peer(build)
+    return build
 
 
-def _crazyflow(dynamics: str, integrator: str, rate: int) -> Peer:
+def _crazyflow(dynamics: str, integrator: str, rate: int) -> Build:
     def build(vehicles: int, seed: int) -> Simulation:
         import jax
         from crazyflow.sim import Sim
@@ -107,9 +99,9 @@ def _crazyflow(dynamics: str, integrator: str, rate: int) -> Peer:
             jax.block_until_ready(sim.data.states.pos)
 
         used = f"{integrator}, {rate} Hz ({dynamics})"
-        return Simulation(step, vehicles, "floor (height clipped)", "none", "32 bits", used)
+        return Simulation(step, vehicles, "floor (height clipped)", "none", "32 bits", used, "crazyflow")
 
-    return Peer(build, ("crazyflow", "jax"), "crazyflow", _EXTRA)
+    return build
 
 
 def _rotorpy(vehicles: int, seed: int) -> Simulation:
@@ -132,7 +124,7 @@ def _rotorpy(vehicles: int, seed: int) -> Simulation:
         for _ in range(5):
             now[0] = plant.step(now[0], {"cmd_motor_speeds": speeds}, PERIOD / 5)
 
-    return Simulation(step, n, "none", "none", "64 bits", "RK4, 250 Hz")
+    return Simulation(step, n, "none", "none", "64 bits", "RK4, 250 Hz", "rotorpy")
 
 
 def _pyflyt(vehicles: int, seed: int) -> Simulation:
@@ -142,64 +134,56 @@ def _pyflyt(vehicles: int, seed: int) -> Simulation:
     world = Aviary(place, np.zeros((1, 3)), "quadx", drone_options={"drone_model": "cf2x"}, seed=seed)
     world.set_mode(3)  # angles and height
     world.set_setpoint(0, np.array([0.05, 0.0, 0.0, 1.0]))
-    return Simulation(world.step, 1, "Bullet", "none", "64 bits", "Bullet, 240 Hz", 1 / 120)
+    return Simulation(world.step, 1, "Bullet", "none", "64 bits", "Bullet, 240 Hz", "PyFlyt", 1 / 120)
 
 
-PEERS: dict[str, Peer] = {
+PEERS: dict[str, Build] = {
     "this package, hybrid": _ours("hybrid", "MuJoCo", "exact loops, RK3, 100 Hz; near surfaces RK4, 250 Hz"),
     "this package, analytic": _ours("analytic", "detected, not simulated", "RK4, 50 Hz"),
     "this package, mujoco": _ours("mujoco", "MuJoCo", "RK4, 250 Hz"),
     "Crazyflow, rotors": _crazyflow("first_principles", "rk4", 500),
     "Crazyflow, quickest": _crazyflow("so_rpy", "euler", 250),
-    "RotorPy, batch": Peer(_rotorpy, ("rotorpy", "torch", "torchdiffeq", "roma"), "rotorpy", _EXTRA),
-    "PyFlyt": Peer(_pyflyt, ("PyFlyt",), "PyFlyt", "pip install PyFlyt"),
+    "RotorPy, batch": _rotorpy,
+    "PyFlyt": _pyflyt,
 }
 
 
 def rates(
-    vehicles: int, seed: int, *, repeats: int = 5, seconds: float = 0.5, peers: dict[str, Peer] | None = None
+    vehicles: int,
+    seed: int,
+    *,
+    repeats: int = 5,
+    seconds: float = 0.5,
+    peers: Mapping[str, Build] = PEERS,
 ) -> list[dict[str, Any]]:
-    """Return a row for each simulator, with its control steps of 20 ms per second; `missing` says why not.
+    """Return a row for each simulator, with its control steps of 20 ms per second, or why there are none.
 
     A control step is one vehicle's. The simulators take turns of `seconds`, so that other load meets all.
     """
-    peers = PEERS if peers is None else peers
-    rows: list[dict[str, Any]] = []
-    running: list[tuple[dict[str, Any], Simulation, list[float], list[float]]] = []
-    with stages(len(peers) * (repeats + 2)) as tick:
-        for name, peer in peers.items():
+    rows = {name: dict.fromkeys(("simulator", *_CONTENTS, *_SPEEDS)) | {"simulator": name} for name in peers}
+    running: dict[str, tuple[Simulation, list[tuple[float, float]]]] = {}
+    with stages(len(peers) * (repeats + 2), "turns") as tick:
+        for name, build in peers.items():
             tick(name)
-            row, simulation = _built(name, peer, vehicles, seed)
-            rows.append(row)
-            if simulation is not None:
-                running.append((row, simulation, [], []))
-        for repeat in range(repeats + 1):
-            for row, simulation, *measured in running:
-                tick(row["simulator"])
-                if repeat:
-                    for rate, values in zip(_rates(simulation, seconds), measured):
-                        values.append(rate)
-                else:  # warms up
-                    _rates(simulation, seconds)
-    for row, _, wall, cpu in running:
-        row |= {"steps_per_second": spread(wall), "steps_per_cpu_second": spread(cpu)}
-    return rows
-
-
-def _built(name: str, peer: Peer, vehicles: int, seed: int) -> tuple[dict[str, Any], Simulation | None]:
-    """Return the row of a simulator and its simulation, stepped once, or None where it does not run."""
-    row: dict[str, Any] = {"simulator": name}
-    try:
-        for module in peer.modules:
-            importlib.import_module(module)
-        row["version"] = importlib.metadata.version(peer.package)
-        simulation = peer.build(vehicles, seed)
-        simulation.step()  # compiles
-    except ImportError as error:
-        return row | {"missing": f"not installed ({error.name or error}): {peer.install}"}, None
-    except Exception as error:  # its programming interface has changed, for example: the others still run
-        return row | {"missing": f"does not run: {type(error).__name__}: {error}".splitlines()[0]}, None
-    return row | {field: getattr(simulation, field) for field in ("vehicles", *_CONTENTS)}, simulation
+            try:
+                simulation = build(vehicles, seed)
+                simulation.step()  # compiles
+                rows[name] |= {key: getattr(simulation, key) for key in _CONTENTS}
+                rows[name]["simulator"] = f"{name} {importlib.metadata.version(simulation.package)}"
+                running[name] = simulation, []
+            except ImportError as error:
+                rows[name]["contact"] = f"not installed ({error.name or error}): {INSTALL}"
+            except Exception as error:  # its programming interface has changed, for example
+                words = f"does not run: {type(error).__name__}: {error}"
+                rows[name]["contact"] = words.splitlines()[0]
+        for _ in range(repeats + 1):
+            for name, (simulation, measured) in running.items():
+                tick(name)
+                measured.append(_rates(simulation, seconds))
+    for name, (_, measured) in running.items():
+        turns = zip(*measured[1:])  # the first one warms up
+        rows[name] |= {key: spread(values) for key, values in zip(_SPEEDS, turns)}
+    return list(rows.values())
 
 
 def _rates(simulation: Simulation, seconds: float) -> tuple[float, float]:
@@ -210,21 +194,6 @@ def _rates(simulation: Simulation, seconds: float) -> tuple[float, float]:
         calls += 1
     steps = calls * simulation.vehicles * simulation.seconds / PERIOD
     return steps / (time.perf_counter() - wall), steps / (time.process_time() - cpu)
-
-
-def cells(row: dict[str, Any]) -> list[str]:
-    """Return the cells of a row under `COLUMNS`."""
-    if "missing" in row:
-        return [row["simulator"], row["missing"], *[""] * (len(COLUMNS) - 2)]
-    speeds = [spread_cell(row[name], 0, ends=("min", "max")) for name in _SPEEDS]
-    contents = [row[name] for name in _CONTENTS]
-    return [f"{row['simulator']} {row['version']}", *contents, str(row["vehicles"]), *speeds]
-
-
-def markdown(rows: list[dict[str, Any]], machine: str) -> str:
-    """Return machine and table as Markdown."""
-    lines = [COLUMNS, ["---"] * len(COLUMNS), *map(cells, rows)]
-    return machine + "\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def command(*, vehicles: int = VEHICLES, seed: Seed = 0, out: NewFolder = None) -> None:
@@ -238,7 +207,11 @@ def command(*, vehicles: int = VEHICLES, seed: Seed = 0, out: NewFolder = None) 
     report: dict[str, Any] = {"seed": seed, "versions": versions(), "load_before": os.getloadavg()}
     report["peers"] = rates(vehicles, seed)
     report["load_after"] = os.getloadavg()
-    page = markdown(report["peers"], machine_line(report))
+    cells = [
+        row | {key: spread_cell(row[key], 0, ends=("min", "max")) for key in _SPEEDS if row[key]}
+        for row in report["peers"]
+    ]
+    page = machine_line(report) + "\n\n" + table_of(cells)
     print(page)
     if out is not None:
         with staged_run(out) as folder:

@@ -22,8 +22,8 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models.base import storage
 from inclined_landing.models.effects import apply
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from tests.validation.gap_blind.accepted import accepted, entailed
-from tests.validation.shared import check_known, table
+from tests.validation.gap_blind import score
+from tests.validation.shared import check_known, table_of
 
 # Small enough that one landing leaves them in doubt, as looked at with seed 100; the last one because
 # ordinary flights do not go where it is.
@@ -79,11 +79,9 @@ def command(
     fly(shell, out / "healthy", 1000 * seed, "landing-nominal", "--flights", HEALTHY)
     shell("landing-eval", "identify", *logs(out / "healthy"), "--platform", "--out", out / "identified")
     rows = [loop(shell, out / name, name, CAUSES[name], 1000 * seed + 10) for name in causes]
-    text = markdown(rows)
-    storage.write_json(
-        out / "results.json",
-        {"seed": seed, "rows": rows, "steps": shell.steps, "versions": runs.versions()},
-    )
+    text = table_of(list(map(line, rows)))
+    results = {"seed": seed, "rows": rows, "steps": shell.steps, "versions": runs.versions()}
+    storage.write_json(out / "results.json", results)
     storage.write_text(out / "table.md", text)
     print(text)
 
@@ -104,7 +102,7 @@ def loop(shell: _Shell, folder: Path, cause: str, values: Mapping[str, float], s
 
     fly(shell, folder / "first", seed, "landing-nominal", *vehicle)
     before = gap("report", "first")
-    row = {"cause": cause, "values": dict(values), "before": right(cause, before["sets"]), "planned": None}
+    row = {"cause": cause, "values": dict(values), "before": right(cause, before), "planned": None}
     shell("landing-eval", "plan", folder / "report", "--out", folder / "plan")
     row["plan_seconds"] = shell.steps[-1]["seconds"]
     if (folder / "plan" / "flight.csv").is_file():
@@ -112,10 +110,10 @@ def loop(shell: _Shell, folder: Path, cause: str, values: Mapping[str, float], s
         row["lowest"], row["expected"] = plan["simulated"]["lowest"], plan["expected"]
         row["pieces"] = [piece["text"] for piece in plan["pieces"]]
         fly(shell, folder / "planned", seed + 1, "--plan", folder / "plan" / "flight.csv", *vehicle)
-        row["planned"] = right(cause, gap("after", "first", "planned")["sets"])
+        row["planned"] = right(cause, gap("after", "first", "planned"))
     row["seconds"] = sum(step["seconds"] for step in shell.steps[began:])
     fly(shell, folder / "further", seed + 2, "landing-nominal", "--flights", ORDINARY, *vehicle)
-    row["ordinary"] = right(cause, gap("beside", "first", "further")["sets"])
+    row["ordinary"] = right(cause, gap("beside", "first", "further"))
     return row
 
 
@@ -130,25 +128,19 @@ def logs(folder: Path) -> list[Path]:
     return sorted(folder.glob("flight_??.csv"))
 
 
-def right(cause: str, sets: Sequence[Mapping]) -> float:
+def right(cause: str, report: Mapping) -> float:
     """Return the probability of the sets that name the cause and nothing that does not belong to it."""
-    options = accepted(cause)
-    welcome = set().union(*options) | entailed(cause)
-    return sum(
-        one["probability"]
-        for one in sets
-        if any(option <= set(one["effects"]) for option in options) and set(one["effects"]) <= welcome
-    )
+    return score.belief({"causes": [cause], "base": []}, report)["truth"]
 
 
-def markdown(rows: Sequence[Mapping]) -> str:
-    """Return the table."""
-    lines = []
-    for row in rows:
-        values = ", ".join(f"{name} {value:g}" for name, value in row["values"].items())
-        planned = "not planned" if row["planned"] is None else f"{row['planned']:.2f}"
-        lowest = f"{row['lowest']:.2f} m" if "lowest" in row else ""
-        ends = [f"{row['before']:.2f}", planned, f"{row['ordinary']:.2f}", f"{row['plan_seconds']:.0f} s"]
-        lines.append([f"{row['cause']} ({values})", *ends, lowest])
-    header = ("hidden cause", "P before", "one planned flight", "two ordinary flights", "planning", "lowest")
-    return table(header, lines)
+def line(row: Mapping) -> dict:
+    """Return a row as a line of the table."""
+    values = ", ".join(f"{name} {value:g}" for name, value in row["values"].items())
+    return {
+        "hidden cause": f"{row['cause']} ({values})",
+        "before": f"{row['before']:.2f}",
+        "after one planned flight": "not planned" if row["planned"] is None else f"{row['planned']:.2f}",
+        "after two ordinary flights": f"{row['ordinary']:.2f}",
+        "planning": f"{row['plan_seconds']:.0f} s",
+        "lowest": f"{row['lowest']:.2f} m" if "lowest" in row else None,
+    }

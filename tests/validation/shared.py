@@ -10,11 +10,9 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
 from inclined_landing.envs.shared.tables import spread_cell
 from inclined_landing.eval.base import style
+from inclined_landing.eval.base.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
@@ -57,12 +55,6 @@ def cell(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def progress() -> Progress:
-    """Return a bar on stderr that disappears at its end."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
-
-
 def answered(
     folder: Path, work: Callable[..., Any], calls: Mapping[str, tuple], processes: int
 ) -> dict[str, Any]:
@@ -87,13 +79,13 @@ def in_processes(
         os.environ[name] = "1"  # the processes share the cores already
     # A spawned process starts clean: threads of libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with progress() as bar, ProcessPoolExecutor(processes, mp_context=context) as pool:
-        task = bar.add_task("cases", total=done + len(calls), completed=done)
+    pool = ProcessPoolExecutor(processes, mp_context=context)
+    with stages(done + len(calls), "cases", done) as tick, pool:
         jobs = {pool.submit(work, *call): name for name, call in calls.items()}
         try:
             for job in as_completed(jobs):
                 yield jobs[job], job.result()
-                bar.advance(task)
+                tick(jobs[job])
         except BrokenProcessPool as error:
             raise UserError(f"a process was killed ({error}); the same command goes on") from error
         except BaseException:
