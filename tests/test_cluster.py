@@ -265,26 +265,3 @@ def test_a_sweep_loses_a_node(machines, tmp_path):
     assert results[0]["measured"] == results[1]["measured"]
     for seed in RECIPE["seeds"]:
         assert_same_policy(*(tmp_path / name / f"seed-{seed}" / "final.zip" for name in ("ray", "here")))
-
-
-def test_a_node_that_does_not_see_the_folder(machines, tmp_path):
-    (tmp_path / "tiny.toml").write_text(tomlkit.dumps(RECIPE))
-    (tmp_path / "light.toml").write_text(VEHICLE)
-    hidden = tmp_path / "hidden"
-    hidden.mkdir()
-    mount = ["unshare", "-rm", "sh", "-c", f'mount -t tmpfs none {hidden} && exec "$@"', "sh"]
-    if shutil.which("unshare") is None or subprocess.run([*mount, "true"], capture_output=True).returncode:
-        pytest.skip("no mount of its own can be made for a process")
-    node = machines.add(mount)
-    process = machines.run(
-        *("landing-train", "sweep", "tiny.toml", "--out", str(hidden / "out")),
-        *("--on", "ray", "--address", machines.address),
-        cwd=tmp_path,
-    )
-    error = ended(process, 2)[1]
-    sentence = (
-        f"landing-train: {os.uname().nodename} cannot access {hidden}/out; all machines must share it\n"
-    )
-    assert error == sentence
-    until(lambda: not trainings(hidden), "the end of the other trainings")
-    kill(node)

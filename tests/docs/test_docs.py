@@ -1,8 +1,6 @@
 """The documents: code blocks run, commands have their options."""
 
-import itertools
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from tests.log_files import a_log
 
 # Documents whose Python blocks take minutes.
 LONG = {"eval/gap/README.md"}
-CHEAP = ("doctor", "effects", "logs")  # commands that answer at once
 
 
 def _flights(folder):
@@ -112,23 +109,3 @@ def test_a_wrong_line_is_found(line):
     with pytest.raises((AssertionError, ValueError)):
         for words in documents.lines(line):
             documents.check(words)
-
-
-def test_cheap_commands_run(workplace, capsys):
-    """Lines that answer at once, as they stand in any document, where the workplace has what they read."""
-    found: dict[tuple[str, ...], str] = {}
-
-    def take(language, title, example):
-        if language in documents.SHELLS:
-            for program, *words in documents.lines(example.parsed):
-                if program == "landing-eval" and words[:1] and words[0] in CHEAP:
-                    files = [sorted(map(str, Path().glob(word))) for word in words[1:]]
-                    if all(files):
-                        found[words[0], *itertools.chain(*files)] = example.path
-
-    for name in documents.documents():
-        for example in documents.blocks(name, take).examples():
-            example.evaluate()
-    assert {words[0] for words in found} >= {"doctor", "logs"}
-    for words, path in found.items():
-        assert documents.cli.main(list(words)) == 0, f"{path}: {words}\n{capsys.readouterr().err}"

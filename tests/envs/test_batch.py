@@ -128,18 +128,6 @@ def test_records_of_an_episode(plant):
     assert env.length[1] == 40
 
 
-@pytest.mark.parametrize("plant", ["mujoco", "analytic"])
-def test_a_contact_limit_truncates(plant):
-    env = build(1, plant=plant)
-    env.task.conditions = LandingConditions(contact_limit=8, goal_while_touching=False)
-    env.reset(state=hovering((0.2, 0, 1.4)))
-    for _ in range(100):
-        step = env.step(np.array([[-1.0, 0]]))
-        if step.truncated[0]:
-            break
-    assert env.contact_steps[0] == 8 and not step.terminated[0]
-
-
 def test_conditions_of_running_episodes_do_not_change():
     """A curriculum that moves on in the middle leaves platform and goal of begun episodes alone."""
     env = build(2)

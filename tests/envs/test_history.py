@@ -7,10 +7,8 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.gym_env import InclinedLandingEnv, InclinedLandingVectorEnv  # type: ignore
 from inclined_landing.envs.history import input_centre, input_names, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options, trained_task
-from inclined_landing.envs.sb3 import BatchVecEnv
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
@@ -62,16 +60,6 @@ def test_the_past_is_stacked_as_a_list_of_steps_is(name):
         np.testing.assert_array_equal(env.observe(), given)
 
 
-def test_names_say_what_is_where():
-    names = input_names(make_task("landing", history=2))
-    assert names[:7] == ("x", "z", "vx", "vz", "pitch", "x[-1]", "z[-1]")
-    assert names[10:12] == ("thrust command[-1]", "pitch command[-1]") and len(names) == 5 + 2 * 7
-    task = make_task("touchdown", history=2, observe_contact=True)
-    names = input_names(task)
-    assert len(set(names)) == len(names) == len(input_centre(task)) == len(input_scale(task)) == 6 + 2 * 8
-    assert input_names(make_task("setpoint")) == make_task("setpoint").observation_names
-
-
 def test_a_recorded_flight_gives_the_policy_its_history():
     env = build(n=3)
     policy = pilot(env.task)
@@ -87,20 +75,6 @@ def test_a_recorded_flight_gives_the_policy_its_history():
         pilot(make_task("landing", history=0)), make_plant("analytic", 3), states, steps=2
     )
     assert not np.array_equal(without[0].actions, flights[0].actions[:3])
-
-
-def test_every_face_shows_it():
-    single = InclinedLandingEnv(plant="analytic", history=K)
-    several = InclinedLandingVectorEnv(5, plant="analytic", history=K)
-    sb3 = BatchVecEnv(build(n=5))
-    size = len(input_names(single.task))
-    assert single.observation_space.shape == several.single_observation_space.shape == (size,)
-    assert sb3.observation_space.shape == (size,) and sb3.reset().shape == (5, size)
-    first, _ = single.reset(seed=0)
-    second, *_ = single.step(np.array([0.5, -0.25], np.float32))
-    np.testing.assert_array_equal(second[5:10], first[:5])
-    np.testing.assert_array_equal(second[10:12], [0.5, -0.25])
-    assert several.reset(seed=0)[0].shape == (5, size)
 
 
 def test_a_policy_file_says_its_history(tmp_path):

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from inclined_landing.envs.tasks import InclinedLanding, StepContext, landing, make_task
 from inclined_landing.envs.tasks.base import Start, hover_states
-from inclined_landing.envs.tasks.frozen import PAPER_STARTS
 from inclined_landing.envs.tasks.landing import AIDED, LandingConditions
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, X, Z
 from inclined_landing.models.base.errors import UserError
@@ -230,12 +229,6 @@ def test_starts_that_cannot_be_found_are_an_error():
         task = InclinedLanding(inclination=math.radians(50))  # 6 cm from the goal to the slope
         task.conditions = LandingConditions(start_reach=0.01, start_reach_z=0.01, lowest_start=0.0)
         task.sample(np.random.default_rng(0), 5)
-
-
-@pytest.mark.parametrize("x, z", PAPER_STARTS)
-def test_the_papers_starts_are_clear(x, z):
-    start = TASK.start(hover_states(np.array([[x, 0, z]]), V))
-    assert TASK.start_clearance(start)[0] > landing.START_CLEARANCE
 
 
 # --- training aids -----------------------------------------------------------------------------------

@@ -62,12 +62,6 @@ def test_a_mission_does_not_depend_on_the_others(flown):
         assert mission.end == other.end
 
 
-def test_fewer_starts_are_the_first_of_many():
-    few, many = (PLAN.sample(np.random.default_rng(3), n) for n in (4, 9))
-    np.testing.assert_array_equal(few, many[:4])
-    assert PLAN.admissible(many).all()
-
-
 def test_roll_holds_the_plane_and_drifts_without():
     """A loose box hands over beside the plane and on the move."""
     loose = {"near": 0.3, "slow": 1.0, "dwell": 0.0}

@@ -17,7 +17,6 @@ from inclined_landing.envs.tasks import frozen as starts
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import shapes_of
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants.recorder import contact_forces
 from inclined_landing.models.scene import build_spec
 
 W, H = 320, 240
@@ -168,26 +167,6 @@ def test_platform_pose_of_every_source():
         assert changed(steep, from_state).sum() > 500
         assert changed(gone, from_state).sum() > 500
         np.testing.assert_array_equal(renderer.render(state), from_state)
-
-
-def test_contact_arrows_carry_the_weight():
-    vehicle = load_vehicle()
-    weight = vehicle.body_mass * vehicle.environment_gravity
-    model = build_spec(vehicle, visuals=False).compile()
-    data = mujoco.MjData(model)
-    foot = model.geom("foot_front_left")
-    data.qpos[:7] = [2.0, 0, foot.size[0] - foot.pos[2], 1, 0, 0, 0]
-    for _ in range(500):
-        mujoco.mj_step(model, data)
-    points, forces = contact_forces(model, data)
-    assert len(forces) == 4
-    # at rest after 2 s: forces sum to the weight, 1 % covers the rest of the settling
-    total = np.sum(forces, axis=0)
-    np.testing.assert_allclose(total, [0, 0, weight], atol=0.01 * weight)
-    with make_renderer(W, H, "closeup", "ray") as renderer:
-        plain = renderer.render(data)
-        drawn = renderer.render(data, forces=list(zip(points, 0.3 * forces)))
-        assert changed(plain, drawn).sum() > 30
 
 
 def test_wrong_arguments_are_sentences():

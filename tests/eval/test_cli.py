@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from inclined_landing.envs import save_policy
 from inclined_landing.envs.shared import command_line, runs
 from inclined_landing.eval import cli
 from inclined_landing.models import plugins
-from inclined_landing.models.effects import LIBRARY
 
 
 @pytest.fixture(scope="module")
@@ -121,24 +119,6 @@ def test_output_that_cannot_be_written_is_one_sentence(words, unbuffered):
     assert done.stderr == b"landing-eval: the output cannot be written: no space left on device\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        ("nonsense 2>/dev/full", 2, ""),
-        ("nonsense 2>&-", 2, ""),
-        ("nonsense >&- 2>&- <&-", 2, ""),
-        ("--version 2>/dev/full", 0, ""),
-        ("--version 2>&-", 0, ""),
-        ("--version >&-", 2, "landing-eval: the output cannot be written: bad file descriptor\n"),
-    ],
-)
-def test_streams_that_are_full_or_closed_change_no_code(words, code, said):
-    """Words on stderr may get lost; what a command answers on stdout may not."""
-    command = f"'{sys.executable}' -m inclined_landing.eval {words}"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert done.returncode == code and done.stderr == said
-
-
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
 
 
@@ -230,17 +210,6 @@ def test_wrong_input(landing_policy, tmp_path, monkeypatch, capsys, arguments, s
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "x"]
 
 
-def test_a_diverging_simulation_is_one_sentence(landing_policy, monkeypatch, capsys):
-    from inclined_landing.models.plants import AnalyticPlant
-
-    def diverge(self, commands, wanted=None):
-        raise FloatingPointError("the engine diverged for vehicles [0]")
-
-    monkeypatch.setattr(AnalyticPlant, "step", diverge)
-    assert cli.main(["success", str(landing_policy), "--plant", "analytic"]) == 2
-    assert "diverged" in capsys.readouterr().err
-
-
 def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
     def interrupted():
         raise KeyboardInterrupt
@@ -260,16 +229,6 @@ def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
 # ---- doctor
 
 
-def test_doctor_is_content_here(capsys):
-    assert cli.main(["doctor", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["healthy"] and report["versions"]["mujoco"] == version("mujoco")
-    checks = {check["name"]: check for check in report["checks"]}
-    assert checks["native plugins"]["ok"] and checks["simulation"]["ok"]
-    assert cli.main(["doctor"]) == 0
-    assert "native plugins" in capsys.readouterr().out
-
-
 def test_doctor_names_the_remedy(monkeypatch, capsys):
     def missing():
         raise ImportError("the native plugins of inclined_landing are not built")
@@ -281,13 +240,3 @@ def test_doctor_names_the_remedy(monkeypatch, capsys):
 
 
 # ---- benchmark
-
-
-def test_the_effects_are_listed_and_explained(capsys):
-    assert cli.main(["effects"]) == 0
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in LIBRARY)
-    assert cli.main(["effects", "ground_effect"]) == 0
-    assert "Cheeseman" in capsys.readouterr().out
-    assert cli.main(["effects", "nonsense"]) == 2
-    assert "unknown effect 'nonsense'" in capsys.readouterr().err

@@ -13,7 +13,6 @@ import pytest
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import check_vehicle, constants, load_vehicle, write_vehicle
-from inclined_landing.models.scene import build_spec
 from tests import ROOT
 
 FOLDERS = ("models", "envs", "eval", "train")
@@ -169,31 +168,6 @@ def test_ranges_leave_room_for_other_vehicles_with_every_effect_at_its_bounds(ma
         names = [p.name for p in effect.parameters]
         for corner in itertools.product(*(p.bounds for p in effect.parameters)):
             check_vehicle(effect.apply(vehicle, dict(zip(names, corner))))
-
-
-@pytest.mark.parametrize("wrong", [3, b"x", float("nan"), True, int])
-def test_what_is_no_vehicle_is_refused(wrong):
-    with pytest.raises(UserError, match="vehicle file must be a path, not"):
-        load_vehicle(wrong)
-    with pytest.raises(UserError, match="expected a Vehicle, not"):
-        check_vehicle(wrong)
-    with pytest.raises(UserError, match="vehicle must be a Vehicle or the path of a file, not"):
-        build_spec(wrong)
-
-
-def test_missing_and_binary_files_are_refused(tmp_path):
-    with pytest.raises(UserError, match=r"nowhere\.toml does not exist"):
-        load_vehicle(tmp_path / "nowhere.toml")
-    (tmp_path / "noise.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UserError, match=r"noise\.toml is not UTF-8 text"):
-        load_vehicle(tmp_path / "noise.toml")
-
-
-@pytest.mark.parametrize("wrong", [math.radians(50.1), -1.0, math.nan, math.inf])
-def test_inclinations_outside_the_range_are_refused(wrong):
-    with pytest.raises(UserError, match="outside the supported range of -50 to 50 deg"):
-        load_vehicle().check_inclination(wrong)
-    assert load_vehicle().check_inclination(math.radians(-50)) == math.radians(-50)
 
 
 def test_the_two_hover_points_differ():

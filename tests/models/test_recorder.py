@@ -27,14 +27,6 @@ def over_slab(*heights, inclination=ALPHA, speed=0.0) -> np.ndarray:
     return state
 
 
-def test_velocities_split_along_the_slope():
-    velocity = np.array([[0.0, 0.0, -1.0], [math.cos(ALPHA), 0.3, -math.sin(ALPHA)]])
-    away, along = surface.split(velocity, ALPHA)
-    assert away == pytest.approx([-math.cos(ALPHA), 0.0])
-    assert along == pytest.approx([abs(math.sin(ALPHA)), math.hypot(1, 0.3)])
-    assert surface.downhill_of(-0.3) == pytest.approx([-math.cos(0.3), 0.0, -math.sin(0.3)])
-
-
 @pytest.mark.parametrize("subset", [False, True])
 def test_a_landing_is_the_same_at_any_control_period_and_in_any_company(subset):
     """Every engine step is seen within a control period; vehicles that are left out stand still."""

@@ -155,15 +155,6 @@ def test_what_is_drawn_changes_no_physics(slope, start):
     assert pairs == others and pairs
 
 
-def test_rays_pass_the_drawn_base():
-    """A rangefinder measures what collides: through the wedge between core and slab it sees the back wall."""
-    model = build_spec(V).compile()
-    data, hit = mujoco.MjData(model), np.zeros(1, np.int32)
-    mujoco.mj_forward(model, data)
-    mujoco.mj_ray(model, data, np.array([0.1, -2.0, 1.05]), np.array([0.0, 1.0, 0.0]), None, 1, -1, hit, None)
-    assert model.geom(hit[0]).name == "back_wall"
-
-
 def test_what_is_drawn_changes_no_physics_of_a_moving_platform():
     models = [build_spec(V, visuals=visuals, moving=True).compile() for visuals in (True, False)]
     (states, pairs), (expected, others) = [run_of(m, (0.05, 0, 1.3), z=1.1, pitch=0.3) for m in models]

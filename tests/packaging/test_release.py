@@ -8,34 +8,14 @@ import tomllib
 
 import yaml
 
-from tests import ROOT, documents
+from tests import ROOT
 
-CHECKS = ROOT / ".ci" / "release.py"
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 
 def workflow(name: str) -> dict:
     return yaml.safe_load((ROOT / ".github" / "workflows" / f"{name}.yml").read_text("utf-8"))
-
-
-def commands(job: dict) -> list[str]:
-    return [step["run"].strip() for step in job["steps"] if "run" in step]
-
-
-def test_every_fresh_system_runs_the_two_commands_of_the_readme():
-    blocks = []
-    document = documents.blocks("README.md", lambda language, title, example: blocks.append(example.parsed))
-    for example in document.examples():
-        example.evaluate()
-    clone, _, *wanted = [" ".join(words) for words in documents.lines(blocks[0])]
-    assert clone.startswith("git clone ") and wanted == ["make demo", "make test"]
-    jobs = workflow("ci")["jobs"]
-    assert jobs
-    for job in jobs.values():
-        assert [line for line in commands(job) if line in wanted] == wanted
-    packages = commands(jobs["fresh"])[0].partition("--no-install-recommends")[2].split()
-    assert set(packages) == {"git", "make", "g++", "python3", "python3-venv", "ca-certificates"}
 
 
 def test_only_publishing_may_do_more_than_read_and_only_on_a_tag():

@@ -711,15 +711,6 @@ def test_an_existing_run_is_not_overwritten(landing_run, capsys):
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def test_an_interruption_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    def interrupt(self):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Run, "execute", interrupt)
-    assert cli.main(["--out", str(tmp_path / "a"), "--nominal", "--environments", "2"]) == 130
-    assert "--resume" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("options", [
     *({"task": task} for task in TASKS), {"nominal": True}, {"dimensions": 3, "fastest": 1.0},
     {"start_from": "landing-vehicles"}, {"task": "touchdown", "nominal": True}, {"net_arch": [32]},

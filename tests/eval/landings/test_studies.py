@@ -9,13 +9,10 @@ import pytest
 
 from inclined_landing.eval.landings import design, landing, maps, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate
-from inclined_landing.eval.landings.parameters import known_parameters, steady_pwm, touchdown_states
+from inclined_landing.eval.landings.parameters import known_parameters, touchdown_states
 from inclined_landing.eval.landings.study import read_study, shipped
 from inclined_landing.models.attitude import PITCH, X, Z
 from inclined_landing.models.parameters import load_vehicle
-from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import impulses
-from inclined_landing.models.surface import normal_of
 
 V = load_vehicle()
 STUDY = """
@@ -99,37 +96,6 @@ def test_touchdown_speeds_and_impulse_agree_with_the_change_of_momentum():
     assert (r["peak_force"] > V.body_mass * g).all() and (np.diff(r["peak_force"]) > 0).all()
 
 
-def test_impulse_is_that_of_the_contact_forces():
-    """Tilted touches with thrust and friction: the column, taken from the motion, against the contact
-    forces of every stage of the engine's steps. What remains is the thrust, taken as the mean of both
-    ends of a step and along the body's axis at its beginning: below 1 % of the impulse."""
-    p = columns(
-        4,
-        attitude_error=[0.0, 0.2, -0.2, 0.3],
-        tangential_speed=[0.0, 0.3, -0.3, 0.5],
-        normal_speed=[0.4, 0.8, 1.2, 0.6],
-        thrust=[0.0, 0.3, 0.6, 0.6],
-        motor_cut_delay=2.0,
-    )
-    states = touchdown_states(p, V)
-    column = simulate(states, p).values[:, list(RESULTS).index("impulse")]
-    plant = MujocoPlant(4, control_period=0.004, torque_needs_motors=True)
-    alpha = -p["inclination"]
-    plant.set_platform(np.arange(4), alpha)
-    plant.reset(np.arange(4), states)
-    commands = np.zeros((4, 4))
-    commands[:, 0], commands[:, 2] = steady_pwm(p, V), alpha / V.attitude_gain
-    given, touched = [], np.full(4, -1)
-    for k in range(40):
-        given.append((impulses(plant, commands) * normal_of(alpha)).sum(axis=1))
-        plant.step(commands)
-        touched[(touched < 0) & plant.contacts.touch[:, 0].any(axis=1)] = k
-    given = np.array(given)
-    count = round(landing.IMPULSE_TIME / 0.004)  # the step before the first sensed one included
-    expected = [given[first - 1 : first - 1 + count, i].sum() for i, first in enumerate(touched)]
-    assert column == pytest.approx(expected, rel=0.01)
-
-
 def test_a_sliding_vehicle_stops_where_friction_says():
     """Distance v^2 / (2 g (mu cos - sin)) for a block; the vehicle lands with it, feet down."""
     speed, mu, alpha = np.array([0.4, 0.6]), 0.6, math.radians(10)
@@ -204,12 +170,6 @@ def test_a_factorial_has_every_combination(tmp_path):
     values, start = design.design(started)
     assert started.total == len(start) == 30
     assert start[:6].tolist() == [0, 1, 2, 3, 4, 0] and values["friction"][4] == 0.4
-
-
-@pytest.mark.parametrize("name", sorted(shipped()))
-def test_shipped_studies_are_read(name):
-    study = read_study(name)
-    assert study.title and study.question and study.maps and study.varied
 
 
 # ---- what is made of the results

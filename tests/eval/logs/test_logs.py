@@ -546,31 +546,6 @@ def test_frames_are_read_with_their_unit_and_rows_that_stand_twice_once(tmp_path
 
 # --- remedies ---------------------------------------------------------------------------------------
 
-REMEDIES = {  # how a table is written, and how a program names its columns
-    "a.jsonl": lambda table, path: table.to_json(path, orient="records", lines=True),
-    "lines.json": lambda table, path: table.to_json(path, orient="records", lines=True),
-    "a.json": lambda table, path: table.to_json(path, orient="records"),
-    "of columns.json": lambda table, path: table.to_json(path),
-    "a.npz": lambda table, path: np.savez(path, **{name: table[name] for name in table}),
-    "a.npy": lambda table, path: np.save(path, table.to_numpy()),
-    "a.parquet": lambda table, path: table.to_parquet(path),
-    "a.feather": lambda table, path: table.to_feather(path),
-}
-
-
-@pytest.mark.parametrize("name", REMEDIES)
-def test_what_a_refusal_says_about_another_format_makes_a_csv_file(tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    log = a_log(100)
-    table = log_table(log)
-    REMEDIES[name](table, tmp_path / name)
-    with pytest.raises(UserError) as caught:
-        read(Path(name))
-    code = re.search(r"pandas\.\w+\(.*index=False\)", str(caught.value))[0]
-    exec(code.replace("['t', 'x', ...]", repr([*table])), {"pandas": pandas, "numpy": np})
-    # JSON has ten decimals.
-    np.testing.assert_allclose(read(tmp_path / "flight.csv").position, log.position, atol=1e-9)
-
 
 @pytest.mark.parametrize("column", ["roll", "cmd_pitch"])
 def test_angles_from_0_to_360_degrees_are_read_once_their_unit_is_stated(tmp_path, column):
@@ -869,15 +844,6 @@ def test_bags_are_read_without_what_a_flight_can_do_without(tmp_path, options, w
     assert re.search(words, " ".join(back.notes))
     kept = np.delete(np.arange(40), options.get("lost", ()))
     assert np.allclose(back.position, log.position[kept])
-
-
-def test_a_needed_topic_that_cannot_be_decoded_is_named_with_its_type(tmp_path):
-    path = humble_bag(tmp_path / "bag", a_log(), status="own", defined=False)
-    (tmp_path / "m.toml").write_text(HUMBLE.replace('"/cf/cmd:linear.z"', '"/cf/status:battery_voltage"'))
-    with pytest.raises(
-        UserError, match=r"/cf/status \(a/msg/Status\) cannot be decoded .*`ros2 bag convert`"
-    ):
-        read(path, mapping=tmp_path / "m.toml")
 
 
 # --- measured flights -------------------------------------------------------------------------------

@@ -110,26 +110,6 @@ def test_play_moves_time_and_the_picture(page):
     assert clock(page) == at
 
 
-def test_scrubbing_moves_the_cursor_of_every_curve(page):
-    page.evaluate("Replay.player.seek(0)")
-    slider = page.locator("#time")
-    slider.fill("0.9")
-    assert clock(page) == 0.9 and slider.get_attribute("aria-valuetext").startswith("0.90 of ")
-    cursors = page.locator(".cursor")
-    places = {cursors.nth(k).get_attribute("x1") for k in range(cursors.count())}
-    assert cursors.count() >= 4 and len(places) == 1
-    curve = page.locator("#curves svg").first
-    curve.click(position={"x": 0.75 * curve.bounding_box()["width"], "y": 30})
-    assert clock(page) > 1.2
-    assert cursors.first.get_attribute("x1") not in places
-    # what is said beside the curve is the command held at that time
-    said = float(page.locator("#curves output").first.inner_text())
-    held = page.evaluate(
-        "(() => { const f = Replay.player.flights[0]; return f.commands[4 * f.row(Replay.player.time)]; })()"
-    )
-    assert said == pytest.approx(held / 1000, abs=0.051)  # rounded to 0.1
-
-
 def test_every_camera_shows_another_picture(page):
     page.evaluate("Replay.player.seek(1.0)")
     seen = []

@@ -60,12 +60,6 @@ def test_commands_flown_again_give_the_same_states(name, point):
     np.testing.assert_array_equal(steps.commands[:-1:stride], flight.commands[:-1])
 
 
-def test_delays_are_flown_again_too():
-    late = LIBRARY["thrust_delay"].apply(V, {"delay": 0.013})
-    flight = flown("setpoint", (0.6, 0.3, 1.0), late)
-    np.testing.assert_array_equal(resimulate(flight).state[::5], flight.state)
-
-
 def test_a_landing_is_followed_to_rest(landing):
     """At the end the slope carries the weight: the forces sum to it within the trembling of 0.02 m/s, 5 %."""
     steps = resimulate(to_rest(landing))

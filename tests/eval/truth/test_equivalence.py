@@ -31,7 +31,6 @@ from inclined_landing.eval.truth.equivalence import (
     motor,
     twin,
 )
-from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.parameters import load_vehicle
 
 V = load_vehicle()
@@ -58,21 +57,6 @@ def check(claims):
     wrong = [f"{c.name}: {c.measured:.3g} {c.unit}, {c.tolerance}" for c in claims if not c.passed]
     assert claims and not wrong, wrong
     assert all(len(c.why) > 20 for c in claims)
-
-
-def test_sequences_cover_families_dimensions_and_bounds(flights):
-    assert [s.label for s in flights] == [f"{f}, {d}" for f in flying.FAMILIES for d in ("2-D", "3-D")]
-    low, high = flying.bounds(V)
-    for s in flights:
-        assert s.commands.shape == (300, 4, 4)
-        assert (s.commands >= low - 1e-12).all() and (s.commands <= high + 1e-12).all()
-        sideways = s.commands[..., [ROLL_COMMAND, YAW_RATE_COMMAND]]
-        assert s.planar == (not sideways.any()) == (not s.yaw.any())
-        assert np.ptp(s.commands[..., PITCH_COMMAND]) > 0.3
-    again = flying.all_sequences(V, 4, 1, None)
-    assert len(again) == 6  # no recorded commands without a policy
-    np.testing.assert_array_equal(again[1].commands, flights[1].commands)
-    assert not np.array_equal(flying.all_sequences(V, 4, 2, None)[1].commands, flights[1].commands)
 
 
 @pytest.mark.parametrize("attitude", flying.ATTITUDES)

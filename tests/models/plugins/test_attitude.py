@@ -64,16 +64,6 @@ def test_poles_are_the_loop_and_the_bandwidth(build, changed):
     assert flown(build, model) == pytest.approx(expected(build, **changed), abs=TOLERANCE)
 
 
-def test_paper_loop_is_the_limit_of_a_fast_rate_loop(build):
-    v = build.vehicle
-    t = v.attitude_time_constant
-    model = build(attitude={"bandwidth": "2000"}, timestep=1e-4)
-    roll = flown(build, model, [0.3, 0, 0], t)[0]
-    # the low-pass at B delays by 1/B, relatively e^-1/(1 - e^-1)/(B tau) = 1.6e-3; the step grid
-    # rounds the duration by at most 0.5e-4 s, 1.6e-4
-    assert roll == pytest.approx(0.3 * v.attitude_gain * (1 - math.exp(-1)), rel=2e-3)
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_hook_trim(build, axis):
     model = build()

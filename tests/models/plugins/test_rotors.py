@@ -43,22 +43,6 @@ def moving(build, model, pwm=30000.0):
     return build.data(model, [pwm, 0, 0, 0], act, velocity=(1.0, -2.0, 0.5), quat=(0.9, 0.2, -0.3, 0.1))
 
 
-def test_hover_force_carries_the_weight(build):
-    v = build.vehicle
-    model = build()
-    data = build.data(model, [v.hover_pwm, 0, 0, 0], v.hover_lag)
-    weight = v.body_mass * v.environment_gravity
-    assert data.actuator_force[0] == pytest.approx(weight, rel=ROUNDING)
-    # the extra body of the test model weighs 1e-9 kg, 3e-8 of the vehicle
-    assert abs(data.qacc[2]) < 1e-6
-
-
-def test_free_fall_without_command(build):
-    data = build.data(build(), 0.0, 0.0, velocity=(1, 2, 3))
-    assert data.actuator_force[0] == 0
-    assert np.all(data.qfrc_passive == 0)
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_step_response_reaches_63_percent_after_one_time_constant(build, integrator):
     rate = build.vehicle.thrust_lag_rate
