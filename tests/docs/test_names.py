@@ -51,7 +51,8 @@ FOREIGN = {  # names of other programs, and names that are put together from par
         "InclinedTouchdown-v0",
     ),
     *("mocap_attitude", "arm-none-eabi-size", "NormalizeObservation", "FrameStackObservation"),
-    "TimeAwareObservation",
+    *("TimeAwareObservation", "trajectory_1", "trajectory_2"),
+    *(f"touched_{part}" for part in ("slab", "base", "floor")),
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
 }
 
