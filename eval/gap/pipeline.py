@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.flights.usable import check_unused, usable_flight
 from inclined_landing.eval.gap.infer.fit import estimate_noise
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.residual import analyse_residual
-from inclined_landing.eval.gap.infer.sets import search
+from inclined_landing.eval.gap.infer.sets import SetPosterior, search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
@@ -65,20 +65,17 @@ def diagnose(
     if reference is not None:
         check_unused(use.heldout, reference.flights, "by which the vehicle was identified")
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
-    problem = Problem.of(use.fitted, vehicle, candidates, reference)
-    notes = [*use.notes, *_data_notes(problem), *unidentifiable]
-    if "wind" in candidates and "wind" not in problem.library:
-        notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
     clock("prepare")
 
-    # How probable is every set of effects? In a strong wind the attitude loops are not judged.
-    problem, joint = estimate_noise(problem)
-    found = search(problem, joint)
-    if problem.logged[:, 3:5].any() and steady_force(problem, found.best.values) > thresholds.STRONG_WIND:
+    # How probable is every set of effects, with the noise estimated?
+    found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
+    notes = [*use.notes, *_data_notes(found.problem), *unidentifiable]
+    if "wind" in candidates and "wind" not in found.problem.library:
+        notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
+    if in_strong_wind(found):  # the attitude loops are not judged
         use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
-        problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference))
-        found = search(problem, joint)
-    inconsistent = inconsistent_flights(problem, found.linear, joint)
+        found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
+    inconsistent = inconsistent_flights(found.problem, found.linear)
     clock("sets")
 
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
@@ -112,7 +109,7 @@ def diagnose(
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
-        disturbance=disturbances(problem),
+        disturbance=disturbances(found.problem),
         horizon=ahead.horizon,
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
@@ -133,6 +130,12 @@ _IN_WIND = (
     "a strong steady force, such as wind, also acts on the attitude loops: these were not judged, and "
     "translation is predicted along the measured attitude"
 )
+
+
+def in_strong_wind(found: SetPosterior) -> bool:
+    """Return whether flights with attitude commands show a strong steady force."""
+    force = steady_force(found.problem, found.best.values)
+    return bool(found.problem.logged[:, 3:5].any()) and force > thresholds.STRONG_WIND
 
 
 def steady_force(candidates: Candidates, values: Values) -> float:

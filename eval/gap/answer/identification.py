@@ -34,7 +34,7 @@ from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, 
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
-from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BaseColumn, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
@@ -134,8 +134,7 @@ def identify(
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
     joint = {n: joint[n] for n in problem.library}
     joint = fit_least_squares(problem, joint, prior=slab_deviations).values
-    linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
-    inconsistent = inconsistent_flights(problem, linear, joint)
+    inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
     fitted, kept = _Fit.of(problem, joint, use.judged), frozenset[str]()
     while more := fitted.acting_on_worse() - kept:  # does it help to leave these as they were?
         rest = {n: e for n, e in library.items() if n not in kept | more}
@@ -210,11 +209,11 @@ class _Fit:
     @staticmethod
     def of(problem: Problem, start: Values, heldout: list[MeasuredFlight]) -> _Fit:
         """Return the posterior mode; start: values to begin with; heldout: see `identify`."""
-        names, columns = frozenset(problem.library), problem.columns([*problem.library, BASE])
+        names, columns = frozenset(problem.library), problem.all_columns()
         start = {n: start[n] for n in problem.library}
         spread = Spread.of(problem, problem.linearise(start, columns))
         values, _ = fit_vehicle(problem, spread, start, names)
-        local = LinearGaussian.of(problem, spread, problem.linearise(values, columns), values)
+        local = LinearGaussian.of(problem, spread, problem.linearise(values, columns))
         every = (values, *leave_one_out(problem, local, names, values))
         own, *left_out = ({n: v for n, v in one.items() if not LIBRARY[n].of_the_place} for one in every)
         refit, before = Refit(problem, own, left_out), problem.vehicle
@@ -406,9 +405,9 @@ def identified_reference(
 
     errors, landings, flights: as of `VehiclePosterior`.
     """
-    columns, names = problem.columns([*problem.library, BASE]), frozenset(problem.library)
+    columns, names = problem.all_columns(), frozenset(problem.library)
     linear = problem.linearise({}, columns)
-    local = LinearGaussian.of(problem, Spread.of(problem, linear), linear, {})
+    local = LinearGaussian.of(problem, Spread.of(problem, linear), linear)
     change, covariance = local.posterior(names)
     known = covariance * np.outer(local.unit, local.unit)
     mean = (local.at + change) * local.unit

@@ -19,7 +19,6 @@ from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
 from inclined_landing.eval.gap.model.columns import (
-    BASE,
     FittedValues,
     Values,
     slab_deviations,
@@ -115,9 +114,8 @@ def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, F
     # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
     names, problem = frozenset(values), found.problem
     if names and problem.identified:
-        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
-        linear = problem.linearise(values, columns)
-        local = LinearGaussian.of(problem, found.spread, linear, values)
+        columns = problem.all_columns() + problem.form_columns(values)
+        local = LinearGaussian.of(problem, found.spread, problem.linearise(values, columns))
         there = dataclasses.replace(found, local=local)
         new = fitted_values(there, names)
         if problem.squares(new) <= problem.squares(values):

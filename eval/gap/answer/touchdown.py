@@ -21,7 +21,6 @@ from inclined_landing.eval.gap.flights.usable import UsableFlights
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
 from inclined_landing.eval.gap.result import (
-    Estimate,
     NamedEffect,
     PlantGap,
     RegimeError,
@@ -95,22 +94,11 @@ def _root_mean_square(landings: Sequence[Landing], vehicle: Vehicle, moments: sl
 def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple[NamedEffect, ...]:
     """Return the named contact effects with estimates, largest gain first."""
     effects = []
-    for name, sized in found.sizes.items():
+    for name, estimate in found.sizes.items():
         members = (name, *confounded_with(found, name))
         if found.probability(*members) < thresholds.NAMED:
             continue
         (p,) = problem.library[name].parameters
-        estimate = Estimate(
-            value=sized.value,
-            unit=p.unit,
-            ci95=sized.ends,
-            neutral=p.neutral,
-            bounds=p.bounds,
-            at_bound=thresholds.at_bound(sized.value, p.bounds),
-            per_flight=tuple(map(float, sized.each)),
-            per_flight_error=tuple(map(float, sized.error)),
-            spread=dersimonian_laird(sized.each, sized.error),
-        )
         probability, remedy = found.probability(*members), problem.library[name].remedy
         effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
     return tuple(sorted(effects, key=lambda e: -e.gain))
@@ -132,17 +120,3 @@ def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[S
     both.sort(key=lambda one: -one.probability)
     # Many small products together are not small: all that could change a marginal probability stay.
     return tuple(one for k, one in enumerate(both) if not k or one.probability >= thresholds.REPORTED**2)
-
-
-def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
-    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
-    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
-    # S1 = sum w,  S2 = sum w^2
-    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
-    if good.sum() < 3:
-        return 0.0
-    w = 1.0 / error[good] ** 2
-    mean = (w * value[good]).sum() / w.sum()
-    q = (w * (value[good] - mean) ** 2).sum()
-    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
-    return math.sqrt(max(0.0, float(excess)))

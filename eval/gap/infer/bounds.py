@@ -41,23 +41,10 @@ class Bounds(NamedTuple):
                 pairs.append((k - 1, k, least, most, first, last))
         return Bounds(low, high, np.array(pairs, float).reshape(-1, 6))
 
-    def clip(self, at: np.ndarray) -> np.ndarray:
-        """Return coordinates (P,) clipped to the bounds."""
-        return clipped(at, self)
-
-    def truncated_mode(
-        self, at: np.ndarray, covariance: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
-
-        at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
-        """
-        return truncated_mode(at, covariance, own, self)
-
 
 @numba.njit(cache=True, nogil=True)
 def clipped(at, bounds):
-    """See `Bounds.clip`."""
+    """Return coordinates (P,) clipped to the bounds."""
     result = np.minimum(np.maximum(at, bounds.low), bounds.high)
     for pair in bounds.pairs:
         i, j = int(pair[0]), int(pair[1])
@@ -70,7 +57,10 @@ def clipped(at, bounds):
 
 @numba.njit(cache=True, nogil=True)
 def truncated_mode(at, covariance, own, bounds):
-    """See `Bounds.truncated_mode`."""
+    """Return the mode (P,) of a truncated normal distribution and its log density relative to the mean.
+
+    at (P,) mean, covariance (P, P); own (k,): the coordinates that have bounds.
+    """
     # Active set A of coordinates fixed at their bounds c_A; the others conditioned on them:
     #   x = m + C_.A C_AA^-1 (c_A - m_A),   log p(x) - log p(m) = -1/2 (c_A - m_A)' C_AA^-1 (c_A - m_A)
     outside, result, log_ratio = np.zeros(len(at), np.bool_), at.copy(), 0.0

@@ -27,7 +27,7 @@ from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_we
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
 from inclined_landing.eval.gap.model.columns import SLAB, FittedValues, Values
-from inclined_landing.eval.gap.result import ScoredSet, marginal
+from inclined_landing.eval.gap.result import Estimate, ScoredSet, marginal
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
@@ -44,21 +44,11 @@ COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for 
 
 
 @dataclasses.dataclass(frozen=True)
-class ContactEstimate:
-    """Posterior mode and credible interval of a parameter, and its estimates in single landings."""
-
-    value: float
-    ends: tuple[float, float]  # of the interval
-    each: np.ndarray  # (n,) estimates in single landings, shrunk towards the common value
-    error: np.ndarray  # (n,) their standard errors
-
-
-@dataclasses.dataclass(frozen=True)
 class ContactPosterior:
     """Posterior over sets of contact effects, with estimates of the most probable set."""
 
     sets: tuple[ScoredSet, ...]  # most probable first
-    sizes: dict[str, ContactEstimate]  # of the most probable set
+    sizes: dict[str, Estimate]  # of the most probable set
     gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
     unexplained: bool  # whether a common residual is significant
     p_value: float  # of the most significant common residual
@@ -330,7 +320,7 @@ class _ContactModel:
         """Return the posterior mode of a set, by index of the effect."""
         return {self.names.index(x.name): float(x.best[self.names.index(x.name)]) for x in profiles}
 
-    def estimates(self, profiles: Sequence[_Profile]) -> dict[str, ContactEstimate]:
+    def estimates(self, profiles: Sequence[_Profile]) -> dict[str, Estimate]:
         """Return the estimates of a set with credible intervals, and those of single landings."""
         own, result = self._best(profiles), {}
         residual = self._errors(own) if own else self.neutral
@@ -347,8 +337,16 @@ class _ContactModel:
             error = [p.bounded(own[j] + x) - value for x in known**-0.5]
             low, high = (p.bounded(x) for x in ends)
             singles = np.array([p.bounded(x) for x in each])
-            result[profile.name] = ContactEstimate(
-                value, (min(low, value), max(high, value)), singles, np.abs(error)
+            result[profile.name] = Estimate(
+                value=value,
+                unit=p.unit,
+                ci95=(min(low, value), max(high, value)),
+                neutral=p.neutral,
+                bounds=p.bounds,
+                at_bound=thresholds.at_bound(value, p.bounds),
+                per_flight=tuple(map(float, singles)),
+                per_flight_error=tuple(map(float, np.abs(error))),
+                spread=dersimonian_laird(singles, np.abs(error)),
             )
         return result
 
@@ -429,3 +427,17 @@ def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, i
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
         values.append(stats.chi2.sf(squares, COMMON_MODES))
     return float(min(1.0, np.min(values) * np.size(values)))
+
+
+def dersimonian_laird(value: np.ndarray, error: np.ndarray) -> float:
+    """Return the between-flight standard deviation by moments (DerSimonian and Laird 1986)."""
+    # tau^2 = [Q - (k - 1)] / (S1 - S2 / S1),  Q = sum w (x - mean)^2,  w = 1 / se^2,
+    # S1 = sum w,  S2 = sum w^2
+    good = np.isfinite(value) & np.isfinite(error) & (error > 0)
+    if good.sum() < 3:
+        return 0.0
+    w = 1.0 / error[good] ** 2
+    mean = (w * value[good]).sum() / w.sum()
+    q = (w * (value[good] - mean) ** 2).sum()
+    excess = (q - (good.sum() - 1)) / (w.sum() - (w**2).sum() / w.sum())
+    return math.sqrt(max(0.0, float(excess)))

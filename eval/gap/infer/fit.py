@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from inclined_landing.eval.gap.flights.noise import estimate, winsorised
+from inclined_landing.eval.gap.infer.bounds import truncated_mode
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian, Spread
 from inclined_landing.eval.gap.model.columns import (
     BASE,
@@ -224,7 +225,7 @@ def fit_vehicle(
     at: FittedValues = {n: problem.neutral(n) | dict(values.get(n, {})) for n in fitted}
 
     def linearised(here: Values) -> LinearGaussian:
-        return LinearGaussian.of(problem, spread, problem.linearise(here, columns), here)
+        return LinearGaussian.of(problem, spread, problem.linearise(here, columns))
 
     local = linearised(at)
     for _ in range(ROUNDS):
@@ -251,7 +252,7 @@ def vehicle_mode(
     """
     change, covariance = local.posterior(names, weights)
     every = np.arange(len(change))
-    at, _ = local.bounds.truncated_mode(local.at + change, covariance, every)
+    at, _ = truncated_mode(local.at + change, covariance, every, local.bounds)
     fitted = {column.effect for column in local.columns}
     return problem.values_at(fitted, local.columns, at * local.unit)
 

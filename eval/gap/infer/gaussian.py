@@ -164,8 +164,8 @@ class LinearGaussian:
     flight_b: np.ndarray  # (f, P)
 
     @staticmethod
-    def of(problem: Problem, spread: Spread, linear: Linearisation, values: Values) -> LinearGaussian:
-        """Return the model linearised at `values`."""
+    def of(problem: Problem, spread: Spread, linear: Linearisation) -> LinearGaussian:
+        """Return the model of a linearisation."""
         columns = linear.columns
         unit = spread.spike_deviations(problem, columns)
         units = np.outer(unit, unit)
@@ -183,8 +183,8 @@ class LinearGaussian:
         return LinearGaussian(
             candidates=problem,
             columns=columns,
-            values=values,
-            at=problem.coordinates(values, columns) / unit,
+            values=linear.values,
+            at=problem.coordinates(linear.values, columns) / unit,
             a=a,
             b=b,
             c=c,
@@ -256,7 +256,7 @@ class LinearGaussian:
 
     def bounded_mode(self, names: EffectSet, weights: np.ndarray | None = None) -> np.ndarray:
         """Return the posterior mode (P,) of delta within bounds (truncated normal), in spikes."""
-        return self.bounds.truncated_mode(*self.change(names, weights), self.index(names))[0]
+        return truncated_mode(*self.change(names, weights), self.index(names), self.bounds)[0]
 
     def reproduced(self, names: EffectSet, name: str, other: str) -> float:
         """Return the share of what `name` contributes, at its mode in a set, that `other` reproduces."""

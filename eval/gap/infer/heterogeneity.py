@@ -25,12 +25,10 @@ from inclined_landing.eval.gap.result import Difference, InconsistentFlights
 PRIOR_DEGREES_OF_FREEDOM = 2.0  # of the mean square within groups, whose prior value is 1
 
 
-def inconsistent_flights(
-    problem: Problem, linear: Linearisation, values: Values
-) -> tuple[InconsistentFlights, ...]:
+def inconsistent_flights(problem: Problem, linear: Linearisation) -> tuple[InconsistentFlights, ...]:
     """Return the groups of flights that are inconsistent with the others, most significant first.
 
-    linear: the flights linearised at `values`, all effects of the library fitted jointly.
+    linear: the flights linearised where all effects of the library are fitted jointly.
     """
     table = _FlightInformation.of(problem, linear)
     remaining, result = np.arange(len(problem.flights)), []
@@ -38,7 +36,7 @@ def inconsistent_flights(
         split = _most_significant_split(table, remaining)
         if split is None:
             break
-        result.append(_described_split(problem, table, split, values))
+        result.append(_described_split(problem, table, split, linear.values))
         remaining = np.array([k for k in remaining if k not in split.group])
     return tuple(result)
 

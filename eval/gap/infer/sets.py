@@ -25,7 +25,7 @@ from inclined_landing.eval.gap.infer.gaussian import (
     Spread,
     flight_weights,
 )
-from inclined_landing.eval.gap.model.columns import BASE, FittedValues, ParameterColumn, Values
+from inclined_landing.eval.gap.model.columns import FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 
@@ -88,9 +88,9 @@ class SetPosterior:
 
 def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     """Return the posterior over sets of effects; joint: the fit of `estimate_noise`."""
-    linear = problem.linearise(joint, problem.columns([*problem.library, BASE]))
+    linear = problem.linearise(joint, problem.all_columns())
     spread = Spread.of(problem, linear)
-    eliminated = backward_eliminate(problem, LinearGaussian.of(problem, spread, linear, joint).evidence())
+    eliminated = backward_eliminate(problem, LinearGaussian.of(problem, spread, linear).evidence())
     nodes = _greedy_search(problem, spread, eliminated, joint)
     best = max(nodes.values(), key=lambda node: node.score)
     scored, nodes = _bagged_posterior(problem, spread, nodes, best)
@@ -138,9 +138,9 @@ def _fit_set(
     best, beside = None, FittedValues()
     for _ in range(NEWTON_STEPS):
         values = new
-        columns = problem.columns([*problem.library, BASE]) + problem.form_columns(values)
+        columns = problem.all_columns() + problem.form_columns(values)
         around = {**beside, **values}
-        local = LinearGaussian.of(problem, spread, problem.linearise(around, columns), around)
+        local = LinearGaussian.of(problem, spread, problem.linearise(around, columns))
         new = posterior_mode(problem, local, names)
         beside = _requested(problem, local, names)
         screen = local.evidence()
@@ -226,8 +226,7 @@ def _other_references(problem: Problem, spread: Spread) -> list[FittedValues]:
                 for p, x in about.items()
             )
             if within and not np.any(problem.sizes(name, start)):
-                linear = problem.linearise(start, problem.columns([*problem.library, BASE]))
-                local = LinearGaussian.of(problem, spread, linear, start)
+                local = LinearGaussian.of(problem, spread, problem.linearise(start, problem.all_columns()))
                 result.append({name: {**posterior_mode(problem, local, frozenset(start))[name], **about}})
     return result
 

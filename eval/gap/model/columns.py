@@ -195,6 +195,10 @@ class Candidates:
                 result += [ParameterColumn(name, p.name) for p in effect.parameters]
         return result
 
+    def all_columns(self) -> list[Column]:
+        """Return the columns of all effects and of the base model's errors."""
+        return self.columns([*self.library, BASE])
+
     def one_sided_difference(self, values: Values, column: ParameterColumn) -> tuple[Vehicle, float]:
         """Return the vehicle of a one-sided finite difference along a column at `values`, and the step."""
         p = self.parameter(column)

@@ -193,30 +193,21 @@ class Problem(Candidates):
 
     def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight, each with its vehicle."""
-
-        def of(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
-            return flight.whitening(flight.cut(flight.measured - predict(flight, vehicle)))
-
-        return list(_POOL.map(of, self.flights, vehicles))
+        return list(_POOL.map(lambda f, v: _whitened(f, predict(f, v)), self.flights, vehicles))
 
     def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight with effects at `values`."""
-        vehicle = self.corrected(values)
-
-        def of(flight: MeasuredFlight, jacobian: np.ndarray) -> np.ndarray:
-            predicted = _with_model_errors(predict(flight, vehicle), jacobian, values)
-            return flight.whitening(flight.cut(flight.measured - predicted))
-
-        return list(_POOL.map(of, self.flights, self.form_jacobians))
+        predicted = self._prediction(values)
+        return list(_POOL.map(lambda f, j: _whitened(f, predicted(f, j)), self.flights, self.form_jacobians))
 
     def predicted(self, values: Values) -> list[np.ndarray]:
         """Return the prediction (m, C) of every flight with effects and model errors at `values`."""
+        return list(_POOL.map(self._prediction(values), self.flights, self.form_jacobians))
+
+    def _prediction(self, values: Values) -> Callable[[MeasuredFlight, np.ndarray], np.ndarray]:
+        """Return the prediction (m, C) as a function of a flight and its Jacobian in model errors."""
         vehicle = self.corrected(values)
-
-        def of(flight: MeasuredFlight, jacobian: np.ndarray) -> np.ndarray:
-            return _with_model_errors(predict(flight, vehicle), jacobian, values)
-
-        return list(_POOL.map(of, self.flights, self.form_jacobians))
+        return lambda flight, jacobian: _with_model_errors(predict(flight, vehicle), jacobian, values)
 
     def squares(self, values: Values) -> float:
         """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
@@ -300,7 +291,12 @@ class Problem(Candidates):
         at = [1 + unique.index(c) for c in columns]
         a, b, c = grams[np.ix_(range(self.groups), at, at)], grams[:, at, 0], grams[:, 0, 0]
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
-        return Linearisation(tuple(columns), a, b, c, flight_of)
+        return Linearisation(values, tuple(columns), a, b, c, flight_of)
+
+
+def _whitened(flight: MeasuredFlight, predicted: np.ndarray) -> np.ndarray:
+    """Return the white errors (w, C, q) of a prediction (m, C)."""
+    return flight.whitening(flight.cut(flight.measured - predicted))
 
 
 def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tuple[np.ndarray, ...]:
@@ -368,6 +364,7 @@ def _why_unidentifiable(channel: str, least: float, flights: Sequence[MeasuredFl
 class Linearisation:
     """Linearised least squares: Gram matrices of every group of windows (normal equations)."""
 
+    values: Values  # at which it is linearised
     columns: tuple[Column, ...]
     a: np.ndarray  # (g, P, P)
     b: np.ndarray  # (g, P)

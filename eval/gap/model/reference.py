@@ -19,7 +19,6 @@ from scipy.linalg import block_diag
 from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
-    BASE,
     BaseColumn,
     Candidates,
     Column,
@@ -147,7 +146,7 @@ class VehiclePosterior:
     def of_file(path: Path | None, vehicle: Vehicle) -> VehiclePosterior:
         """Return the diagonal covariance of the uncertainties given in a vehicle file."""
         problem = Candidates.for_vehicle(vehicle, free_effects())
-        columns = problem.columns([*problem.library, BASE])
+        columns = problem.all_columns()
         known = {c.field: c for c in constants(path)}
         deviation = [_deviation(problem, c, known) for c in columns]
         return VehiclePosterior(

@@ -58,17 +58,7 @@ def command(
         say(f"No flight is needed: {doubt.set_label(best)} has a probability of {probability}.")
         return
     with stages() as tick:
-        plan = design(
-            plan_input.hypotheses,
-            plan_input.vehicle,
-            noise_levels=plan_input.noise_levels,
-            vary=plan_input.vary,
-            seconds=seconds,
-            platform=plan_input.platform,
-            reference=plan_input.reference,
-            seed=seed,
-            tick=tick,
-        )
+        plan = design(plan_input, seconds=seconds, seed=seed, tick=tick)
     found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
     beyond = doubt.measured_otherwise(found)
     if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:

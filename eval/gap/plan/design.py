@@ -10,19 +10,17 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
 from inclined_landing.eval.gap.plan.information import (
     ModelDiscrimination,
-    NoiseLevels,
     RegressorCoverage,
     ScoredSet,
 )
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
+from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.vehicle import Vehicle
 
 PIECES_PER_KIND = 8  # random safe pieces of every kind
 DRAWS_PER_PIECE = 40  # at most, for one that is safe
@@ -69,36 +67,29 @@ class Plan:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # many small matrices, in threads of our own
 def design(
-    hypotheses: Sequence[ScoredSet],
-    vehicle: Vehicle,
+    plan_input: PlanInput,
     *,
-    noise_levels: NoiseLevels | None = None,
-    vary: Sequence[str] = (),
     seconds: float = SECONDS,
-    platform: bool = False,
-    reference: VehiclePosterior | None = None,
     seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
 ) -> Plan:
     """Return the safe flight with the largest expected information about which set of effects is missing.
 
-    noise_levels: those of the available flights. vary: regressors of an unexplained residual, which the
-    flight varies too (see `RegressorCoverage`). platform: the slab of the vehicle file stands there.
-    reference: posterior of the vehicle's identification. tick: called with every stage. The same arguments
-    give the same plan. Raises UserError when there is no room, the battery does not last, or no safe flight
-    is found.
+    Regressors of an unexplained residual are varied too (see `RegressorCoverage`). tick: called with every
+    stage. The same arguments give the same plan. Raises UserError when there is no room, the battery does not
+    last, or no safe flight is found.
     """
-    space = Space.of(vehicle, platform)
+    vehicle = plan_input.vehicle
+    space = Space.of(vehicle, plan_input.platform)
     if (voltage := safety.battery_voltage(vehicle, seconds)) < safety.LEAST_VOLTAGE:
         raise UserError(
             f"after {seconds:g} s the battery of the vehicle file is at {voltage:.2f} V; "
             "plan a shorter flight"
         )
-    known = probable_sets(hypotheses)
-    levels = noise_levels or NoiseLevels.typical()
-    discrimination = ModelDiscrimination(known, vehicle, levels, reference=reference)
+    discrimination = discrimination_of(plan_input)
+    noise_levels = plan_input.noise_levels
     tick("pieces")
-    coverage = RegressorCoverage(vary, space, discrimination.noise_levels.noise)
+    coverage = RegressorCoverage(plan_input.vary, space, noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
     refused: list[Violation] = []
     for _ in range(ATTEMPTS):
@@ -108,12 +99,12 @@ def design(
         points = setpoints(path, vehicle)
         tick("simulated flights")
         violation, flown = safety.simulate_plan(
-            points, discrimination.vehicles[:SIMULATED], space, discrimination.noise_levels, seed
+            points, discrimination.vehicles[:SIMULATED], space, noise_levels, seed
         )
         if violation is None:
             tick("information")
-            logs = [one.log(discrimination.noise_levels.noise) for one in flown]
-            grams = discrimination.flown_grams(logs, platform=platform)
+            logs = [one.log(noise_levels.noise) for one in flown]
+            grams = discrimination.flown_grams(logs, platform=plan_input.platform)
             expected, gain = discrimination.forecast(grams), discrimination.gain(grams)
             without = None if far is None else discrimination.forecast(far)
             return Plan(points, discrimination, expected, gain, flown, without, tuple(refused))
@@ -123,6 +114,12 @@ def design(
         f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last "
         f"{refused[-1].text} after {refused[-1].time:.1f} s"
     )
+
+
+def discrimination_of(plan_input: PlanInput) -> ModelDiscrimination:
+    """Return the discrimination between the probable sets of a report."""
+    known = probable_sets(plan_input.hypotheses)
+    return ModelDiscrimination(known, plan_input.vehicle, plan_input.noise_levels, plan_input.reference)
 
 
 def probable_sets(hypotheses: Sequence[ScoredSet]) -> list[ScoredSet]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.plan.design import Plan, most_informative_piece, probable_sets
+from inclined_landing.eval.gap.plan.design import Plan, discrimination_of, most_informative_piece
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.reading import PlanInput
@@ -62,12 +62,9 @@ def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
 
     The computation is that of `design`, with one manoeuvre in place of a sequence.
     """
-    known = probable_sets(plan_input.hypotheses)
-    if plan_input.hypotheses[0].probability >= thresholds.DECIDED or len(known) < 2:
+    discrimination = discrimination_of(plan_input)
+    if plan_input.hypotheses[0].probability >= thresholds.DECIDED or len(discrimination) < 2:
         return "", bool(plan_input.vary)
-    discrimination = ModelDiscrimination(
-        known, plan_input.vehicle, plan_input.noise_levels, reference=plan_input.reference
-    )
     space = Space.of(plan_input.vehicle, plan_input.platform)
     piece, gain, expected = most_informative_piece(discrimination, space)
     found = effects_in_doubt(plan_input, discrimination, expected)

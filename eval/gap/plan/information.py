@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError, shown
-from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.vehicle import Vehicle
 
 # Shares of the linear model's information over which gains are averaged: a real flight has less.
@@ -83,7 +83,6 @@ class ModelDiscrimination:
         hypotheses: Sequence[ScoredSet],
         vehicle: Vehicle,
         noise_levels: NoiseLevels,
-        library: Mapping[str, Effect] = LIBRARY,
         reference: VehiclePosterior | None = None,
     ):
         total = sum(h.probability for h in hypotheses)
@@ -93,7 +92,7 @@ class ModelDiscrimination:
         # What only the requests of the motors show: flights that are planned have none.
         shown = {
             n: e
-            for n, e in library.items()
+            for n, e in LIBRARY.items()
             if not e.contact and (n in proposed or "requests" not in e.channels or not e.requires)
         }
         self._candidates = Candidates.for_vehicle(vehicle, shown)

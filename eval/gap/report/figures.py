@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_hex
@@ -24,7 +21,6 @@ from inclined_landing.eval.base.style import (
     RULE,
     literal,
     panel,
-    styled,
 )
 from inclined_landing.eval.gap.report.numbers import shown
 from inclined_landing.eval.gap.report.tracks import Track
@@ -49,14 +45,6 @@ _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
-
-
-def svg(figure: Figure) -> str:
-    """Return the figure as the data address of an SVG image for a page."""
-    file = io.BytesIO()
-    with styled(), matplotlib.rc_context({"svg.hashsalt": "gap", "svg.fonttype": "path"}):
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode("ascii")
 
 
 # ---- where

@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from inclined_landing.envs.shared.tables import new_table
+from inclined_landing.eval.base.page import svg
 from inclined_landing.eval.base.style import BLUE, MUTED, panel, styled
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identification import PAPER, Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
-from inclined_landing.eval.gap.report import figures, numbers, words
+from inclined_landing.eval.gap.report import numbers, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
 from inclined_landing.eval.gap.report.files import VEHICLE, disturbance_fields, rounded, rounded_fields
 from inclined_landing.eval.gap.report.page import render
@@ -156,7 +157,7 @@ def page(
         lead=sentences(found),
         identifiable=identifiable_rows(found),
         identifiable_heads=IDENTIFIABLE,
-        identifiability=figures.svg(identifiability(found)),
+        identifiability=svg(identifiability(found)),
         percent=_percent,
         paper=PAPER["fit"],
         heads=_HEADS,

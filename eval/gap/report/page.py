@@ -56,7 +56,7 @@ def page(
         flight=flight or words.possible_sentence(d),
         rows=rows,
         where=figures.where_tables(d.where),
-        figures={name: [figures.svg(one) for one in some] for name, some in drawn.items()},
+        figures={name: [base_page.svg(one) for one in some] for name, some in drawn.items()},
         mjcf=MJCF,
         heldout=[name for name in d.heldout if name not in d.flights],
         notes=notes,

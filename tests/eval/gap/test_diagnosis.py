@@ -9,10 +9,10 @@ import pytest
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap
 from inclined_landing.eval.gap.answer import named as naming
 from inclined_landing.eval.gap.answer.identification import identify
-from inclined_landing.eval.gap.answer.touchdown import dersimonian_laird
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare, prepare_all
 from inclined_landing.eval.gap.infer import sets
+from inclined_landing.eval.gap.infer.contact import dersimonian_laird
 from inclined_landing.eval.gap.infer.fit import (
     active_set_step,
     estimate_noise,

@@ -175,7 +175,7 @@ def test_simulated_flights_follow_the_plan():
 
 @pytest.fixture(scope="module")
 def plan():
-    return design([DRAG, BODY], VEHICLE, seconds=10.0, reference=VehiclePosterior.of_file(None, VEHICLE))
+    return design(plan_input(DRAG, BODY), seconds=10.0)
 
 
 def test_the_design_is_safe_repeatable_and_tells(plan):
@@ -202,7 +202,7 @@ def test_a_flight_goes_near_the_floor_where_it_must_and_says_why():
     """The ground effect shows there alone, and already above the least height."""
     strong = LIBRARY["ground_effect"].plausible | {"strength": 12.0}
     ground = ScoredSet(("ground_effect",), 0.5, {"ground_effect": strong})
-    low = design([ScoredSet((), 0.5, {}), ground], VEHICLE, seconds=10.0)
+    low = design(plan_input(ScoredSet((), 0.5, {}), ground), seconds=10.0)
     near = [span.piece for span in low.path.spans if span.piece.near]
     assert near and max(piece.height for piece in near) > 0.1
     assert low.expected[1, 1] > low.without[1, 1] + 0.2
@@ -354,11 +354,11 @@ def test_the_vehicle_that_gap_identified_is_planned_for(tmp_path):
 def test_no_report_and_no_room_are_refused(tmp_path, capsys):
     assert main(["plan", str(tmp_path / "no"), "--out", str(tmp_path / "flight")]) == 2
     assert "is not a folder" in capsys.readouterr().err
-    narrow = dataclasses.replace(VEHICLE, arena_y=(-0.5, 0.5))
+    usual, narrow = plan_input(DRAG, BODY), VEHICLE.changed(arena_y=(-0.5, 0.5))
     with pytest.raises(ValueError, match=r"6\.2 x 0\.4 x 1\.8 m to fly in"):
-        design([DRAG, BODY], narrow)
+        design(dataclasses.replace(usual, vehicle=narrow))
     with pytest.raises(ValueError, match="battery"):
-        design([DRAG, BODY], dataclasses.replace(VEHICLE, effects_voltage_discharge=0.1))
+        design(dataclasses.replace(usual, vehicle=VEHICLE.changed(effects_voltage_discharge=0.1)))
 
 
 def test_an_unknown_remainder_is_excited_broadly():
@@ -372,7 +372,7 @@ def test_an_unknown_remainder_is_excited_broadly():
     }
     assert told["climb"] > told["hover"] < told["low_pass"]
     with pytest.raises(ValueError, match="unknown quantity 'colour'"):
-        design([DRAG], VEHICLE, vary=["colour"])
+        design(dataclasses.replace(plan_input(DRAG), vary=("colour",)))
 
 
 def test_the_short_text_names_a_piece_the_scale_or_nothing():

@@ -11,7 +11,6 @@ from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import LandingReference, contact_model_covariance, landings_of
 from inclined_landing.eval.gap.infer.contact import (
-    ContactEstimate,
     ContactPosterior,
     common_residual_p_value,
     contact_posterior,
@@ -19,7 +18,7 @@ from inclined_landing.eval.gap.infer.contact import (
 )
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
-from inclined_landing.eval.gap.result import ScoredSet, from_plain, marginal, plain
+from inclined_landing.eval.gap.result import Estimate, ScoredSet, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation.gap_blind import cases, causes
@@ -46,7 +45,7 @@ def higher():
 def test_an_unlikely_effect_of_contact_is_not_named(likely):
     """Though it is in the most probable set: the others share the rest."""
     share = thresholds.NAMED + 0.05 if likely else thresholds.NAMED - 0.05
-    sized = ContactEstimate(1.3, (1.1, 1.5), np.full(8, 1.3), np.full(8, 0.1))
+    sized = Estimate(1.3, "1", (1.1, 1.5), 1.0, (0.5, 2.0), False, (1.3,) * 8, (0.1,) * 8, 0.0)
     probable = ScoredSet(("friction",), share, {"friction": {"scale": 1.3}})
     posterior = ContactPosterior(
         (probable, ScoredSet((), 1.0 - share)),
@@ -101,7 +100,7 @@ def test_a_contact_effect_is_named_among_few(higher):
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
     assert found.probability("platform_height") > 0.9 and confounded_with(found, "platform_height") == ()
     assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
-    low, high = found.sizes["platform_height"].ends
+    low, high = found.sizes["platform_height"].ci95
     assert low < found.sets[0].values["platform_height"]["offset"] < high and high - low < 0.006
     assert found.gains == {"platform_height": 1.0} and not found.unexplained
 
