@@ -1,10 +1,6 @@
 """`landing-eval gap` from logs to folder; what it says to logs that are not as they should be."""
 
-import dataclasses
-import errno
 import json
-import os
-import pathlib
 import re
 
 import numpy as np
@@ -19,7 +15,6 @@ from inclined_landing.eval.gap.plan.reading import read_report
 from inclined_landing.eval.gap.result import REFERENCE
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.parameters import load_vehicle
-from tests.eval.gap.test_report import example
 from tests.validation.gap_blind import generate
 from tests.validation.gap_blind.causes import Drawn
 
@@ -211,26 +206,3 @@ def test_options_that_cannot_be_used_are_refused(logs, gap, tmp_path):
     ):
         code, _, error = gap(*arguments)
         assert code == 2 and re.search(words, error), error
-
-
-def test_an_occupied_folder_stays_as_it_is(logs, tmp_path, capsys):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine").write_text("1")
-    assert cli.main(["gap", *logs(), "--out", str(tmp_path / "out")]) == 2
-    assert "not empty" in capsys.readouterr().err
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["mine"]
-
-
-def test_a_full_disk_costs_the_files_but_not_the_answer(logs, tmp_path, capsys, monkeypatch):
-    files = logs(count=1)
-    answer = dataclasses.replace(example(), flights=("flight_0",), heldout=("flight_0",))
-    monkeypatch.setattr("inclined_landing.eval.gap.pipeline.diagnose", lambda *_, **__: answer)
-
-    def full(self, data):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(pathlib.Path, "write_bytes", full)
-    assert cli.main(["gap", *files, "--out", str(tmp_path / "out")]) == 2
-    shown = capsys.readouterr()
-    assert "no space left" in shown.err and "Thrust over mass is 12 % lower" in shown.out
-    assert sorted(str(p) for p in tmp_path.iterdir()) == files

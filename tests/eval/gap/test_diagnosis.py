@@ -148,13 +148,6 @@ def test_hidden_effect_is_named(name, values):
         assert estimate.ci95[0] < estimate.value < estimate.ci95[1]
 
 
-@pytest.mark.slow
-def test_two_hidden_effects_are_named():
-    truth = {"rotor_drag": {"lateral": 2.0, "axial": 2.0}, "attitude_time_constant": {"scale": 0.7}}
-    d = quick(flights(truth, seed=3))
-    assert {e.name for e in d.effects} == set(truth)
-
-
 def test_equal_delays_are_one_late_measurement():
     both = {"thrust_delay": {"delay": 0.02}, "attitude_delay": {"delay": 0.02}}
     d = quick(flights(both, seed=4, count=3, seconds=6.0))
@@ -177,15 +170,6 @@ def test_correction_closes_the_gap_in_both_plants(weak):
     assert measure_gap(corrected, weak)["error"] < 0.1 * measure_gap(VEHICLE, weak)["error"]
 
 
-@pytest.mark.slow
-def test_judged_on_flights_left_out(weak):
-    d = diagnose(weak[:4], VEHICLE, heldout=weak[4:], plants=("analytic",))
-    assert d.heldout == (weak[4].name,)
-    assert d.gap["analytic"].closed > 0.97
-    row = next(r for r in d.where if (r.regime, r.channel) == ("all", "z"))
-    assert row.before > 10 * row.after
-
-
 def test_what_no_effect_explains_is_said():
     """A dead zone of the sticks is in no library: what repeats is said, with the command it depends on."""
 
@@ -198,19 +182,6 @@ def test_what_no_effect_explains_is_said():
     assert d.residual.unexplained and "repeats from flight to flight" in how_much(d)
     assert {"tilt", "commands", "tilt commands and their past"} & {x.on for x in d.residual.depends_on}
     assert {"roll", "pitch"} & {x.channel for x in d.residual.depends_on}
-
-
-@pytest.mark.slow
-def test_a_command_that_acts_across_its_axis_is_said():
-    """A tenth of each tilt command also tilts about the other axis: in no library, and linear."""
-
-    def across(u):
-        return np.array([u[0], u[1] + 0.1 * u[2], u[2] - 0.1 * u[1], u[3]])
-
-    d = quick(flights(distort=across, seed=6, count=4, seconds=8.0))
-    assert {("roll", "pitch command"), ("pitch", "roll command")} & {
-        (x.channel, x.on) for x in d.residual.depends_on
-    }
 
 
 @pytest.mark.slow
@@ -267,13 +238,6 @@ def test_spread_between_flights():
     assert dersimonian_laird(np.array([1.0, 2.0, 3.0]), np.full(3, 0.1)) == pytest.approx(1.0, rel=0.02)
 
 
-@pytest.mark.slow
-def test_one_flight_only_is_used_with_a_stated_limit(weak):
-    d = quick(weak[:1])
-    assert "thrust_scale" in d.effects[0].members
-    assert any("1 flight only" in note for note in d.notes)
-
-
 def test_what_is_known_beforehand_holds_a_fit():
     """Wind of 0.5 m/s in one flight: a narrow prior holds it at nothing, a wide one leaves it free."""
     log = flights({"wind": {"x": 0.5, "y": 0.0}}, count=1, seed=9)
@@ -290,14 +254,6 @@ def test_what_is_known_beforehand_holds_a_fit():
 
 
 @pytest.mark.slow
-def test_constant_voltage_tells_nothing(weak):
-    logs = [dataclasses.replace(log, voltage=np.full(len(log), 3.9)) for log in weak]
-    d = quick(logs)
-    assert any("logged battery voltage is constant: battery_voltage" in note for note in d.notes)
-    assert not any("battery_voltage" in e.members for e in d.effects)
-
-
-@pytest.mark.slow
 def test_measured_voltage_is_used():
     """A battery that falls by 0.3 V: the sensitivity is named, its reference free."""
     logs = flights(
@@ -306,18 +262,6 @@ def test_measured_voltage_is_used():
     d = quick(logs)
     assert [e.name for e in d.effects] == ["battery_voltage"]
     assert d.effects[0].parameters["sensitivity"].value == pytest.approx(0.5, rel=0.1)
-
-
-@pytest.mark.slow
-def test_yaw_command_not_logged(weak):
-    logs = [
-        dataclasses.replace(x, command=np.column_stack([x.command[:, :3], np.full(len(x), np.nan)]))
-        for x in weak
-    ]
-    d = quick(logs)
-    assert "thrust_scale" in d.effects[0].members
-    assert any("yaw" in note for note in d.notes)
-    assert not any(row.channel == "yaw" for row in d.where)
 
 
 def test_short_and_incomplete_logs_are_refused(matched):
@@ -436,15 +380,6 @@ def test_a_controller_that_answers_its_battery_is_no_weak_actuator(seed):
     assert [e.name for e in doubted.effects] == [name.name] and not doubted.effects[0].sure
     assert "predicts z of its own flights worse" in doubted.effects[0].doubt
     assert name.sure and "mass" in name.members and all(LIBRARY[n].scales_thrust for n in name.members)
-
-
-@pytest.mark.slow
-def test_late_but_quick_attitude_loop_is_two_effects():
-    hidden = {"attitude_delay": {"delay": 0.05}, "attitude_time_constant": {"scale": 0.6}}
-    values = quick(flights(hidden, seed=7)).values()
-    assert set(values) == set(hidden)
-    assert values["attitude_delay"]["delay"] == pytest.approx(0.05, abs=0.005)
-    assert values["attitude_time_constant"]["scale"] == pytest.approx(0.6, rel=0.05)
 
 
 @pytest.mark.slow

@@ -43,7 +43,6 @@ from inclined_landing.models import effects
 from inclined_landing.models.base import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
-from tests.pages import EVIL, check_page
 
 FLIGHTS = ("a", "b", "c")
 SCALE, TRIM, WIND = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}, {"x": 0.1, "y": 0.0}
@@ -329,13 +328,6 @@ def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
         assert distinct.keys() == kept
 
 
-def test_a_product_is_said_where_only_it_is_seen():
-    wind = dataclasses.replace(named("wind", {"x": 0.8, "y": 0.1}), product=(0.24, (0.21, 0.27)))
-    said = words.product_sentence(wind)
-    assert "the force of the wind" in said and "0.24" in said and "in hover" in said
-    assert words.product_sentence(named("attitude_trim", TRIM)) == ""
-
-
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
         text = words.sentence(named(name, effect.plausible))
@@ -383,18 +375,6 @@ def test_headlines_say_what_is_known_and_what_is_not():
     assert words.headline(nameless) == "The flights show an error that no effect of the library explains."
 
 
-def test_the_first_sentences_hold_gain_class_and_flight():
-    text = " ".join(words.sentences(example(), "Weigh it."))
-    assert (
-        "Explained: 92 % of the position error one second ahead, which falls from 49 cm to 4.0 cm "
-        "(noise alone: 1.0 cm)" in text
-    )
-    assert "Weigh it." in text
-    assert "This could be thrust scale (82 %) or mass (17 %): free flight shows only the ratio" in text
-    answer = words.answers(example())[1]
-    assert (answer.remedy, answer.how) == (LIBRARY["attitude_trim"].remedy, "sure, 97 %")
-
-
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
 def test_the_page_stands_alone(verdict, track):
     d = example(verdict)
@@ -407,17 +387,6 @@ def test_the_page_stands_alone(verdict, track):
     assert ("0.300 m/s² in z depends on place, mostly in hover" in text) == (verdict == "unknown")
 
 
-def test_the_page_escapes_names_of_flights_and_notes(track):
-    d = dataclasses.replace(
-        example("unknown"),
-        flights=(f"{EVIL} flight", "b"),
-        heldout=(f"{EVIL} heldout",),
-        notes=(f"{EVIL} note",),
-    )
-    html = page(d, track, versions={"python": f"{EVIL} version"}, notes=(f"{EVIL} log",))
-    check_page(html, *(f"{EVIL} {word}" for word in ("flight", "heldout", "note", "log", "version")))
-
-
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
         example("nothing"), where=(), sets=(), disturbance={}, horizon=(), gap={},
@@ -426,13 +395,6 @@ def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     )  # fmt: skip
     assert "the fit to all others" in page(d, None, versions={})
     figures.overview(example("nothing"), None)
-
-
-def test_the_terminal_says_the_same(capsys):
-    terminal.show(example(), ("hover thrust differs",))
-    out = " ".join(capsys.readouterr().out.split())
-    assert out.endswith(words.headline(example())) and "Note: hover thrust differs." in out
-    assert "thrust over mass 0.880 0.868 to 0.892 sure, 99 %" in out
 
 
 def test_every_view_shows_the_same_probabilities_and_sizes(capsys):

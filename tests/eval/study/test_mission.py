@@ -8,12 +8,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from inclined_landing.envs.mission import fly_missions
 from inclined_landing.eval import cli
-from inclined_landing.eval.pictures import frames
-from inclined_landing.eval.pictures.labels import outcome_label
-from inclined_landing.eval.study.missions import make_plan
-from inclined_landing.eval.study.options import HandOver
 
 
 def test_missions_are_counted_and_drawn(tmp_path, capsys):
@@ -47,18 +42,6 @@ def test_the_first_mission_is_filmed(tmp_path):
     assert next(reader)["size"] == (160, 90)
     assert len(list(reader)) == round(50 * time) + 51  # the last one stays for a second
     assert (out / "flight.gif").stat().st_size and Image.open(out / "flight.png").size == (160, 90)
-
-
-def test_labels_name_the_leg_and_the_end():
-    plan = make_plan(("setpoint", "landing", "touchdown"), HandOver(), None, None)
-    mission = fly_missions(plan, [-1.0, 0.0, 1.8])[0]
-    last = len(mission.t) - 1
-    begun = [frames.labels_of(mission, k)[0][0] for k in (0, np.argmax(mission.leg == 3), last)]
-    assert begun == ["landing: policy landing", *["touchdown: policy touchdown"] * 2]
-    assert len(frames.labels_of(mission, 0)) == 1 and frames.labels_of(mission, last)[1] == outcome_label(
-        mission.summary, True
-    )
-    assert len(mission.goals) == 2 and mission.goals[0][2] == 1.8
 
 
 def test_the_same_seed_gives_the_same_missions(capsys):

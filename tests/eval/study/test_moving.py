@@ -43,21 +43,6 @@ def test_ship_and_car_move_as_their_spectra_say(name):
     np.testing.assert_allclose(scenario.waves.period, made.period, atol=5.1e-5)
 
 
-def test_a_car_on_a_smooth_slow_wave_follows_the_road():
-    """Known truth: far below its resonances, a car moves as the road, and a long wave lifts the ship by
-    itself."""
-    strut = spectra.SPRING + 1j * spectra.DAMPER * 0.01
-    body = strut * spectra.TYRE / ((strut - 1e-4) * (strut + spectra.TYRE - 1.5e-5) - strut**2)
-    assert abs(body) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_the_sea_has_its_height():
-    """Significant height is four times the root of the variance; the components cover most of the
-    spectrum."""
-    _, amplitude = spectra.sea(5)
-    assert 4.0 * math.sqrt(0.5 * (amplitude**2).sum()) == pytest.approx(3.25, rel=0.05)
-
-
 def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     """On a ship at sea; fewer flights are the first ones, with the same numbers."""
     scenario, planner = scenarios()["ship_5_bow"], controllers.find("planner", VEHICLE)

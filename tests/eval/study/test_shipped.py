@@ -1,13 +1,9 @@
 """The policies in the repository do what the README says of them."""
 
-import shutil
-import subprocess
-import sys
-
 import pytest
 
 from inclined_landing.envs.ids import SHIPPED
-from inclined_landing.envs.policy import load_policy, locate, trained_task
+from inclined_landing.envs.policy import load_policy, trained_task
 from inclined_landing.eval.study.engine import run
 from inclined_landing.eval.study.groups import study
 from inclined_landing.eval.study.moving import fly
@@ -27,26 +23,6 @@ def test_metadata_say_how_it_was_made(name):
     assert metadata["command"].startswith("landing-train")
     assert name not in FIRST_SEED or metadata["seed"] == FIRST_SEED[name]
     assert metadata["versions"]["mujoco"] >= "4" and metadata["steps"] >= 400_000
-
-
-def test_a_further_policy_is_found_by_its_file(tmp_path):
-    """In a process of its own: the names are read once."""
-    folder = shutil.copytree(locate("landing").parent, tmp_path / "shipped")
-    shutil.copy(folder / "landing.zip", folder / "landing-other.zip")
-    script = f"""
-import importlib.resources, pathlib
-files = importlib.resources.files
-importlib.resources.files = lambda p: pathlib.Path({str(tmp_path)!r}) if p.endswith(".envs") else files(p)
-from inclined_landing.envs.ids import SHIPPED
-from inclined_landing.envs.policy import load_policy
-assert SHIPPED == ("landing", "setpoint", "touchdown", *[n for n in SHIPPED if "-" in n]), SHIPPED
-assert "landing-other" in SHIPPED and load_policy("landing-other").name == "landing-other"
-try:
-    load_policy("nothing")
-except ValueError as error:
-    assert "landing-other" in str(error)
-"""
-    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 def every(names):

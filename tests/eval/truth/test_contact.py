@@ -52,10 +52,3 @@ def test_a_claim_that_fails_is_exit_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(laws.WORDS.tables["slip"]["onset"], "high", 0.01)  # its resolution is 0.1 deg
     assert main(["contact", "--out", str(tmp_path / "page")]) == 1
     assert "not met: onset of sliding" in capsys.readouterr().out
-
-
-def test_a_used_folder_is_refused(tmp_path, capsys):
-    (tmp_path / "contact.html").write_text("mine")
-    assert main(["contact", "--out", str(tmp_path)]) == 2
-    assert "exists and is not empty" in capsys.readouterr().err
-    assert (tmp_path / "contact.html").read_text() == "mine"
