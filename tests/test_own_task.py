@@ -82,37 +82,26 @@ def test_all_the_way(path, own, tmp_path, capsys):
     assert (tmp_path / "figures" / "trajectory.pdf").is_file()
 
 
-@pytest.mark.parametrize(
-    ("path", "code", "sentence"),
-    [
-        ("nowhere:Hop", "", "cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
-        ("nowhere.py:Hop", "", "task file nowhere.py does not exist"),
-        ("pipe.py:Hop", "", "task file pipe.py is a pipe or device, not a file"),
-        ("loop.py:Hop", "", "task file loop.py cannot be read: too many levels of symbolic links"),
-        ("hopping.py:", "", "as module:Class or file.py:Class, not hopping.py:"),
-        ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
-        ("hopping.py:np", "", "hopping.py has no class np derived"),
-        ("hopping.py:Hop", "Hop.name = 'landing'", "is named landing, as a task of this package"),
-        ("hopping.py:Hop", "Hop.name = 'a b'", "has name 'a b'; use lowercase letters and digits"),
-        ("hopping.py:Hop", "del Hop.action_names", "lacks action_names"),
-        (
-            "hopping.py:Hop",
-            "Hop.action_names = ('lift',)",
-            "choose from thrust, roll, pitch, yaw rate",
-        ),
-        ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it must be"),
-        ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it must be a tuple of distinct names"),
-        (
-            "hopping.py:Hop",
-            "Hop.observation_names = ('z',)",
-            "observation_scale must have shape (1,)",
-        ),
-        ("hopping.py:Hop", "Hop.observation_scale[0] = 0", "has an observation_scale that is not positive"),
-        ("hopping.py:Bare", "class Bare(Task): pass", "lacks evaluate and sample"),
-        ("hopping.py:Hop", "1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("hopping.py:Hop", "raise SystemExit", "cannot be imported: SystemExit"),
-    ],
-)
+@pytest.mark.parametrize(("path", "code", "sentence"), [
+    ("nowhere:Hop", "", "cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
+    ("nowhere.py:Hop", "", "task file nowhere.py does not exist"),
+    ("pipe.py:Hop", "", "task file pipe.py is a pipe or device, not a file"),
+    ("loop.py:Hop", "", "task file loop.py cannot be read: too many levels of symbolic links"),
+    ("hopping.py:", "", "as module:Class or file.py:Class, not hopping.py:"),
+    ("hopping.py:Jump", "", "hopping.py has no class Jump derived from inclined_landing.envs.tasks.Task"),
+    ("hopping.py:np", "", "hopping.py has no class np derived"),
+    ("hopping.py:Hop", "Hop.name = 'landing'", "is named landing, as a task of this package"),
+    ("hopping.py:Hop", "Hop.name = 'a b'", "has name 'a b'; use lowercase letters and digits"),
+    ("hopping.py:Hop", "del Hop.action_names", "lacks action_names"),
+    ("hopping.py:Hop", "Hop.action_names = ('lift',)", "choose from thrust, roll, pitch, yaw rate"),
+    ("hopping.py:Hop", "Hop.action_names = ()", "has action_names (); it must be"),
+    ("hopping.py:Hop", "Hop.observation_names = ('z', 'z')", "it must be a tuple of distinct names"),
+    ("hopping.py:Hop", "Hop.observation_names = ('z',)", "observation_scale must have shape (1,)"),
+    ("hopping.py:Hop", "Hop.observation_scale[0] = 0", "has an observation_scale that is not positive"),
+    ("hopping.py:Bare", "class Bare(Task): pass", "lacks evaluate and sample"),
+    ("hopping.py:Hop", "1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
+    ("hopping.py:Hop", "raise SystemExit", "cannot be imported: SystemExit"),
+])  # fmt: skip
 def test_what_is_no_task_is_refused_in_a_sentence(path, code, sentence, own, tmp_path, capsys):
     (tmp_path / "hopping.py").write_text(CODE + "\n" + code, "utf-8")
     os.mkfifo(tmp_path / "pipe.py")

@@ -163,32 +163,21 @@ def damaged_metadata(path):
         archive.writestr(METADATA_FILE, "{")
 
 
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda path: None, "does not exist"),
-        (lambda path: path.mkdir(), "is a folder"),
-        (lambda path: path.write_text("nothing"), "is not a zip file"),
-        (another_zip, "is damaged, or not a policy file; .* with save_policy"),
-        (
-            lambda path: saved(path, model(8, 3)),
-            "takes 8 observations and returns 3 actions, but the task landing has 5 and 2",
-        ),
-        (
-            lambda path: saved(path, model(8, 3), SETPOINT),
-            "was trained for the task setpoint, not for landing",
-        ),
-        (nan_weights, "NaN or infinite"),
-        (discrete_actions, "in an action space other than the task's .*save_policy"),
-        (
-            lambda path: learner(Spaces(5, 2), SAC).save(path),
-            "neither a file of this package nor .*save_policy",
-        ),
-        (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
-        (damaged_metadata, "inclined_landing.json in it is not JSON"),
-        (lambda path: saved(path, model(), METADATA | {"task_options": {"colour": 3}}), "colour"),
-    ],
-)
+@pytest.mark.parametrize(("make", "sentence"), [
+    (lambda path: None, "does not exist"),
+    (lambda path: path.mkdir(), "is a folder"),
+    (lambda path: path.write_text("nothing"), "is not a zip file"),
+    (another_zip, "is damaged, or not a policy file; .* with save_policy"),
+    (lambda path: saved(path, model(8, 3)),
+     "takes 8 observations and returns 3 actions, but the task landing has 5 and 2"),
+    (lambda path: saved(path, model(8, 3), SETPOINT), "was trained for the task setpoint, not for landing"),
+    (nan_weights, "NaN or infinite"),
+    (discrete_actions, "in an action space other than the task's .*save_policy"),
+    (lambda path: learner(Spaces(5, 2), SAC).save(path), "neither a file of this package nor .*save_policy"),
+    (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
+    (damaged_metadata, "inclined_landing.json in it is not JSON"),
+    (lambda path: saved(path, model(), METADATA | {"task_options": {"colour": 3}}), "colour"),
+])  # fmt: skip
 def test_wrong_files_are_one_sentence(tmp_path, make, sentence):
     path = tmp_path / "p.zip"
     make(path)

@@ -59,39 +59,29 @@ def test_a_whole_number_becomes_the_float_next_to_it(number):
     assert parse(number, Real) == float(number)
 
 
-@pytest.mark.parametrize(
-    ("keys", "value", "sentence"),
-    [
-        (("seed",), 9, "seed must be a whole number of at least 0 and below 9, not 9"),
-        (("seed",), True, "seed must be a whole number of at least 0 and below 9, not True"),
-        (("seed",), 1.0, "seed must be a whole number of at least 0 and below 9, not 1.0"),
-        (("seed",), ..., "seed is missing"),
-        (("part", "size"), math.nan, "[part] size must be a number from 0 to 1, not nan"),
-        (("part", "size"), "1", "[part] size must be a number from 0 to 1, not '1'"),
-        (
-            ("part", "size"),
-            10**400,
-            f"[part] size must be a number from 0 to 1, not 1{25 * '0'} ... {10 * '0'}",
-        ),
-        (("part", "size"), ..., "[part] lacks size"),
-        (("part", "from"), math.inf, "[part] from must be a number, not inf"),
-        (("part", "sides"), [1], "[part] sides must be a list of 2, each a number from 0 to 1, not [1]"),
-        (("part", "sides", 1), -1, "[part] sides[1] must be a number from 0 to 1, not -1"),
-        (("part", "side"), 1, "unknown entry 'side' in [part]; did you mean sides?"),
-        (("part", "colour"), 1, "unknown entry 'colour' in [part]; choose from size, sides, from"),
-        (("part",), 3, "part must be a table, not 3"),
-        (("title",), "", "title must be text of 1 to 5 characters, not ''"),
-        (("kind",), "left", "kind must be 'down' or 'up' or a number from 0 to 1, not 'left'"),
-        (("parts", "left one", "size"), 2, "[parts.left one] size must be a number from 0 to 1, not 2"),
-        (
-            ("rows",),
-            [[]] * 3,
-            "rows must be a list of at most 2 entries, each a list, each text or a table, not ",
-        ),
-        (("rows", 1, 1, "size"), 2, "[rows[1][1]] size must be a number from 0 to 1, not 2"),
-        (("x - at `$.part",), 1, "unknown entry 'x - at `$.part' in the file; choose from seed, part"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "value", "sentence"), [
+    (("seed",), 9, "seed must be a whole number of at least 0 and below 9, not 9"),
+    (("seed",), True, "seed must be a whole number of at least 0 and below 9, not True"),
+    (("seed",), 1.0, "seed must be a whole number of at least 0 and below 9, not 1.0"),
+    (("seed",), ..., "seed is missing"),
+    (("part", "size"), math.nan, "[part] size must be a number from 0 to 1, not nan"),
+    (("part", "size"), "1", "[part] size must be a number from 0 to 1, not '1'"),
+    (("part", "size"), 10**400, f"[part] size must be a number from 0 to 1, not 1{25 * '0'} ... {10 * '0'}"),
+    (("part", "size"), ..., "[part] lacks size"),
+    (("part", "from"), math.inf, "[part] from must be a number, not inf"),
+    (("part", "sides"), [1], "[part] sides must be a list of 2, each a number from 0 to 1, not [1]"),
+    (("part", "sides", 1), -1, "[part] sides[1] must be a number from 0 to 1, not -1"),
+    (("part", "side"), 1, "unknown entry 'side' in [part]; did you mean sides?"),
+    (("part", "colour"), 1, "unknown entry 'colour' in [part]; choose from size, sides, from"),
+    (("part",), 3, "part must be a table, not 3"),
+    (("title",), "", "title must be text of 1 to 5 characters, not ''"),
+    (("kind",), "left", "kind must be 'down' or 'up' or a number from 0 to 1, not 'left'"),
+    (("parts", "left one", "size"), 2, "[parts.left one] size must be a number from 0 to 1, not 2"),
+    (("rows",), [[]] * 3,
+     "rows must be a list of at most 2 entries, each a list, each text or a table, not "),
+    (("rows", 1, 1, "size"), 2, "[rows[1][1]] size must be a number from 0 to 1, not 2"),
+    (("x - at `$.part",), 1, "unknown entry 'x - at `$.part' in the file; choose from seed, part"),
+])  # fmt: skip
 def test_what_does_not_fit_is_named(keys, value, sentence):
     data = table = copy.deepcopy(GOOD)
     for key in keys[:-1]:

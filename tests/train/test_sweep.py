@@ -191,35 +191,28 @@ def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
     assert sweep() == 0 and not calls()
 
 
-@pytest.mark.parametrize(
-    ("change", "words", "sentence"),
-    [
-        ({}, ["--on", "moon"], "--on must be local or ray"),
-        ({}, ["--address", "here:1"], "--address needs --on ray"),
-        ({}, ["--out", "pretended.py"], "is not a folder"),
-        ({}, ["--out", "."], "exists and is not empty"),
-        ({"commands": ["landing-train landing --step 3"]}, [], "--step"),
-        ({"commands": ["landing-train landing --gamma 2"]}, [], "--gamma must be a number above"),
-        ({"commands": ["landing-train --help"]}, [], "unknown command --help"),
-        ({"variants": {"a": "", "b": "--gamma"}}, [], "--gamma"),
-        ({"commands": ["landing-eval sucess x"]}, [], "unknown command sucess"),
-        ({"commands": ["landing-eval touchdown"]}, [], "POLICY"),
-        ({"commands": ["rm -r {out}"]}, [], "a command line begins with landing-train or landing-eval"),
-        ({"commands": ["landing-train 'landing"]}, [], "quotation"),
-        (
-            {"commands": ["landing-train landing --seed {sed}"]},
-            [],
-            "unknown placeholder {sed} in landing-train",
-        ),
-        ({"together": ["landing-eval curves {seed}"]}, [], "unknown placeholder {seed} in landing-eval"),
-        ({"answer": "{steps}"}, [], "unknown placeholder {steps} in {steps}; choose from a.steps"),
-        ({"seeds": "many"}, [], "seeds must be a list"),
-        ({"seeds": [1, 1]}, [], "a seed is listed twice"),
-        ({"variants": {"a/b": ""}}, [], "variants must be a table"),
-        ({"numbers": {}}, [], "numbers must be a table of at least 1"),
-        ({"unknown": 1}, [], "unknown entry 'unknown'"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words", "sentence"), [
+    ({}, ["--on", "moon"], "--on must be local or ray"),
+    ({}, ["--address", "here:1"], "--address needs --on ray"),
+    ({}, ["--out", "pretended.py"], "is not a folder"),
+    ({}, ["--out", "."], "exists and is not empty"),
+    ({"commands": ["landing-train landing --step 3"]}, [], "--step"),
+    ({"commands": ["landing-train landing --gamma 2"]}, [], "--gamma must be a number above"),
+    ({"commands": ["landing-train --help"]}, [], "unknown command --help"),
+    ({"variants": {"a": "", "b": "--gamma"}}, [], "--gamma"),
+    ({"commands": ["landing-eval sucess x"]}, [], "unknown command sucess"),
+    ({"commands": ["landing-eval touchdown"]}, [], "POLICY"),
+    ({"commands": ["rm -r {out}"]}, [], "a command line begins with landing-train or landing-eval"),
+    ({"commands": ["landing-train 'landing"]}, [], "quotation"),
+    ({"commands": ["landing-train landing --seed {sed}"]}, [], "unknown placeholder {sed} in landing-train"),
+    ({"together": ["landing-eval curves {seed}"]}, [], "unknown placeholder {seed} in landing-eval"),
+    ({"answer": "{steps}"}, [], "unknown placeholder {steps} in {steps}; choose from a.steps"),
+    ({"seeds": "many"}, [], "seeds must be a list"),
+    ({"seeds": [1, 1]}, [], "a seed is listed twice"),
+    ({"variants": {"a/b": ""}}, [], "variants must be a table"),
+    ({"numbers": {}}, [], "numbers must be a table of at least 1"),
+    ({"unknown": 1}, [], "unknown entry 'unknown'"),
+])  # fmt: skip
 def test_wrong_input_is_one_sentence_and_nothing_begins(change, words, sentence, place, capsys):
     write(RECIPE | change)
     before = sorted(place.rglob("*"))

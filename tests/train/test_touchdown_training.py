@@ -57,20 +57,15 @@ def test_the_law_comes_in_uphill():
     assert not np.isnan(speed).any() and np.median(speed) > 0.3
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"task": "landing", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
-        ({"task": "setpoint", "start_from": "landing"}, "trained for the task landing, not for setpoint"),
-        ({"start_from": "none.zip"}, "policy none.zip does not exist"),
-        ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
-        ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
-        (
-            {"task": "touchdown", "nominal": True, "pwm_centre": "paper"},
-            "can only continue policies with its pwm_centre",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("options", "sentence"), [
+    ({"task": "landing", "start_from": "setpoint"}, "trained for the task setpoint, not for landing"),
+    ({"task": "setpoint", "start_from": "landing"}, "trained for the task landing, not for setpoint"),
+    ({"start_from": "none.zip"}, "policy none.zip does not exist"),
+    ({"task": "touchdown", "plant": "analytic"}, "needs the MuJoCo plant"),
+    ({"task": "touchdown", "curriculum": "none"}, "it must be touchdown"),
+    ({"task": "touchdown", "nominal": True, "pwm_centre": "paper"},
+     "can only continue policies with its pwm_centre"),
+])  # fmt: skip
 def test_wrong_input(tmp_path, options, sentence):
     with pytest.raises(UserError, match=sentence):
         train(TrainConfig(out=tmp_path / "run", steps=512, **(TINY | options)))

@@ -510,24 +510,13 @@ def test_modes_and_counters_of_one_vehicle_choose_nothing(tmp_path):
     assert len(read(tmp_path / "a.csv")) == 400
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            lambda table: table.assign(t=np.floor(table["t"])),
-            "396 of 400 rows .* a clock in steps of 1 s is too coarse",
-        ),
-        (lambda table: two_vehicles(0.0).drop(columns=["id", "body"]).sort_values("t"), "several vehicles"),
-        (
-            lambda table: table.assign(t=np.arange(400)),
-            r"t increases by exactly 1 per row.*--unit t='0\.01 s'",
-        ),
-        (
-            lambda table: table.rename(columns={"t": "time"}).assign(t=np.arange(400)),
-            "omit it for time",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda table: table.assign(t=np.floor(table["t"])),
+     "396 of 400 rows .* a clock in steps of 1 s is too coarse"),
+    (lambda table: two_vehicles(0.0).drop(columns=["id", "body"]).sort_values("t"), "several vehicles"),
+    (lambda table: table.assign(t=np.arange(400)), r"t increases by exactly 1 per row.*--unit t='0\.01 s'"),
+    (lambda table: table.rename(columns={"t": "time"}).assign(t=np.arange(400)), "omit it for time"),
+])  # fmt: skip
 def test_instants_that_repeat_and_frames_are_refused(tmp_path, change, words):
     log = a_log(400)
     change(log_table(log)).to_csv(tmp_path / "a.csv", index=False)
