@@ -4,7 +4,7 @@
 
 A result is that of `landing-train sweep`, copied next to its recipe in `train/recipes`. Figures and films are
 those that the recipe's last commands make, copied into `docs/beyond`; `tasks.gif` shows one flight each of
-the recipes for other slopes, platforms and vehicles.
+the recipes for other slopes and platforms.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INTRODUCTION = (
     "reach. This page is written by `python docs/site/recipes.py`."
 )
 
-FILM = "Landings on a steep slope, on a slope that faces sideways, on a ship, and with a Hummingbird"
+FILM = "Landings on a steep slope, on a slope that faces sideways, and on a ship"
 
 
 def recorded(recipe: Recipe, name: str) -> Result:
