@@ -360,8 +360,7 @@ class Diagnosis:
         could be what the error exceeds that of the reference by; `nothing` where it does not.
         """
         landed = self.touchdowns is not None and self.touchdowns.unexplained
-        repeats = self.residual.unexplained and self.residual.repeats > self.explained
-        if landed or repeats:
+        if landed or self.repeats:
             return "unknown"
         if self.effects:
             doubt = leaves_doubt(self.residual, self.gap.get("analytic"), self.reference)
@@ -371,16 +370,28 @@ class Diagnosis:
         return "unknown" if self.exceeds_reference else "nothing"
 
     @property
+    def repeats(self) -> bool:
+        """Return whether the flights repeat more than the named effects explain.
+
+        Where their error is no larger than that of the reference's flights, it must be most of it: what
+        repeats there may be the reference's.
+        """
+        g = self.gap.get("analytic")
+        if self.reference is not None and g is not None and g.after <= self.reference.error:
+            most = self.residual.repeats**2 > thresholds.MOSTLY * g.after**2
+        else:
+            most = self.residual.unexplained
+        return most and self.residual.repeats > self.explained
+
+    @property
     def undecided(self) -> dict[str, float]:
         """Return the possible effects among which it is undecided, with their probabilities.
 
-        All of them, where they are probable; else those that move the vehicle by half of what the squared
-        error exceeds that of the reference by.
+        All of them, where they are probable; where the error exceeds that of the reference, those that move
+        the vehicle by half of what its square does so by.
         """
-        if self.probability(*self.possible) >= thresholds.UNDECIDED:
-            return self.possible
         if self.reference is None or not self.larger_error:
-            return {}
+            return self.possible if self.probability(*self.possible) >= thresholds.UNDECIDED else {}
         excess = self.residual.error**2 - self.reference.error**2
         least = thresholds.MAKES_UP * excess
         return {n: p for n, p in self.possible.items() if self.displacements.get(n, 0.0) ** 2 >= least}

@@ -130,9 +130,14 @@ def identify(
     library, unidentifiable = identifiable_effects(
         {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by) and e.identified}, use.fitted
     )
-    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
+    # Effects that are not linear in all of their numbers begin at the fit of the others: a fit that begins
+    # with them too ends in worse minima. Requests of the motors show a moment whatever the loops do with it.
+    requested = use.fitted[0].requests is not None
+    first = {n: e for n, e in library.items() if requested or all(p.linear for p in e.parameters)}
+    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, first, model_errors=1.0))
+    problem = _with_library(problem, library)
     # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
-    joint = {n: joint[n] for n in problem.library}
+    joint = {n: joint.get(n, problem.neutral(n)) for n in problem.library}
     joint = fit_least_squares(problem, joint, prior=slab_deviations).values
     inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
     fitted, kept = _Fit.of(problem, joint, use.judged), frozenset[str]()
@@ -212,7 +217,7 @@ class _Fit:
         names, columns = frozenset(problem.library), problem.all_columns()
         start = {n: start[n] for n in problem.library}
         spread = Spread.of(problem, problem.linearise(start, columns))
-        values, _ = fit_vehicle(problem, spread, start, names)
+        values = _idle_references(problem, fit_vehicle(problem, spread, start, names)[0])
         local = LinearGaussian.of(problem, spread, problem.linearise(values, columns))
         every = (values, *leave_one_out(problem, local, names, values))
         own, *left_out = ({n: v for n, v in one.items() if not LIBRARY[n].of_the_place} for one in every)
@@ -265,6 +270,20 @@ def worse_axes(
     worse = (grown > least) & (grown > sure * scatter)
     errors = np.sqrt(squares.mean(axis=1))
     return {axis: (float(errors[0, k]), float(errors[1, k])) for k, axis in enumerate("xyz") if worse[k]}
+
+
+def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
+    """Return values with neutral references of effects whose sizes are negligible: flights show none of them.
+
+    At what such a fit ends at, they would bound what later flights can show.
+    """
+    result = {}
+    for name, at in values.items():
+        parameters = problem.library[name].parameters
+        sizes = zip(parameters, problem.sizes(name, values))
+        idle = all(abs(size) < p.negligible for p, size in sizes)
+        result[name] = at | {p.name: p.neutral for p in parameters if p.is_reference and idle}
+    return result
 
 
 def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:

@@ -13,7 +13,14 @@ from msgspec import structs
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.refit import Refit
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, pose_errors
-from inclined_landing.eval.gap.answer.sizes import estimates, loop_pieces, product, response
+from inclined_landing.eval.gap.answer.sizes import (
+    WEIGHT,
+    estimates,
+    loop_pieces,
+    product,
+    response,
+    thrust_over_weight,
+)
 from inclined_landing.eval.gap.infer.contact import ContactPosterior
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
@@ -50,12 +57,16 @@ def named_effects(
 
     ahead: what each does. doubtful: these leave too much.
     """
-    problem, pieces = found.problem, loop_pieces(found.problem, values)
+    problem = found.problem
+    pieces = sorted(loop_pieces(problem, values), key=lambda n: -found.probability(n))
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
+    total = thrust_over_weight(found, values)
+    cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
     result = []
     for name in (n for n in values if n not in pieces[1:]):
         names = pieces if name in pieces else (name,)
-        members = tuple(dict.fromkeys(m for n in names for m in (n, *equivalence_class(found, n))))
+        classes = ((n, *equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
+        members = tuple(dict.fromkeys(m for of_one in classes for m in of_one))
         library, parts = problem.library, {}
         if name in pieces:
             parts = {n: dict(values[n]) for n in pieces}
@@ -70,21 +81,41 @@ def named_effects(
                 remedy=library[LOOP if parts else name].remedy,
                 cost=ahead[name].cost,
                 product=product(found, values, name) if library[name].product else None,
-                doubt=_doubt(problem, name, ahead[name].along, doubtful),
+                doubt=_doubt(problem, name, ahead[name].along, doubtful, cancel and name in WEIGHT),
                 parts=parts,
             )
         )
     return tuple(result)
 
 
-def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool) -> str:
-    """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be."""
+def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
+    """Return what predicts flights left out as well in the place of an effect that is more than its size.
+
+    A load on a string is a mass, too, where no swing shows.
+    """
+    effect, starts = found.problem.library[name], _starts(found.problem)
+    by = _judged_by(effect, values[name])
+    if starts is None or not by or all(p.linear for p in effect.parameters):
+        return []
+    others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
+    sets = [frozenset(values) - {name} | {n} for n in (name, *others)]
+    here, *errors = (pose_errors(starts, _fitted_to_others(found, names).vehicles)[by] for names in sets)
+    return [n for n, error in zip(others, errors) if (error <= here).all()]
+
+
+def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool, cancelled: bool) -> str:
+    """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
+
+    doubtful: the named effects leave too much. cancelled: together, it and others may be none.
+    """
     slow = [f.name for f in problem.flights if not f.shows_lags]
     if slow and problem.library[name].is_lag:
         which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})"
         return f"{which} cannot separate lags: log at 50 Hz or more."
     if doubtful:
         return "In doubt, because the named effects leave more than noise and disturbances would."
+    if cancelled:
+        return "In doubt, because the named effects together may leave thrust over weight as modelled."
     # Does it move the vehicle by less than the reference is wrong where it was right before?
     worse = problem.reference.errors.worse if problem.reference and problem.reference.errors else {}
     most = max(along, key=lambda axis: along[axis], default="")

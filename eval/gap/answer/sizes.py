@@ -21,7 +21,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 STEP_RESPONSE, STEP = 2.0, 0.001  # s, length and step of the simulated answer of an attitude loop
 # Effects of the thrust in hover, or of the weight.
-_WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
+WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
 
 
 def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estimate]]:
@@ -125,14 +125,14 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tupl
     The interval covers the other probable sets too. None where no named effect changes it, or one alone that
     is this ratio.
     """
-    problem, names = found.problem, [name for name in _WEIGHT if name in values]
+    problem, names = found.problem, [name for name in WEIGHT if name in values]
     ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
     if not names or names == ratios[:1]:
         return None
     usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
 
     def thrust(at: Values) -> float:  # over the mass
-        changed = {n: at[n] for n in _WEIGHT if n in at}
+        changed = {n: at[n] for n in WEIGHT if n in at}
         return float(problem.hover_acceleration(changed, usual)[2]) + gravity
 
     gravity = problem.vehicle.environment_gravity
@@ -145,20 +145,14 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tupl
 
 
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
-    """Return the named lags of the attitude loops that compensate one another, or one of which is at a bound.
+    """Return the named lags of the attitude loops, of which there are several.
 
-    These are pieces of one change: the flights show how quickly the loops answer, and no single piece.
+    They are pieces of one change: the flights show how quickly the loops answer, and no single piece, as no
+    loop is quite of the formula of any.
     """
-    lags = [
-        n for n in values if problem.library[n].is_lag and "translation" not in problem.library[n].channels
-    ]
-    lags = [n for n in lags if "attitude" in problem.library[n].channels]
-    sizes = {n: [p.coordinate(values[n][p.name]) for p in problem.library[n].parameters] for n in lags}
-    signs = {np.sign(x) for n in lags for x in sizes[n]}
-    bound = any(
-        thresholds.at_bound(values[n][p.name], p.bounds) for n in lags for p in problem.library[n].parameters
-    )
-    return tuple(lags) if len(lags) > 1 and (len(signs) > 1 or bound) else ()
+    lags = [n for n in values if problem.library[n].is_lag]
+    own = [n for n in lags if {"attitude", "translation"} & set(problem.library[n].channels) == {"attitude"}]
+    return tuple(own) if len(own) > 1 else ()
 
 
 def step_response_time(vehicle: Vehicle) -> float:

@@ -166,7 +166,11 @@ def confounding_sentence(d: Diagnosis, effect: NamedEffect) -> str:
     """Return a sentence on the probability of each effect of an equivalence class; empty for one alone."""
     if len(effect.members) < 2:
         return ""
-    each = [f"{label(name)} ({probability(d.probability(name))})" for name in effect.members]
+    parts = {name: d.probability(name) for name in effect.members}
+    each = [
+        f"{label(name)} ({probability(part) if part >= thresholds.CONFOUNDED else 'which predicts as well'})"
+        for name, part in parts.items()
+    ]
     shows = "free flight shows only the ratio of thrust to mass" if is_ratio(effect) else ""
     return f"This could be {listed(each, 'or')}: {shows or 'these flights cannot distinguish them'}."
 
