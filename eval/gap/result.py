@@ -373,7 +373,7 @@ class Diagnosis:
     def repeats(self) -> bool:
         """Return whether the flights repeat more than the named effects explain.
 
-        Where their error is no larger than that of the reference's flights, it must be most of it: what
+        Where their error does not exceed that of the reference's flights, it must be most of it: what
         repeats there may be the reference's.
         """
         g = self.gap.get("analytic")

@@ -89,7 +89,7 @@ def named_effects(
 
 
 def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
-    """Return what predicts flights left out as well in the place of an effect that is more than its size.
+    """Return what predicts flights left out as well as an effect that is more than its size.
 
     A load on a string is a mass, too, where no swing shows.
     """
