@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+from inclined_landing.models.compiled import formula, inlined, kernel
 
 ROWS = 16  # of a block
 _ENOUGH = 6  # rows for which a block is faster than one by one
@@ -35,7 +36,7 @@ class Network(NamedTuple):
     bound: float
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@formula
 def tanh(x):
     """Return the hyperbolic tangent to 3e-16, without a branch or a call, so that loops of it vectorise."""
     # tanh|x| = 1 - 2/(e^t + 1), t = 2|x|; e^t = 2^n e^r with n the nearest integer to t/log 2
@@ -50,7 +51,7 @@ def tanh(x):
     return math.copysign(1.0 - 2.0 / (p * np.int64((np.int64(n) + 1023) << 52).view(np.float64) + 1.0), x)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _block(network, x, y):
     """Return the array with the outputs of all layers for the scaled inputs x (widest, ROWS); y is memory."""
     sizes, activation, first, end = network.sizes, network.activation, 0, 0
@@ -83,7 +84,7 @@ def _block(network, x, y):
     return x
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _row(network, x, y):
     """Return the array with the outputs of all layers for the scaled inputs x (widest,); y is memory."""
     sizes, activation, first, end = network.sizes, network.activation, 0, 0
@@ -103,7 +104,7 @@ def _row(network, x, y):
     return x
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def forward(rows, network):
     """Return the actions (n, a) float32 of observations (n, o)."""
     # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from inclined_landing.models.compiled import kernel
 from inclined_landing.models.motion import MODES, Motion
 
 WAVES = 2  # per mode
@@ -36,7 +36,7 @@ def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarra
     return motion
 
 
-@numba.njit(cache=True)
+@kernel
 def _draw(travel, share, fastest, swell, room, waves):
     """Write what `draw` returns, from numbers in [0, 1): travel (2, k), share and phase (k, 6, W)."""
     for i in range(len(room)):

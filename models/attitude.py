@@ -8,8 +8,9 @@ A vehicle's state is one row of an (n, 13) float64 array, columns X .. LAG below
 
 import math
 
-import numba
 import numpy as np
+
+from inclined_landing.models.compiled import formula, inlined, kernel, unlocked
 
 X, Y, Z, VX, VY, VZ, ROLL, PITCH, YAW, WX, WY, WZ, LAG = range(13)
 STATE_SIZE = 13
@@ -32,7 +33,7 @@ _QUARTER_LOW = 6.077100506506192e-11  # pi/2 less that
 _SINGULAR = 1e-6  # smallest |cos(roll)| used in divisions: the ZXY chart ends at roll = 90 deg
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def small_sine_cosine(angle):
     """Return sine and cosine of an angle [rad] of at most pi/4, to rounding: Taylor's series."""
     x, s, c = angle * angle, _SINE, _COSINE
@@ -43,7 +44,7 @@ def small_sine_cosine(angle):
     return angle * odd, even
 
 
-@numba.njit(cache=True)
+@kernel
 def sine_cosine(angle):
     """Return sine and cosine of an angle [rad] up to 1e5, to rounding; quicker than `math`'s two calls."""
     # angle = k pi/2 + x, |x| <= pi/4, with pi/2 in two parts
@@ -54,7 +55,7 @@ def sine_cosine(angle):
     return (-s, -c) if k & 2 else (s, c)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def away_from_zero(cosine):
     """Return the cosine of a roll angle, kept away from zero, where the Euler rates are undefined."""
     if abs(cosine) < _SINGULAR:
@@ -62,13 +63,13 @@ def away_from_zero(cosine):
     return cosine
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def euler_rates(roll, pitch, wx, wy, wz):
     """Rates (roll, pitch, yaw) [rad/s] from body rates [rad/s]."""
     return euler_rates_at(sine_cosine(roll), sine_cosine(pitch), wx, wy, wz)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def euler_rates_at(roll, pitch, wx, wy, wz):
     """Return what `euler_rates` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
@@ -76,13 +77,13 @@ def euler_rates_at(roll, pitch, wx, wy, wz):
     return cp * wx + sp * wz, wy - sr * yaw_rate, yaw_rate
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     """Body rates [rad/s] from Euler rates [rad/s]; the inverse of `euler_rates`."""
     return body_rates_at(sine_cosine(roll), sine_cosine(pitch), roll_rate, pitch_rate, yaw_rate)
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     """Return what `body_rates` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
@@ -93,13 +94,13 @@ def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
     )
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def body_accelerations(roll, pitch, rates, accelerations):
     """Time derivative [rad/s2] of `body_rates` at Euler rates and accelerations (3,) each [rad/s, rad/s2]."""
     return body_accelerations_at(sine_cosine(roll), sine_cosine(pitch), rates, accelerations)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def body_accelerations_at(roll, pitch, rates, accelerations):
     """Return what `body_accelerations` does, given (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
@@ -115,7 +116,7 @@ def body_accelerations_at(roll, pitch, rates, accelerations):
     )
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def quaternion(roll, pitch, yaw):
     """Unit quaternion (w, x, y, z) of Rz(yaw) Rx(roll) Ry(pitch)."""
     (sr, cr), (sp, cp), (sy, cy) = sine_cosine(0.5 * roll), sine_cosine(0.5 * pitch), sine_cosine(0.5 * yaw)
@@ -123,7 +124,7 @@ def quaternion(roll, pitch, yaw):
     return cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def euler_angles(w, x, y, z):
     """(roll, pitch, yaw) [rad] of a unit quaternion, roll in [-pi/2, pi/2]."""
     sin_roll = min(1.0, max(-1.0, 2.0 * (y * z + w * x)))
@@ -132,7 +133,7 @@ def euler_angles(w, x, y, z):
     return math.asin(sin_roll), pitch, yaw
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def tilted(attitudes, roll, pitch, out):
     """Attitudes (n, 3) turned in their own frame by Rx(roll) Ry(pitch), into `out` (n, 3)."""
     t = rotation(roll, pitch, 0.0)
@@ -149,7 +150,7 @@ def tilted(attitudes, roll, pitch, out):
         out[i, 2] = attitudes[i, 2] + math.atan2(-ahead, left)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def rotation_entries(roll, pitch, yaw):
     """Return the nine entries of the rotation matrix, row by row, from (sine, cosine) of the angles."""
     (sr, cr), (sp, cp), (sy, cy) = roll, pitch, yaw
@@ -159,13 +160,13 @@ def rotation_entries(roll, pitch, yaw):
     return first + second + (-cr * sp, sr, cr * cp)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def entries(r):
     """Return the nine entries of a matrix (3, 3), row by row."""
     return r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2]
 
 
-@numba.njit(cache=True)
+@kernel
 def rotation(roll, pitch, yaw):
     """Rotation matrix (3, 3), body to world."""
     of = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
@@ -175,7 +176,7 @@ def rotation(roll, pitch, yaw):
     return r
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def rotations(attitude):
     """Rotation matrices (m, 3, 3) of attitudes (m, 3)."""
     r = np.empty((attitude.shape[0], 3, 3))

@@ -19,14 +19,14 @@ Symbols of the comments: phi, theta, psi roll, pitch and yaw.
 
 import math
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
+from inclined_landing.models.compiled import formula, inlined, unlocked
 from inclined_landing.models.perturbation import GAIN_SCALE, TIME_CONSTANT_SCALE
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def estimated_angles(roll, pitch, yaw, vx, vy, vz, v):
     """Return roll and pitch [rad] of the onboard estimate at a velocity [m/s] in the world."""
     lean = v.effects.estimator_lean
@@ -41,7 +41,7 @@ def estimated_angles(roll, pitch, yaw, vx, vy, vz, v):
     return roll + lean * left, pitch - lean * forward
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def angle_errors(roll, pitch, u, v, p):
     """Return the errors [rad] of roll and pitch of the onboard estimate under a command u (4,)."""
     # k (phi_c + trim) - phi_e, theta alike
@@ -52,7 +52,7 @@ def angle_errors(roll, pitch, u, v, p):
     )
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def loop_rates(angles, errors, integrals, u, v, p):
     """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
 
@@ -69,7 +69,7 @@ def loop_rates(angles, errors, integrals, u, v, p):
     )
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def integrates(v):
     """Return whether the loops of roll and pitch have integral gains."""
     return v.effects.attitude_integral != 0.0 or v.effects.attitude_hold != 0.0
@@ -88,19 +88,19 @@ def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
     return np.clip(angles * (share * vehicles["attitude"]["time_constant"])[:, None], -limit, limit)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def excess(rate, v):
     """Return a wanted rate [rad/s] of roll or pitch over the largest that the loops ask for, at least 1."""
     return max(1.0, abs(rate) * v.effects.attitude_saturation)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def saturated(rates, v):
     """Return wanted Euler rates [rad/s] with those of roll and pitch up to the largest."""
     return rates[0] / excess(rates[0], v), rates[1] / excess(rates[1], v), rates[2]
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def integral_rate(integral, error, v):
     """Return dI/dt [rad] of an angle error's integral I [rad s]."""
     if abs(integral) >= v.attitude.integral_limit and integral * error > 0.0:
@@ -108,7 +108,7 @@ def integral_rate(integral, error, v):
     return error
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def rate_loop_acceleration(wanted, rate, integrated, tau, v):
     """Return the angular acceleration [rad/s2] of the loop whose poles are -1/tau and -B with damping 1.
 
@@ -124,7 +124,7 @@ def rate_loop_acceleration(wanted, rate, integrated, tau, v):
     return v.attitude.bandwidth * (wanted / over - rate) + following - beyond * rate
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def angle_steps(axis, command, twist, start, dt, vehicle):
     """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly
     where it neither integrates nor saturates.
@@ -147,13 +147,13 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def damping_rate(tau, v):
     """Return the coefficient [1/s] of the rate in a loop of the time constant tau [s]: sum of its poles."""
     return v.attitude.damping * (1.0 / tau + v.attitude.bandwidth)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def held_step(tau, dt, v):
     """Return what `held_angle` needs for steps of `dt` [s] of a loop with the time constant tau [s]."""
     # a = 1/tau, b = B: x'' = a b (rest - x) - damping (a + b) x', rest = k (command + trim) + twist/(a b).
@@ -175,14 +175,14 @@ def held_step(tau, dt, v):
     return stay, drive, stay - 2.0 * mean * drive, stiffness * drive
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def held_angle(off, rate, step):
     """Return an angle's distance from its rest [rad] and its rate [rad/s] after a step of `held_step`."""
     stay, drive, keep, back = step
     return stay * off + drive * rate, keep * rate - back * off
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def integrated_steps(axis, command, twist, start, dt, vehicle):
     """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of any loop.
 
@@ -228,7 +228,7 @@ def integrated_steps(axis, command, twist, start, dt, vehicle):
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def _linear_step(dt, v):
     """Return the step (5, 5) by `dt` [s] of angle, rate, integral, wanted angle and twist of a loop."""
     # z' = A z, so that z <- exp(A dt) z: by its series at dt/2^n, squared n times
@@ -247,7 +247,7 @@ def _linear_step(dt, v):
     return step
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _loop_derivative(angle, rate, integral, wanted, twist, v):
     """Return the derivatives of angle, rate and integral of a loop at a wanted angle [rad]."""
     error, tau, hold = wanted - angle, v.attitude.time_constant, v.effects.attitude_hold
@@ -256,7 +256,7 @@ def _loop_derivative(angle, rate, integral, wanted, twist, v):
     return rate, rate_loop_acceleration(demanded, rate, moved, tau, v) + twist, moved
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def yaw_steps(command, dt, vehicle):
     """Return yaw (m + 1,) [rad] from 0, first at the first of the commanded rates (m,) [rad/s]; exact.
 

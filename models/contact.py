@@ -35,10 +35,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import kernel
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
 MOST_FRICTION = 10.0  # as the vehicle file's range says
@@ -109,7 +109,7 @@ def spring(restitution, contact_time, gravity: float) -> np.ndarray:
     return -out * _IMPEDANCE / _EFFECTIVE
 
 
-@numba.njit(cache=True)
+@kernel
 def _bounce(damping, weight):
     """Restitution and end of contact of the spring r'' = -2 damping r' - r with speed 1 at r = 0.
 
@@ -130,7 +130,7 @@ def _bounce(damping, weight):
     return math.exp(-damping * high) * math.sin(w * high - turn) / w, high
 
 
-@numba.njit(cache=True)
+@kernel
 def _last_bouncing(weight):
     """Damping ratio beyond which weight holds the vehicle down, from 0.5 to 1."""
     low, high = 0.5, 1.0 - 1e-6
@@ -144,7 +144,7 @@ def _last_bouncing(weight):
     return low
 
 
-@numba.njit(cache=True)
+@kernel
 def _spring(e, time, gravity):
     """Damping ratio and natural frequency [rad/s] for restitution e and contact time [s]."""
     frequency, damping = math.pi / time, 0.5
@@ -170,7 +170,7 @@ def _spring(e, time, gravity):
     return damping, frequency
 
 
-@numba.njit(cache=True)
+@kernel
 def _solve(e, time, gravity, out):
     """Fill out (k, 2) with the stiffness [1/s2] and damping [1/s] of every pair."""
     for k in range(len(e)):

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import LAG, ROLL, STATE_SIZE, YAW, tilted
+from inclined_landing.models.compiled import kernel, unlocked
 from inclined_landing.models.vehicle import Vehicle
 
 
@@ -97,7 +97,7 @@ def attitude_age(vehicle: Vehicle) -> float:
     return max(0.0, vehicle.effects_mocap_delay + vehicle.effects_estimator_delay)
 
 
-@numba.njit(cache=True)
+@kernel
 def _late(states, delays, period, state):
     """State (n, 13) before delays [s] (n, 2) or (1, 2), between past ones (n, depth, 13), newest first.
 
@@ -117,7 +117,7 @@ def _late(states, delays, period, state):
     return out
 
 
-@numba.njit(cache=True)
+@kernel
 def _tilt(attitude, tilt, out):
     for i in range(len(attitude)):
         roll, pitch = tilt[i if len(tilt) > 1 else 0]
@@ -125,7 +125,7 @@ def _tilt(attitude, tilt, out):
             tilted(attitude[i : i + 1], roll, pitch, out[i : i + 1])
 
 
-@numba.njit(cache=True)
+@kernel
 def _average(commands, delays, period, start, length, out):
     n, depth, size = commands.shape
     for i in range(n):
@@ -144,7 +144,7 @@ def _average(commands, delays, period, start, length, out):
             out[i, column] = total
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def averages(command, dt, delay):
     """Mean of a held command (m,) over each of the m - 1 steps, `delay` seconds late; (m - 1,)."""
     m = command.shape[0]

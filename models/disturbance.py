@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation
 from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.compiled import kernel
 from inclined_landing.models.vehicle import Vehicle
 
 # A seed, or a generator that gives one.
@@ -101,7 +101,7 @@ class Disturbance:
         return values[0] if len(values) == 1 else values[ids]
 
 
-@numba.njit(cache=True)
+@kernel
 def _push(now, state, inertia, torque, out):
     each = len(inertia) > 1
     for i in range(len(now)):

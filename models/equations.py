@@ -10,7 +10,6 @@ in the body frame, Omega state of the thrust lag, phi, theta, psi roll, pitch an
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import (
@@ -40,6 +39,7 @@ from inclined_landing.models.attitude_loops import (
     rate_loop_acceleration,
     saturated,
 )
+from inclined_landing.models.compiled import inlined, kernel
 from inclined_landing.models.forces import AMBIENT_SIZE, TIME, free_air, lag_derivative, pack, wrench
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
 from inclined_landing.models.perturbation import MASS_SCALE, NEUTRAL, TIME_CONSTANT_SCALE
@@ -91,13 +91,13 @@ _STEP = np.dtype(
 STEP = np.dtype((np.record, _STEP))
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _saturation(torque, limit):
     """Return what must be added to a torque so that it is within +-limit."""
     return min(limit, max(-limit, torque)) - torque
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def body_torque(roll, pitch, rates, accelerations, v):
     """Return the body torque (x, y, z) [N m] under which the Euler rates have these accelerations.
 
@@ -114,7 +114,7 @@ def body_torque(roll, pitch, rates, accelerations, v):
     )
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _swing(y, dy, mass, v):
     """Write the slung load's motion into dy, its pull added to the acceleration there, without gravity's."""
     qx, qy, qz, vx, vy, vz = y[_LOAD], y[_LOAD + 1], y[_LOAD + 2], y[_LOAD + 3], y[_LOAD + 4], y[_LOAD + 5]
@@ -127,7 +127,7 @@ def _swing(y, dy, mass, v):
     dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(qx, qy, qz, vx, vy, vz, ax, ay, az, length)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _derivative(y, s, v):
     """Write dy/dt of an integrated vector y (21,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
     u, p, push, dy = s.command, s.perturbation, s.push, s.derivative
@@ -182,7 +182,7 @@ def _derivative(y, s, v):
         dy[RATES] = dy[RATES + 1] = dy[RATES + 2] = 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def pack_state(state, i, y):
     """Write row i of a state (n, 13) with the columns of `attitude.py` as the integrated vector y (13,)."""
     for j in range(9):
@@ -192,7 +192,7 @@ def pack_state(state, i, y):
     y[RATES], y[RATES + 1], y[RATES + 2] = rates
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def unpack_state(y, state, i):
     """Write an integrated vector y (13,) as row i of a state (n, 13): the inverse of `pack_state`."""
     for j in range(9):
@@ -202,7 +202,7 @@ def unpack_state(y, state, i):
     state[i, WX], state[i, WY], state[i, WZ] = rates
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def rk4(s, v, dt):
     """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)
@@ -231,7 +231,7 @@ def rk4(s, v, dt):
         rectify(y[_LOAD:])
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def disturb(s, perturbation, push, i):
     """Write the rows of vehicle i of perturbation (n, 7) and push (n, 6), or STILL, into a STEP."""
     for k in range(7):
@@ -241,7 +241,7 @@ def disturb(s, perturbation, push, i):
         s.push[k] = push[i, k]
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def take_states(s, load, integral, i, v):
     """Write slung load and integrals of vehicle i, with the record v, into a STEP; as of `Conditions`."""
     s.integrated = len(integral) > 0 and integrates(v)
@@ -252,7 +252,7 @@ def take_states(s, load, integral, i, v):
         s.y[_LOAD + k] = load[i, k]
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def give_states(s, load, integral, i):
     """Write slung load and integrals of a STEP, if it has some, as those of vehicle i."""
     for k in range(2 if s.integrated else 0):
@@ -261,7 +261,7 @@ def give_states(s, load, integral, i):
         load[i, k] = s.y[_LOAD + k]
 
 
-@numba.njit(cache=True)
+@kernel
 def _begin(s, state, commands, conditions, i, rate_loop, v):
     """Write row i of state (n, 13), commands (n, 4) and conditions into a STEP, with unlimited torques.
 
@@ -277,7 +277,7 @@ def _begin(s, state, commands, conditions, i, rate_loop, v):
     s.rate_loop, s.limited = rate_loop, False
 
 
-@numba.njit(cache=True)
+@kernel
 def advance(state, commands, conditions, rate_loop, dt, substeps):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
@@ -303,7 +303,7 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
         conditions.ambient[i, TIME] = s.ambient[TIME]
 
 
-@numba.njit(cache=True)
+@kernel
 def _derivatives(state, commands, conditions, rate_loop):
     """Return dy/dt (21,) of the integrated vector of one vehicle in a state (1, 13) under commands (1, 4)."""
     steps = np.zeros(1, STEP)

@@ -13,9 +13,9 @@ import math
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 
-import numba
 import numpy as np
 
+from inclined_landing.models.compiled import formula, inlined, kernel, unlocked
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.perturbation import (
     DRAG_CHANGE,
@@ -79,7 +79,7 @@ def columns_besides(fields: Sequence[str]) -> np.ndarray:
     return np.array(columns, int)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def neutral(row, numbers, columns):
     """Return whether a row of `numbers` is 0 in all of these columns."""
     for k in columns:
@@ -88,7 +88,7 @@ def neutral(row, numbers, columns):
     return True
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def rotor_speed_sum(thrust, v):
     """Return the sum of the rotor speeds [rad/s] at a total thrust [N], 0 without thrust.
 
@@ -109,14 +109,14 @@ def rotor_speed_sum(thrust, v):
     return motors * (slope * pwm + idle_speed)
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def total_thrust(lag, pwm, v, p):
     """Return the total thrust F_t [N] at a lag state [PWM s] and a PWM command."""
     # F_t = scale (c_Omega Omega + c_PWM PWM) + bias
     return p[THRUST_SCALE] * (v.thrust.state_gain * lag + v.thrust.direct_gain * pwm) + p[THRUST_BIAS]
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def lag_derivative(lag, pwm, v, p):
     """Return dOmega/dt [PWM] of the thrust lag; slower while it spins down, with that effect."""
     # dOmega/dt = (PWM - lambda Omega)/scale, over 1 + spin_down where that is negative
@@ -126,7 +126,7 @@ def lag_derivative(lag, pwm, v, p):
     return rate
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def lag_pole(lag, pwm, v):
     """Return the rate [1/s] at which the lag's distance from its steady value under a held command falls."""
     if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
@@ -134,7 +134,7 @@ def lag_pole(lag, pwm, v):
     return v.thrust.lag_rate
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def lag_step(lag, pwm, dt, v):
     """Return the lag [PWM s] after `dt` [s] under a held command, and its mean over the step; exact."""
     # Omega(dt) = Omega_s + (Omega - Omega_s) exp(-lambda dt), Omega_s = PWM/lambda
@@ -144,7 +144,7 @@ def lag_step(lag, pwm, dt, v):
     return steady + (lag - steady) * decay, mean
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def lags(pwm, dt, vehicle):
     """Return the lag [PWM s] (m + 1,) under commands (m,) held for `dt` [s], first steady under the first."""
     v, out = vehicle[0], np.empty(len(pwm) + 1)
@@ -154,13 +154,13 @@ def lags(pwm, dt, vehicle):
     return out
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def fade(time, v):
     """Return the factor of the thrust after a flight time [s]."""
     return 1.0 - v.effects.thrust_fade * time
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def battery_voltage(lag, time, v):
     """Return the voltage [V] of the vehicle file's battery at a lag state, after a flight time [s]."""
     # U = U_open - drop load - discharge t, the load as steady PWM: lambda Omega
@@ -168,7 +168,7 @@ def battery_voltage(lag, time, v):
     return v.effects.voltage_open - v.effects.voltage_drop * load - v.effects.voltage_discharge * time
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def supply(voltage, lag, time, v):
     """Return the factor of the thrust at the battery's voltage [V]; NaN: that of the vehicle file."""
     if math.isnan(voltage):
@@ -176,7 +176,7 @@ def supply(voltage, lag, time, v):
     return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def powered_thrust(thrust, lag, time, voltage, v):
     """Return the thrust [N] that sets the rotor speed: with bias, fade, sag under load, battery voltage."""
     # F = (F_t + bias) (1 - fade t) (1 - sag (load/reference - 1)) (1 + sensitivity (U - U_ref))
@@ -185,14 +185,14 @@ def powered_thrust(thrust, lag, time, voltage, v):
     return (thrust + v.effects.thrust_bias) * fade(time, v) * sag * supply(voltage, lag, time, v)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def intact(v):
     """Return the share of the thrust that the rotors have not lost."""
     loss = v.effects.rotor_loss
     return 1.0 - 0.25 * (loss[0] + loss[1] + loss[2] + loss[3])
 
 
-@numba.njit(cache=True)
+@kernel
 def _hover_pwm(pwm, high, vehicle, p):
     """Return `pwm` if no effect changes its thrust, else the PWM up to `high` whose thrust is the weight.
 
@@ -211,7 +211,7 @@ def _hover_pwm(pwm, high, vehicle, p):
     return high
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _steady_thrust(pwm, v, p):
     """Return the thrust [N] under a PWM held for long, at time 0."""
     lag = pwm / v.thrust.lag_rate
@@ -227,7 +227,7 @@ def settled_hover(vehicle: Vehicle) -> float:
     return _hover_pwm(vehicle.hover_pwm, high, pack(vehicle), NEUTRAL)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def disc_inside(distance, radius):
     """Return the share of a disc on the inner side of a straight edge, its centre `distance` within."""
     # 1/2 + (d sqrt(1 - d^2) + arcsin d)/pi, the area of a circular segment with d = distance/radius
@@ -235,7 +235,7 @@ def disc_inside(distance, radius):
     return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def ground_gain(height, v):
     """Return the share of thrust that a rotor gains over an endless surface, at a height h [m] of its disc.
 
@@ -249,7 +249,7 @@ def ground_gain(height, v):
     return min(1.0, v.effects.ground_effect * ratio * ratio * fading)
 
 
-@numba.njit(cache=True)
+@kernel
 def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
@@ -293,7 +293,7 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     return extra, torque_x, torque_y
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def rotors(lag, pwm, time, voltage, v, p):
     """Return the thrust [N] of intact rotors at rest in the air, and what their drag is in proportion to.
 
@@ -303,7 +303,7 @@ def rotors(lag, pwm, time, voltage, v, p):
     return thrust, rotor_speed_sum(thrust, v) * (1.0 + p[DRAG_CHANGE])
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def in_the_air(thrust, speed, bx, by, bz, v):
     """Return the drag x, y, z [N] and the thrust [N] of rotors, see `rotors`, at an airspeed b [m/s] in the
     body frame.
@@ -317,7 +317,7 @@ def in_the_air(thrust, speed, bx, by, bz, v):
     return (k[0] * speed + drag) * bx, (k[1] * speed + drag) * by, (k[2] * speed + drag) * bz, thrust
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def wrench(position, velocity, r, lag, pwm, ambient, v, p):
     """Return force x, y, z [N] and torque x, y [N m] in the body frame, without gravity.
 
@@ -330,7 +330,7 @@ def wrench(position, velocity, r, lag, pwm, ambient, v, p):
     return wrench_near(near, velocity, r, lag, pwm, ambient, v, p)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def wrench_near(near, velocity, r, lag, pwm, ambient, v, p):
     """Return force and torque as `wrench`.
 

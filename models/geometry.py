@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, YAW, rotation_entries, sine_cosine
+from inclined_landing.models.compiled import formula, inlined, kernel
 from inclined_landing.models.surface import normal_at_rest
 from inclined_landing.models.vehicle import Vehicle
 
@@ -147,7 +147,7 @@ def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, 
     return poses
 
 
-@numba.njit(cache=True)
+@kernel
 def _platform_poses(inclination, azimuth, height, present, half, thickness, position, quaternion):
     for i in range(len(position)):
         slope, turn, p, q = inclination[i], azimuth[i], position[i], quaternion[i]
@@ -164,10 +164,11 @@ def _platform_poses(inclination, azimuth, height, present, half, thickness, posi
             q[b, 0], q[b, 3] = cos, sin
             if not present[i]:
                 p[b, 2] = PARKED
-        q[0] = (cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright)
+        # Number by number: an assignment of a tuple compiles numba's text of its error, which takes 2 s.
+        q[0, 0], q[0, 1], q[0, 2], q[0, 3] = cos * upright, 0.0 - sin * leaning, cos * leaning, sin * upright
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _in_body(x, y, z, turns):
     """Return a vector along the axes of a body of the platform; turns as in `_box_distance`."""
     # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
@@ -178,7 +179,7 @@ def _in_body(x, y, z, turns):
     return tilt[1] * x - tilt[0] * z, y, tilt[0] * x + tilt[1] * z
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _box_distance(dx, dy, dz, turns, centres, sizes, b):
     """Return the signed distance [m] of a point to box b of the platform, negative inside.
 
@@ -197,14 +198,14 @@ def _box_distance(dx, dy, dz, turns, centres, sizes, b):
 _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def platform_turns(roll, inclination, azimuth):
     """Return the angles of a platform as `platform_distance` takes them, each as (sine, cosine)."""
     lean = sine_cosine(roll) if roll != 0.0 else _UPRIGHT
     return sine_cosine(azimuth), lean, sine_cosine(inclination)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def platform_distance(x, y, z, turns, position, boxes, sizes):
     """Return the signed distance [m] of a point to a platform.
 
@@ -224,7 +225,7 @@ def platform_reach(vehicle: Vehicle) -> float:
     return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.slab_depth)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def least_distance(x, y, z, centre, reach):
     """Return a lower bound of `platform_distance` [m] of a point, from the centre (3,) of the platform.
 
@@ -234,7 +235,7 @@ def least_distance(x, y, z, centre, reach):
     return max(z - centre[2], math.sqrt(dx * dx + dy * dy)) - reach
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def _clearances(state, inclination, azimuth, position, which, fleet, within, out):
     """Write the smallest distance (n, 3 surfaces, 3 parts) of the vehicles' shapes to the scene [m]."""
     boxes, sizes = fleet.box_centres, fleet.box_sizes
@@ -265,7 +266,7 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
                 out[i, surface, part] = min(out[i, surface, part], distance)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def reach_against(cosine, hull, lowered):
     """Return how far [m] a vehicle reaches against a direction, by the cosine between that and its axis.
 
@@ -278,7 +279,7 @@ def reach_against(cosine, hull, lowered):
     return reach
 
 
-@numba.njit(cache=True)
+@kernel
 def hull_distance(place, axis, turns, position, fleet, member, lowered):
     """Return a lower bound of the distance [m] of a vehicle's shapes to a platform; -inf inside of it.
 
@@ -305,7 +306,7 @@ def hull_distance(place, axis, turns, position, fleet, member, lowered):
     return least
 
 
-@numba.njit(cache=True)
+@kernel
 def _platform_clearances(state, platform, present, half, thickness, fleet, out):
     n = len(state)
     inclination, azimuth, height = platform[:, PITCH].copy(), platform[:, YAW].copy(), platform[:, 2].copy()

@@ -12,8 +12,6 @@ exact.
 
 import math
 
-import numba
-
 from inclined_landing.models.attitude import (
     PITCH,
     PITCH_COMMAND,
@@ -33,6 +31,7 @@ from inclined_landing.models.attitude import (
     small_sine_cosine,
 )
 from inclined_landing.models.attitude_loops import damping_rate, held_angle, held_step
+from inclined_landing.models.compiled import inlined, kernel
 from inclined_landing.models.equations import OMEGA, RATES, body_torque
 from inclined_landing.models.forces import (
     TIME,
@@ -79,7 +78,7 @@ SOLVED = (
 _OTHERS = columns_besides(SOLVED)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def solvable(s, v, i, numbers):
     """Return whether `fly` knows all that moves a vehicle: no torque but that of its loops, which are linear.
 
@@ -92,14 +91,14 @@ def solvable(s, v, i, numbers):
     return centred and not pushed and neutral(i, numbers, _OTHERS)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _turned(of, angle):
     """Return (sine, cosine) of an angle from those of one that is less by `angle` [rad], which is small."""
     s, c = small_sine_cosine(angle)
     return of[0] * c + of[1] * s, of[1] * c - of[0] * s
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness):
     """Return dv/dt at a velocity and (sine, cosine) of the angles; thrust, speed: of `forces.rotors`."""
     r = rotation_entries(turns[0], turns[1], turns[2])
@@ -118,7 +117,7 @@ def _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness):
     return x, y, z - v.environment.gravity
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _half_step(now, turns, held):
     """Return the loops' states and (sine, cosine) of the angles half a step later."""
     roll, roll_rate, pitch, pitch_rate, yaw, yaw_rate, lag = now  # angles and lag off their rest, but for yaw
@@ -135,7 +134,7 @@ def _half_step(now, turns, held):
     return (new_roll, roll_rate, new_pitch, pitch_rate, yaw + yaw_turn, yaw_rate, lag * lag_kept), turns
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _allowed(now, turns, rests, poles, limits, v):
     """Return whether torques, angles and rates are within (torque x, y, z, angle, rate) of `limits`."""
     roll, roll_rate, pitch, pitch_rate, _, yaw_rate, _ = now
@@ -154,7 +153,7 @@ def _allowed(now, turns, rests, poles, limits, v):
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel
 def fly(s, v, period, largest_angle, largest_rate):
     """Advance a STEP that is `solvable`, its integrated vector and time, by `period` [s] if it may.
 

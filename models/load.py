@@ -15,8 +15,9 @@ cable-suspended load", CDC 2013:
 
 import math
 
-import numba
 import numpy as np
+
+from inclined_landing.models.compiled import formula, inlined, unlocked
 
 LOAD_SIZE = 6  # columns of a load's state: direction q, its rate q' [1/s], in the world's axes
 HANGING = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)  # at rest relative to the vehicle
@@ -28,7 +29,7 @@ def hanging(n: int) -> np.ndarray:
     return np.tile(HANGING, (n, 1))
 
 
-@numba.njit(cache=True, inline="always")
+@formula
 def pull(x, y, z, vx, vy, vz, ax, ay, az, share, length):
     """Return the string's tension over the vehicle's mass [m/s2].
 
@@ -38,14 +39,14 @@ def pull(x, y, z, vx, vy, vz, ax, ay, az, share, length):
     return share * (length * (vx * vx + vy * vy + vz * vz) - (x * ax + y * ay + z * az))
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def swing(x, y, z, vx, vy, vz, ax, ay, az, length):
     """Return q'' (x, y, z) [1/s2]; arguments as of `pull`."""
     along = (x * ax + y * ay + z * az) / length - (vx * vx + vy * vy + vz * vz)
     return along * x - ax / length, along * y - ay / length, along * z - az / length
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def rectify(load):
     """Make of a load's state (6,), rounded by integration, one with |q| = 1 and q' across q, in place."""
     size = math.sqrt(load[0] ** 2 + load[1] ** 2 + load[2] ** 2)
@@ -56,7 +57,7 @@ def rectify(load):
         load[3 + k] -= radial * load[k]
 
 
-@numba.njit(cache=True, nogil=True)
+@unlocked
 def advance(load, ax, ay, az, share, length, dt):
     """Advance a load's state (6,) in place by `dt` [s], and return the vehicle's mean acceleration.
 

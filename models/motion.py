@@ -14,11 +14,11 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH, ROLL, VX, WX, WY, WZ, body_rates, sine_cosine
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import inlined, kernel
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
@@ -119,7 +119,7 @@ def _times(times, n: int) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True)
+@kernel
 def _replace(ids, new, waves):
     """Write the motions `new` of k platforms over those of the platforms `ids` (k,) in `waves`."""
     count = new.amplitude.shape[2]
@@ -135,7 +135,7 @@ def _replace(ids, new, waves):
                 waves.phase[i, mode, k] = new.phase[row, mode, k] if given else 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def displacement(i, t, waves, out):
     """Write displacement, rate and acceleration of platform i at t [s] in each mode into `out` (3, 6)."""
     velocity, amplitude, frequency, phase = waves
@@ -157,7 +157,7 @@ def displacement(i, t, waves, out):
         out[0, mode], out[1, mode], out[2, mode] = x, v, a
 
 
-@numba.njit(cache=True)
+@kernel
 def rate(i, t, waves, out):
     """Write the rate alone, as in `displacement`, into `out` (6,)."""
     for mode in range(6):
@@ -169,7 +169,7 @@ def rate(i, t, waves, out):
         out[mode] = v
 
 
-@numba.njit(cache=True)
+@kernel
 def acceleration(i, t, waves, out):
     """Write the acceleration alone, as in `displacement`, into `out` (6,)."""
     for mode in range(6):
@@ -181,13 +181,13 @@ def acceleration(i, t, waves, out):
         out[mode] = a
 
 
-@numba.njit(cache=True)
+@kernel
 def _displacements(times, waves, out):
     for i in range(len(out)):
         displacement(i, times[i], waves, out[i])
 
 
-@numba.njit(cache=True)
+@kernel
 def _platforms(times, rest, waves, platform):
     now, place = np.empty((3, 6)), np.empty(6)
     for i in range(len(platform)):
@@ -197,7 +197,7 @@ def _platforms(times, rest, waves, platform):
         write_state(now, place, platform[i])
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def write_state(now, place, out):
     """Write the state of a platform into `out` (12,), from its `displacement` now and its place at rest.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from inclined_landing.models.attitude import (
@@ -26,6 +25,7 @@ from inclined_landing.models.attitude import (
     rotations,
     sine_cosine,
 )
+from inclined_landing.models.compiled import inlined, kernel
 
 # Columns of `heading_frame` that follow those of a vehicle's state up to its pitch.
 SLOPE_ROLL, SLOPE_PITCH = PITCH + 1, PITCH + 2
@@ -63,7 +63,7 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
     return away, np.linalg.norm(vector - away[..., None] * normal, axis=-1)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def yaw_turned(roll, pitch, turn):
     """Return roll and pitch [rad] of a vehicle with the same thrust axis and a yaw less by `turn` [rad]."""
     if abs(turn) < _NO_TURN and max(abs(roll), abs(pitch)) < _QUARTER:
@@ -75,7 +75,7 @@ def yaw_turned(roll, pitch, turn):
     return math.atan2(-left, up), math.asin(min(1.0, max(-1.0, ahead)))
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def in_heading_frame(s, d, out):
     """Write `heading_frame` of one vehicle (13,) over a platform (12,) into `out` (10,)."""
     sin, cos = sine_cosine(d[YAW])
@@ -88,7 +88,7 @@ def in_heading_frame(s, d, out):
     out[SLOPE_ROLL], out[SLOPE_PITCH] = d[ROLL], d[PITCH]
 
 
-@numba.njit(cache=True)
+@kernel
 def _heading_frame(state, platform, out):
     for i in range(len(state)):
         in_heading_frame(state[i], platform[i], out[i])
@@ -106,7 +106,7 @@ def heading_frame(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
     return _heading_frame(state, platform, np.empty((len(state), HEADING_SIZE)))
 
 
-@numba.njit(cache=True)
+@kernel
 def turn_commands(commands, gain, limit, state, platform):
     """Turn roll and pitch of commands (n, 4) from the heading frames to the vehicles' yaw.
 
@@ -131,13 +131,13 @@ def platform_motion(platform: np.ndarray) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True)
+@kernel
 def _platform_motions(platform, out):
     for i in range(len(platform)):
         _write_platform_motion(platform[i], out[i])
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _write_platform_motion(d, out):
     """Write `platform_motion` of one platform (12,) into `out` (6,)."""
     yaw = sin, cos = sine_cosine(d[YAW])
@@ -154,7 +154,7 @@ def _write_platform_motion(d, out):
         out[3] = out[4] = out[5] = 0.0
 
 
-@numba.njit(cache=True)
+@kernel
 def observe(state, platform, columns, out):
     """Write `columns` (c,) of `heading_frame` into `out` (n, c or more), and `platform_motion` behind them.
 
@@ -195,7 +195,7 @@ def slope_of(platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(flat, z), np.arctan2(y, x)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def normal_at_rest(roll, pitch):
     """Return the unit normal x, y, z, in the heading frame, of the surface on which a vehicle rests.
 
@@ -216,7 +216,7 @@ def normals(platform: np.ndarray) -> np.ndarray:
     return _normals(platform, np.empty((len(platform), 3)))
 
 
-@numba.njit(cache=True)
+@kernel
 def _normals(platform, out):
     for i in range(len(platform)):
         ahead, left, out[i, 2] = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
@@ -238,7 +238,7 @@ def relative(state: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.nd
     return position, velocity, rate
 
 
-@numba.njit(cache=True)
+@kernel
 def _relative(state, platform, position, velocity, rate):
     for i in range(len(state)):
         s, d, x, v, w = state[i], platform[i], position[i], velocity[i], rate[i]

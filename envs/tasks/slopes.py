@@ -22,7 +22,6 @@ from __future__ import annotations
 import dataclasses
 import math
 
-import numba
 import numpy as np
 
 from inclined_landing.envs.tasks.base import Start, StepContext, Task, hover_states
@@ -30,6 +29,7 @@ from inclined_landing.envs.tasks.landing import GOAL_HEIGHT, InclinedLanding, go
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VY, VZ, YAW, X, Y, Z, rotation
 from inclined_landing.models.base.errors import UserError, shown
+from inclined_landing.models.compiled import kernel
 
 # Columns of the heading frame, and their typical sizes.
 SEEN = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "slope roll", "slope pitch")
@@ -41,7 +41,7 @@ _SPACE_CELLS, _AZIMUTHS = 6, 12
 _EACH, _SPACE_EACH = 50, 15  # starts of a cell
 
 
-@numba.njit(cache=True)
+@kernel
 def _in_goal(state, platform, goal_size, is_planar, out):
     """In the plane y, vy and roll are not bounded: policies there cannot counteract sideways forces."""
     seen = np.empty(surface.HEADING_SIZE)

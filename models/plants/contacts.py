@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import mujoco
-import numba
 import numpy as np
 
 from inclined_landing.models import geometry
+from inclined_landing.models.compiled import kernel
 
 
 @dataclasses.dataclass
@@ -44,7 +44,7 @@ class Contacts:
         return _met(self.touch, 2, 3)
 
 
-@numba.njit(cache=True)
+@kernel
 def _met(flags, first, last):
     """Return (n,) bool: is a flag (n, 3, 3) of any part true for one of the surfaces first to last - 1."""
     out = np.empty(len(flags), np.bool_)
@@ -57,7 +57,7 @@ def _met(flags, first, last):
     return out
 
 
-@numba.njit(cache=True)
+@kernel
 def _meets(row, addresses):
     """Has any contact sensor in `row` (s,) found a contact?"""
     for geom in range(addresses.shape[0]):
@@ -67,7 +67,7 @@ def _meets(row, addresses):
     return False
 
 
-@numba.njit(cache=True)
+@kernel
 def read_contacts(sensors, ids, addresses, zone, near, touch, force):
     """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
 

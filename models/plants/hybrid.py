@@ -34,7 +34,6 @@ import functools
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from inclined_landing.models import equations, forces, geometry, held, threads
@@ -54,10 +53,10 @@ from inclined_landing.models.attitude import (
     quaternion,
     sine_cosine,
 )
+from inclined_landing.models.compiled import inlined, kernel, unlocked
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import MOST, STILL, Moving, follow, strays
-from inclined_landing.models.plants.slung_load import write_load
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm; in a
@@ -118,7 +117,6 @@ class _Engine(NamedTuple):
     at: Columns
     samples: np.ndarray  # (actuators,) length of each one's history
     addresses: np.ndarray  # (actuators,) where it begins
-    load_joint: np.ndarray  # (2,) of `slung_load.load_joint`
 
 
 class _Results(NamedTuple):
@@ -160,7 +158,7 @@ class HybridPlant(MujocoPlant):
     def _bind(self, batch):
         super()._bind(batch)
         histories = self.model.actuator_history[:, 0], self.model.actuator_historyadr
-        self._engine = _Engine(batch.state, self._columns, *histories, self._load_joint)
+        self._engine = _Engine(batch.state, self._columns, *histories)
         reach = geometry.platform_reach(self.vehicle)
         self._platforms = _Platforms(self.platform, self.present, self._mocap, reach)
 
@@ -186,6 +184,7 @@ class HybridPlant(MujocoPlant):
         numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
         of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
         counts = threads.in_threads(lambda part: _fly(ids, *part, *of_all), parts)
+        self._write_loads(ids[~self.in_engine[ids]])
         return np.concatenate(
             [self._results.for_engine[first : first + count] for (first, _), count in zip(parts, counts)]
         )
@@ -208,7 +207,7 @@ class HybridPlant(MujocoPlant):
 functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its options by name
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
+@unlocked
 def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results):
     """Fly those of the vehicles `ids[first:last]` by the equations that stay out of reach.
 
@@ -334,21 +333,19 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
                 results.near[i, surface, part] = results.touch[i, surface, part] = False
                 results.force[i, surface, part] = 0.0
         _write(flown, state[i], substeps, dt, engine)
-        if len(results.load) > 0:
-            write_load(results.load[i], engine.load_joint, flown, at)
         if moving:
             follow(motions.courses[i], flown[at.time], now, parts, platform[i])
     return count
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _take_command(u, commands, step, i, limits):
     """Write the command of vehicle i in a time step, of commands (substeps, n, 4), within limits (4, 2)."""
     for k in range(4):
         u[k] = min(limits[k, 1], max(limits[k, 0], commands[step, i, k]))
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _is_held(commands, i):
     """Return whether the commands (substeps, n, 4) of vehicle i are the same in all time steps."""
     for step in range(1, len(commands)):
@@ -358,12 +355,12 @@ def _is_held(commands, i):
     return True
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _size(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _moved(wx, wy, wz, x, y, z, dt):
     """Return how far [m] a vehicle has moved in `dt` [s] at most, from its velocity before to (x, y, z)
     after.
@@ -371,7 +368,7 @@ def _moved(wx, wy, wz, x, y, z, dt):
     return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _turned(rate, y, dt):
     """Return the angle [rad] that a vehicle has turned in `dt` [s] at most, as `_moved`.
 
@@ -384,7 +381,7 @@ def _turned(rate, y, dt):
     return dt * (max(before, after) + change)
 
 
-@numba.njit(cache=True)
+@kernel
 def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
     """Return the distance [m] of vehicle i, at a point and with an axis, from `poses` of `_distance`."""
     d = platforms.platform[i]
@@ -392,7 +389,7 @@ def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
     return geometry.hull_distance(here, axis, turns, poses, vehicles.fleet, vehicles.size[i], lowered)
 
 
-@numba.njit(cache=True)
+@kernel
 def _distance(here, i, platforms, poses, row, at, fleet):
     """Return the distance [m] of a point (x, y, z) to platform i, whose slab is at poses[0] (3,).
 
@@ -407,14 +404,14 @@ def _distance(here, i, platforms, poses, row, at, fleet):
     return geometry.platform_distance(here[0], here[1], here[2], turns, poses, boxes, sizes)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _spare(clear, step, approach):
     """Return the distance [m] that a vehicle has to spare in a time step; see the module's docstring."""
     platform, floor, radius = clear
     return min(platform - (step + 1) * approach, floor) - radius - _MARGIN
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _write(row, state, substeps, dt, engine):
     """Write a vehicle's state (13,), after some time steps of `dt` [s], into its row (s,) of the engine."""
     at = engine.at
@@ -432,7 +429,7 @@ def _write(row, state, substeps, dt, engine):
         row[at.warmstart + k] = 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _note(row, begin, count, command, time):
     """Append a timestamped command [s] to the history buffer of an actuator, which begins there in the row.
 
@@ -446,7 +443,7 @@ def _note(row, begin, count, command, time):
         row[begin + 2 + count + newest] = command
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _as_exact(y, dt):
     """Return whether the equations are as exact as the engine at attitude and rates of y; False for NaN."""
     rates = max(abs(y[equations.RATES]), abs(y[equations.RATES + 1]), abs(y[equations.RATES + 2]))

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import mujoco
 import mujoco.batch
-import numba
 import numpy as np
 from msgspec import Meta
 
@@ -28,6 +27,7 @@ from inclined_landing.models.attitude import (
 )
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import kernel
 from inclined_landing.models.disturbance import Disturbance, Seed
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants.base import Attitude, Plant, Snapshot, sizes_differ
@@ -434,7 +434,7 @@ class MujocoPlant(Plant):
             self.batch.set_const()
 
 
-@numba.njit(cache=True)
+@kernel
 def _diverged(warning, state):
     """Return (n,) bool: has the engine warned, or is a number of the state not finite."""
     out = np.empty(len(state), np.bool_)
@@ -448,7 +448,7 @@ def _diverged(warning, state):
     return out
 
 
-@numba.njit(cache=True)
+@kernel
 def _write_state(ids, state, engine, at):
     """Write states (k, 13) as those of the vehicles `ids` into the engine's rows (n, s); at: `Columns`."""
     for k in range(len(ids)):
@@ -460,7 +460,7 @@ def _write_state(ids, state, engine, at):
         row[at.act] = s[LAG]
 
 
-@numba.njit(cache=True)
+@kernel
 def _read_state(ids, engine, at, state):
     """Write the states of the vehicles `ids` in the engine's rows (n, s) into state (n, 13)."""
     for i in ids:
@@ -472,7 +472,7 @@ def _read_state(ids, engine, at, state):
         s[LAG] = row[at.act]
 
 
-@numba.njit(cache=True)
+@kernel
 def _synchronise_rates(engine, at, commands, vehicle, p, kept):
     """Write the body rates of the first-order loops under commands (n, 4) into the engine's rows (n, s)."""
     for i in range(len(engine)):

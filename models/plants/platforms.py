@@ -17,12 +17,12 @@ import math
 from typing import NamedTuple
 
 import mujoco
-import numba
 import numpy as np
 
 from inclined_landing.models import motion
 from inclined_landing.models.attitude import ROLL, Z, sine_cosine
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import inlined, kernel
 from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.vehicle import Vehicle
@@ -160,7 +160,7 @@ class Platforms:
         return out
 
 
-@numba.njit(cache=True)
+@kernel
 def strays(i, time, present, moving, rates):
     """Return a bound [m/s] of how quickly any point of platform i leaves the path of a steady platform.
 
@@ -175,7 +175,7 @@ def strays(i, time, present, moving, rates):
     return _bound(i, moving, rates)
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def _bound(i, moving, rates):
     """Return the bound of `strays` from the rates (6,) at the period's beginning.
 
@@ -196,7 +196,7 @@ def _bound(i, moving, rates):
     return math.sqrt(square) + moving.reach * turning
 
 
-@numba.njit(cache=True)
+@kernel
 def _stop(ids, places, rest, begun, moving):
     """Stop the platforms `ids` (k,) in the states `places` (k, 12)."""
     waves = moving.waves
@@ -207,13 +207,13 @@ def _stop(ids, places, rest, begun, moving):
         _write_course(i, rest, begun, moving)
 
 
-@numba.njit(cache=True)
+@kernel
 def _renew(ids, rest, begun, moving):
     for i in ids:
         _write_course(i, rest, begun, moving)
 
 
-@numba.njit(cache=True)
+@kernel
 def _write_course(i, rest, begun, moving):
     """Write the course of platform i: all that moves it in one place, without waves of no amplitude.
 
@@ -236,14 +236,14 @@ def _write_course(i, rest, begun, moving):
         course[_VELOCITY + k] = waves.velocity[i, k]
 
 
-@numba.njit(cache=True)
+@kernel
 def _follow(ids, time, moving, platform):
     now, parts = np.empty((3, 6)), np.empty((2, moving.courses.shape[1]))
     for i in ids:
         follow(moving.courses[i], time[i], now, parts, platform[i])
 
 
-@numba.njit(cache=True, inline="always")
+@inlined
 def follow(course, time, now, parts, out):
     """Write the state of a platform `time` [s] after its vehicle's reset into `out` (12,), as `displacement`.
 
@@ -264,7 +264,7 @@ def follow(course, time, now, parts, out):
     motion.write_state(now, course[_PLACE : _PLACE + 6], out)
 
 
-@numba.njit(cache=True)
+@kernel
 def _place(ids, clock, present, moving, platform, joints):
     """Write the platforms' states into `platform`, and positions, speeds and forces into the engine's
     arrays.
@@ -291,7 +291,7 @@ def _place(ids, clock, present, moving, platform, joints):
             force[i, dofs[k]] = inertia * gain[k]  # F = I a
 
 
-@numba.njit(cache=True)
+@kernel
 def _forces(ids, clock, present, waves, joints, out):
     """Write the forces of every time step, from the accelerations in its middle, into `out`."""
     now = np.empty(6)

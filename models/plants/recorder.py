@@ -19,7 +19,6 @@ import math
 from typing import NamedTuple
 
 import mujoco
-import numba
 import numpy as np
 
 from inclined_landing.models import forces, surface
@@ -35,6 +34,7 @@ from inclined_landing.models.attitude import (
     sine_cosine,
 )
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.compiled import kernel
 from inclined_landing.models.geometry import CONTACT_GEOMS, PARTS
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plausible import ENGINE_STEP
@@ -173,7 +173,7 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
     return states
 
 
-@numba.njit(cache=True)
+@kernel
 def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, pushes, dt):
     """Write `Steps.force`: what changes a vehicle's momentum and is neither of the air nor of the rotors."""
     position, velocity = np.empty(3), np.empty(3)
@@ -201,7 +201,7 @@ def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, 
                     force[j] -= 0.5 * (r[3 * j] * x + r[3 * j + 1] * y + r[3 * j + 2] * z)
 
 
-@numba.njit(cache=True)
+@kernel
 def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force):
     """Fold a control period of the vehicles `ids` into the rows of their records."""
     feet = slab[0]

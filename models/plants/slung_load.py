@@ -3,8 +3,9 @@
 import math
 
 import mujoco
-import numba
 import numpy as np
+
+from inclined_landing.models.compiled import kernel
 
 
 def load_joint(model: mujoco.MjModel) -> np.ndarray:
@@ -13,7 +14,7 @@ def load_joint(model: mujoco.MjModel) -> np.ndarray:
     return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
 
 
-@numba.njit(cache=True)
+@kernel
 def write_load(load, joint, row, columns):
     """Write a slung load (6,), see `Plant.load`, into a vehicle's row (s,) of the engine; see `load_joint`.
 
@@ -40,7 +41,7 @@ def write_load(load, joint, row, columns):
         qvel[dof + k] = turning[k] - carried[k]
 
 
-@numba.njit(cache=True)
+@kernel
 def matrix(q):
     """Return the rotation matrix (3, 3) of a quaternion (4,), here of any length."""
     w, x, y, z = q / math.sqrt((q**2).sum())
@@ -53,14 +54,14 @@ def matrix(q):
     )
 
 
-@numba.njit(cache=True)
+@kernel
 def write_loads(ids, load, joint, engine, columns):
     """Write the slung loads (n, 6) of the vehicles `ids` into the engine's rows (n, s); see `write_load`."""
     for i in ids:
         write_load(load[i], joint, engine[i], columns)
 
 
-@numba.njit(cache=True)
+@kernel
 def read_loads(ids, load, joint, engine, columns):
     """Write the slung loads (n, 6) of the vehicles `ids` from the engine's rows (n, s)."""
     for i in ids:
