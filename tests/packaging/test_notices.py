@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 import pytest
 
 from tests import ROOT
-from tests.validation.convert import public_sets
+from tests.validation.flights import public_sets
 
 NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -22,9 +22,10 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.validation.convert import public_sets
+from tests.validation.flights import public_sets
 
 from .causes import paths_of, read
+from .shared import check_folder
 
 DIGITS = 5  # of a value in the file: fewer than any interval allows, and readable
 DRAWS = 2000  # of the bootstrap over flights
@@ -46,8 +47,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     chosen = {name: entry for name, entry in vehicles().items() if not only or name in only}
     if unknown := set(only) - set(chosen):
         raise UserError(f"unknown vehicle {min(unknown)!r}; choose from {', '.join(vehicles())}")
-    if not data.is_dir():
-        raise UserError(f"{data}: no folder; it must hold the clones of the repositories")
+    check_folder(data)
     storage.check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     lines = ["| vehicle | judged on | flights | base file | identified |", "|---|---|---|---|---|"]
@@ -65,8 +65,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
 
 def _flights(data: Path, entry: Mapping, patterns: Sequence[str]) -> list[FlightLog]:
     """Return the flights of some patterns. Raises UserError where none can be used."""
-    folder = public_sets()[entry["set"]].repository.rpartition("/")[2]
-    logs, refused = read(paths_of(data / folder, patterns), None)
+    logs, refused = read(paths_of(data / public_sets()[entry["set"]].folder, patterns), None)
     if not logs:
         raise UserError(refused[0])
     return logs

@@ -14,7 +14,7 @@ from tests import ROOT
 from tests.validation import __main__ as validation
 from tests.validation import gap_example
 from tests.validation.causes import _expanded
-from tests.validation.convert import public_sets
+from tests.validation.flights import public_sets
 from tests.validation.identified import vehicles
 from tests.validation.simulator import World
 
