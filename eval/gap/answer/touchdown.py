@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.landings import (
     AFTER,
     BEFORE,
@@ -19,6 +18,7 @@ from inclined_landing.eval.gap.flights.landings import (
 )
 from inclined_landing.eval.gap.flights.usable import UsableFlights
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
+from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
 from inclined_landing.eval.gap.result import (
     NamedEffect,
@@ -95,7 +95,7 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
     """Return the named contact effects with estimates, largest gain first."""
     effects = []
     for name, estimate in found.sizes.items():
-        members = (name, *confounded_with(found, name))
+        members = (name, *confounded_with(found.sets, found.names, name))
         if found.probability(*members) < thresholds.NAMED:
             continue
         (p,) = problem.library[name].parameters

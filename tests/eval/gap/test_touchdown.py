@@ -7,7 +7,6 @@ import pytest
 from msgspec import ValidationError
 
 from inclined_landing.eval.gap import diagnose, thresholds
-from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.answer.touchdown import contact_effects, joint_sets
 from inclined_landing.eval.gap.flights.landings import LandingReference, contact_model_covariance, landings_of
 from inclined_landing.eval.gap.infer.contact import (
@@ -17,6 +16,7 @@ from inclined_landing.eval.gap.infer.contact import (
     inflation,
 )
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
+from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, static_deflection
 from inclined_landing.eval.gap.result import Estimate, ScoredSet, from_plain, marginal, plain
 from inclined_landing.models.effects import LIBRARY
@@ -98,7 +98,10 @@ def test_a_contact_effect_is_named_among_few(higher):
         landings_of(flights[: thresholds.LEAST_LANDINGS], VEHICLE), VEHICLE, few
     )
     assert list(problem.library) == list(few) and found.names == {"platform_height"}
-    assert found.probability("platform_height") > 0.9 and confounded_with(found, "platform_height") == ()
+    assert (
+        found.probability("platform_height") > 0.9
+        and confounded_with(found.sets, found.names, "platform_height") == ()
+    )
     assert found.sets[0].values["platform_height"]["offset"] == pytest.approx(offset, abs=0.003)
     low, high = found.sizes["platform_height"].ci95
     assert low < found.sets[0].values["platform_height"]["offset"] < high and high - low < 0.006
