@@ -16,7 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
-from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 
@@ -85,14 +85,7 @@ def publish(
     head: title, lead and run (how it was made) of the page. Prints the claims that do not hold.
     """
     images = {file: png(figure) for file, figure in figures.items()}
-    page = render(
-        __package__,
-        "claims.html.j2",
-        sections=sections,
-        images={file: embedded(image) for file, image in images.items()},
-        versions=record["versions"],
-        **head,
-    )
+    page = of_sections(sections, images, versions=record["versions"], **head)
     with runs.staged_run(out) as folder:
         for file, image in images.items():
             storage.write_bytes(folder / file, image)
