@@ -24,14 +24,14 @@ COLOURS = {"train": "#fdf1e7", "eval": "#f1f6fc", "envs": "#e9f6f1", "models": "
 # Box: its middle, width, and what it is for. y counts rows from the bottom.
 BOXES = {
     "train": (-1.05, 2, 1.8, "PPO, curricula, sweeps"),
-    "eval.cli": (4.75, 6, 8.8, "landing-eval: the table of commands"),
+    "eval.cli": (4.75, 7, 8.8, "landing-eval: the table of commands"),
     "eval.replay": (6.85, 5, 1.0, "flights to see"),
     "eval.study": (8.6, 5, 1.9, "how well do policies do?"),
     "eval.gap": (4.85, 4, 1.9, "which effect is missing?"),
-    "eval.landings": (1.47, 4, 1.7, "what happens on touching?"),
+    "eval.landings": (8.6, 6, 1.7, "what happens on touching?"),
     "eval.machine": (3.1, 4, 1.4, "doctor, benchmark"),
     "eval.truth": (6.7, 4, 1.56, "is the simulator right?"),
-    "eval.export": (3.1, 3, 1.4, "ONNX, C, NumPy"),
+    "eval.export": (3.1, 3, 1.4, "ONNX, C"),
     "eval.logs": (5.55, 3, 1.9, "what flights say"),
     "eval.pictures": (7.5, 3, 1.7, "figures, videos"),
     "eval.base": (5.0, 2, 9.2, "options, pages, claims, style"),
@@ -92,10 +92,10 @@ def draw() -> str:
     """The picture as SVG."""
     options = {"svg.fonttype": "none", "svg.hashsalt": ROOT, "font.family": "sans-serif"}
     with matplotlib.rc_context(options):
-        figure, axes = pyplot.subplots(figsize=(12.1, 7.4))
-        axes.set(xlim=(-2.1, 10), ylim=(-0.5, 6 * _ROW + 0.6), aspect="equal")
+        figure, axes = pyplot.subplots(figsize=(12.1, 8.4))
+        axes.set(xlim=(-2.1, 10), ylim=(-0.5, 7 * _ROW + 0.6), aspect="equal")
         axes.axis("off")
-        low, high = 2 * _ROW - 0.5, 6 * _ROW + 0.5
+        low, high = 2 * _ROW - 0.5, 7 * _ROW + 0.5
         style = "round,pad=0,rounding_size=0.12"
         frame = FancyBboxPatch((0.2, low), 9.6, high - low, boxstyle=style, fc=COLOURS["eval"], ec=RULE, lw=1)
         axes.add_patch(frame)

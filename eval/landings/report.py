@@ -47,7 +47,7 @@ QUANTILES = (
 
 def _index(name: str, title: str) -> Measure:
     def cell(row: Row, factor: float, digits: int) -> str:
-        return with_ends(row | {"statistic": "share"}, factor, digits)
+        return with_ends({**row, "statistic": "share"}, factor, digits)
 
     return Measure(name=f"index_{name}", title=title, statistic=share, cell=cell, note=_INDEX)
 

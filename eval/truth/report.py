@@ -77,15 +77,17 @@ def publish(
     sections: list[Section],
     figures: Mapping[str, Figure],
     record: dict,
-    **head: str,
+    title: str,
+    lead: str,
+    run: str,
 ) -> bool:
     """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
 
     figures: by the file names that sections have captions for; record: of the JSON file, with `versions`;
-    head: title, lead and run (how it was made) of the page. Prints the claims that do not hold.
+    run: how it was made. Prints the claims that do not hold.
     """
     images = {file: png(figure) for file, figure in figures.items()}
-    page = of_sections(sections, images, versions=record["versions"], **head)
+    page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])
     with runs.staged_run(out) as folder:
         for file, image in images.items():
             storage.write_bytes(folder / file, image)
