@@ -163,7 +163,8 @@ class _ContactModel:
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
         self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
-        scatter = [contact_laws.SCATTER[n][int(referred)] for n in self.names]
+        laws = [contact_laws.SCATTER.get(n, contact_laws.OF_OTHERS) for n in self.names]
+        scatter = [one.referred if referred else one.alone for one in laws]
         self.spike = np.hypot(np.array(scatter) * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]

@@ -30,6 +30,7 @@ SCATTER = {
     "platform_height": Scatter(0.1, 0.1),
     "platform_tilt": Scatter(0.18, 0.16),
 }
+OF_OTHERS = Scatter(0.5, 0.3)  # of effects of other libraries: as wide as those of the spring
 
 # Effect -> what, under another law, looked like it, for sizes within these ends, in plausible sizes. Feet
 # that rebound or give way under one law are rougher or shorter ones under another; stiffer feet take away no
