@@ -261,9 +261,8 @@ def test_effects_of_contact_are_named_on_two_engines(engine, cause):
 @pytest.mark.parametrize("cause", ["contact_stiffness", "contact_damping"])
 def test_springs_and_dampers_are_no_sure_names(cause):
     """The vehicle file's contact may differ by as much, for all that is known of it."""
-    recordings, _ = landings(cause, "strong", seed=403)
-    flown = landings_of(logs(recordings, contact=True), VEHICLE)
-    assert not any(e.sure for e in contact_effects(*contact_posterior(flown, VEHICLE, LIBRARY)))
+    landings = landings_of(flown(cause, 403)[0], VEHICLE)
+    assert not any(e.sure for e in contact_effects(*contact_posterior(landings, VEHICLE, LIBRARY)))
 
 
 @pytest.mark.slow
