@@ -1,146 +1,155 @@
-"""`plan-loop`: identify, fly, gap, plan, fly what was planned, gap, all by the commands of the user.
+"""`plan-loop`: one planned flight, or one ordinary flight more, where a first flight leaves a cause in doubt.
 
-A simulated Crazyflie with one hidden cause flies an ordinary landing, after which the cause is in doubt. From
-there the loop goes on with one planned flight; beside it, from the same landing, with two further landings.
+A cause of the library is hidden in a reality of the development families (`gap_blind.cases`). The vehicle is
+identified from flights without it, and diagnosed from one with it. Where the cause is not sure, the same
+reality flies what `plan` designs, and both flights are diagnosed; beside it, after the same first flight,
+with an ordinary flight of as many seconds in the place of the planned one.
 """
 
 from __future__ import annotations
 
-import json
-import shlex
-import subprocess
-import sys
-import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Annotated
 
-import tyro
+import numpy as np
+from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base.options import Folder, Seed
+from inclined_landing.eval.base.options import Folder
+from inclined_landing.eval.gap import diagnose, thresholds
+from inclined_landing.eval.gap.answer.identification import Identification, identify
+from inclined_landing.eval.gap.plan import SECONDS, design, pieces
+from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.base import storage
-from inclined_landing.models.effects import apply
-from inclined_landing.models.parameters import load_vehicle, write_vehicle
-from tests.validation.gap_blind import score
-from tests.validation.shared import check_known, table_of
+from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
+from tests.validation import simulator
+from tests.validation.simulator import Recording, control
+from tests.validation.simulator.vehicle import PILOT_RATE
 
-# Small enough that one landing leaves them in doubt, as looked at with seed 100; the last one because
-# ordinary flights do not go where it is.
-CAUSES: dict[str, dict[str, float]] = {
-    "attitude_delay": {"delay": 0.012},
-    "body_drag": {"coefficient": 0.002},
-    "motor_lag": {"scale": 1.25},
-    "ground_effect": {"strength": 6.0, "fading": 3.0},
-}
-HEALTHY = 6  # landings that the vehicle is identified from
-ORDINARY = 2  # further landings in the place of the planned flight
+from .gap_blind import cases, generate, score
+from .gap_blind.accepted import accepted
+from .gap_blind.causes import FREE_FLIGHT, SIZES
+from .shared import answered, table_of
 
-
-class Failed(Exception):
-    """Raised for a command that ended with an exit code which is not its own."""
-
-
-class _Shell:
-    """Runs commands as a user types them, and keeps them with their times."""
-
-    def __init__(self):
-        self.steps: list[dict] = []
-
-    def __call__(self, *words: object, codes: Sequence[int] = (0,)) -> None:
-        """Run a command of this installation. Raises Failed for an exit code that is none of `codes`."""
-        typed = [str(word) for word in words]
-        print("$ " + shlex.join(typed), file=sys.stderr, flush=True)
-        began = time.monotonic()
-        program = str(Path(sys.executable).parent / typed[0])
-        done = subprocess.run([program, *typed[1:]], check=False, capture_output=True, text=True)
-        seconds = time.monotonic() - began
-        self.steps.append({"command": shlex.join(typed), "seconds": seconds, "said": done.stdout})
-        if done.returncode not in codes:
-            raise Failed(f"{shlex.join(typed)} ended with {done.returncode}: {done.stderr.strip()}")
+HEALTHY = 6  # flights that identify the vehicle
+ANSWERS = ("right", "wrong", "in doubt")  # sure and right; a sure name is wrong; neither
+ROUNDS = {"first": "one flight", "planned": "and a planned one", "ordinary": "and an ordinary one"}
 
 
 def command(
     out: Folder,
-    seed: Seed = 0,
-    causes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAUSE [CAUSE ...]")] = tuple(CAUSES),
+    first: Annotated[int, Meta(ge=1)] = 1,
+    last: Annotated[int, Meta(ge=1)] = 60,
+    processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
-    """The loop with planned flights on hidden causes, beside ordinary flights (minutes).
+    """What a planned flight settles that a first flight leaves in doubt, beside an ordinary one (minutes).
 
     Args:
-        out: new folder for all files, results.json and table.md.
-        seed: of the flights.
-        causes: hidden one after the other.
+        out: folder for the answers, results.json and table.md; an interrupted run goes on in it.
+        first: first seed; each draws a vehicle, and the causes take turns.
+        last: last seed.
+        processes: seeds at a time.
     """
-    check_known("cause", causes, CAUSES)
-    runs.check_new_run(out)
-    out.mkdir(parents=True, exist_ok=True)
-    shell = _Shell()
-    fly(shell, out / "healthy", 1000 * seed, "landing-nominal", "--flights", HEALTHY)
-    shell("landing-eval", "identify", *logs(out / "healthy"), "--platform", "--out", out / "identified")
-    rows = [loop(shell, out / name, name, CAUSES[name], 1000 * seed + 10) for name in causes]
-    text = table_of(list(map(line, rows)))
-    results = {"seed": seed, "rows": rows, "steps": shell.steps, "versions": runs.versions()}
-    storage.write_json(out / "results.json", results)
-    storage.write_text(out / "table.md", text)
-    print(text)
+    calls = {f"seed_{seed}": (seed,) for seed in range(first, last + 1)}
+    rows = list(answered(out / "rows", two_rounds, calls, processes).values())
+    storage.write_json(out / "results.json", {"rows": rows, "versions": runs.versions()})
+    storage.write_text(out / "table.md", markdown(rows))
+    print(markdown(rows))
 
 
-def loop(shell: _Shell, folder: Path, cause: str, values: Mapping[str, float], seed: int) -> dict:
-    """Return the probabilities of the right set before and after, and the seconds that the loop took."""
-    folder.mkdir()
-    hidden, identified = folder / "hidden.toml", folder.parent / "identified" / "vehicle.toml"
-    write_vehicle(hidden, apply(load_vehicle(), {cause: dict(values)}))
-    vehicle = ("--vehicle", hidden)
-    began = len(shell.steps)
+def drawn(seed: int) -> cases.Case:
+    """Return the case of a seed: the causes take turns, of weak size, then medium, and so on."""
+    turn, number = divmod(seed - 1, len(FREE_FLIGHT))
+    cause = list(FREE_FLIGHT)[number]
+    return cases.draw("dev", "single", cause=cause, size=SIZES[turn % 2], seed=(9053, seed))
 
-    def gap(name: str, *folders: str) -> dict:
-        flown = [log for one in folders for log in logs(folder / one)]
-        options = ("--vehicle", identified, "--platform", "--out", folder / name)
-        shell("landing-eval", "gap", *flown, *options)
-        return json.loads((folder / name / "report.json").read_text("utf-8"))
 
-    fly(shell, folder / "first", seed, "landing-nominal", *vehicle)
-    before = gap("report", "first")
-    row = {"cause": cause, "values": dict(values), "before": right(cause, before), "planned": None}
-    shell("landing-eval", "plan", folder / "report", "--out", folder / "plan")
-    row["plan_seconds"] = shell.steps[-1]["seconds"]
-    if (folder / "plan" / "flight.csv").is_file():
-        plan = json.loads((folder / "plan" / "plan.json").read_text("utf-8"))
-        row["lowest"], row["expected"] = plan["simulated"]["lowest"], plan["expected"]
-        row["pieces"] = [piece["text"] for piece in plan["pieces"]]
-        fly(shell, folder / "planned", seed + 1, "--plan", folder / "plan" / "flight.csv", *vehicle)
-        row["planned"] = right(cause, gap("after", "first", "planned"))
-    row["seconds"] = sum(step["seconds"] for step in shell.steps[began:])
-    fly(shell, folder / "further", seed + 2, "landing-nominal", "--flights", ORDINARY, *vehicle)
-    row["ordinary"] = right(cause, gap("beside", "first", "further"))
+def two_rounds(seed: int) -> dict:
+    """Return the answers of one case: after one flight, with the planned one, with an ordinary one."""
+    case = drawn(seed)
+    rng = np.random.default_rng(case.entropy)
+    usual, hidden = case.worlds()
+    healthy = generate.fly_all(usual, rng, case.reality, count=HEALTHY)
+    first, ordinary = generate.fly_all(hidden, rng, case.reality, count=2, seconds=SECONDS)
+    known = identify(generate.logs(healthy, voltage=case.voltage), load_vehicle())
+    d = _diagnosis(case, [first], known)
+    row = {"seed": seed, "family": case.reality.family, "cause": case.causes[0], "size": case.size}
+    row["first"] = answer(case, d)
+    if row["first"]["answer"] != "in doubt":
+        return row
+    row["ordinary"] = answer(case, _diagnosis(case, [first, ordinary], known))
+    if plan := planned(d, known):
+        flight = simulator.fly(path_of(plan), hidden.world_of(rng), rng, case.reality)
+        row["planned"] = answer(case, _diagnosis(case, [first, flight], known))
+        row["pieces"] = [span.piece.text for span in plan.path.spans]
+        row["lowest"] = float(flight.truth[:, 2].min())
     return row
 
 
-def fly(shell: _Shell, out: Path, seed: int, *what: object) -> None:
-    """Fly; a landing that misses (exit code 3) is a log as well."""
-    words = ("landing-eval", "fly", *what, "--simulated", "--seed", seed, "--out", out)
-    shell(*words, codes=(0, 3))
+def _diagnosis(case: cases.Case, recordings: Sequence[Recording], known: Identification) -> Diagnosis:
+    logs = generate.logs(recordings, voltage=case.voltage)
+    return diagnose(logs, known.vehicle, reference=known.reference, curves=False)
 
 
-def logs(folder: Path) -> list[Path]:
-    """Return the logs of a folder of flights."""
-    return sorted(folder.glob("flight_??.csv"))
+def planned(d: Diagnosis, known: Identification) -> design.Plan | None:
+    """Return the flight that `landing-eval plan` would write for a diagnosis; None where it writes none."""
+    given = PlanInput.of(d, known.vehicle, known.reference)
+    if given.hypotheses[0].probability >= thresholds.DECIDED and not given.vary:
+        return None
+    try:
+        plan = design.design(given)
+    except UserError:  # no safe flight
+        return None
+    return plan if given.vary or plan.gain >= thresholds.LEAST_GAIN else None
 
 
-def right(cause: str, report: Mapping) -> float:
-    """Return the probability of the sets that name the cause and nothing that does not belong to it."""
-    return score.belief({"causes": [cause], "base": []}, report)["truth"]
+def path_of(plan: design.Plan) -> np.ndarray:
+    """Return a plan as the reference (k, REF_SIZE) of the simulator's pilot."""
+    rows = np.zeros((len(plan.path.yaw), control.REF_SIZE))
+    for column, values in (
+        (control.REF_POSITION, plan.path.position),
+        (control.REF_VELOCITY, plan.points.velocity),
+        (control.REF_ACCELERATION, plan.points.acceleration),
+    ):
+        rows[:, column : column + 3] = values
+    rows[:, control.REF_YAW] = plan.path.yaw
+    rows[:, control.REF_YAW_RATE] = np.gradient(plan.path.yaw, 1.0 / pieces.RATE)
+    return rows[:: round(pieces.RATE / PILOT_RATE)]
 
 
-def line(row: Mapping) -> dict:
-    """Return a row as a line of the table."""
-    values = ", ".join(f"{name} {value:g}" for name, value in row["values"].items())
-    return {
-        "hidden cause": f"{row['cause']} ({values})",
-        "before": f"{row['before']:.2f}",
-        "after one planned flight": "not planned" if row["planned"] is None else f"{row['planned']:.2f}",
-        "after two ordinary flights": f"{row['ordinary']:.2f}",
-        "planning": f"{row['plan_seconds']:.0f} s",
-        "lowest": f"{row['lowest']:.2f} m" if "lowest" in row else None,
+def answer(case: cases.Case, d: Diagnosis) -> dict:
+    """Return which of ANSWERS a diagnosis is, its sure names, and the probability of the right sets."""
+    report = d.to_json()
+    sure = sorted(effect.name for effect in d.effects if effect.sure)
+    wrong = not all(score.score_case(case.label(), report)["sure"])
+    right = any(option <= set(sure) for option in accepted(case.causes[0]))
+    found = "wrong" if wrong else "right" if right else "in doubt"
+    belief = score.belief(case.label(), report)
+    return {"answer": found, "verdict": d.verdict, "sure": sure, "truth": belief and belief["truth"]}
+
+
+def markdown(rows: Sequence[Mapping]) -> str:
+    """Return counts of the answers, and a table of the cases that the first flight leaves in doubt."""
+    doubt = [row for row in rows if row["first"]["answer"] == "in doubt"]
+    every = {"one flight, all cases": [row["first"] for row in rows]}
+    # Where no flight is planned the first answer stays.
+    every |= {
+        f"{words}, in doubt before": [row.get(k, row["first"]) for row in doubt]
+        for k, words in ROUNDS.items()
     }
+    counts = [
+        {"flights": words, "cases": len(some)} | {a: sum(one["answer"] == a for one in some) for a in ANSWERS}
+        for words, some in every.items()
+    ]
+    cells = [
+        {"hidden": f"{row['cause']}, {row['size']}"}
+        | {words: _cell(row.get(k)) for k, words in ROUNDS.items()}
+        for row in doubt
+    ]
+    return table_of(counts) + ("\n" + table_of(cells) if cells else "")
+
+
+def _cell(one: Mapping | None) -> str:
+    return "none planned" if one is None else f"{one['answer']}, {one['truth']:.2f}"

@@ -130,23 +130,30 @@ class Case:
                 changes[field] = scaled
         return dataclasses.replace(identified, **changes)
 
+    def worlds(self) -> tuple[Drawn, Drawn]:
+        """What flights without the cause and flights with it differ by from the reality's."""
+        drawn = causes.combined(*self.drawn.values())
+        charge = {"battery_voltage": (-0.15, 0.15)}
+        # Without a channel that shows its battery, every flight starts on the same charge.
+        spread = {} if "battery_sag" in self.causes else charge | drawn.spread
+        return Drawn({}, {}, spread=charge), dataclasses.replace(drawn, spread=spread)
+
     def fly(self, seconds: float = generate.SECONDS) -> Flown:
         """Fly all flights, of so many seconds each where they do not land."""
         rng = np.random.default_rng(self.entropy)
-        drawn = causes.combined(*self.drawn.values())
         count = self.count + HELDOUT
         if self.stratum == "touchdown":
             fly = simulator.fly
             if self.family == "bullet":
                 from .bullet_reality import fly
-            groups = ((Drawn({}, {}), LANDED * self.identified), (drawn, count))
+            groups = (
+                (Drawn({}, {}), LANDED * self.identified),
+                (causes.combined(*self.drawn.values()), count),
+            )
             landed = [generate.land_all(one, rng, count=n, fly=fly) for one, n in groups]
             plain, gap = (generate.logs(one, contact=True) for one in landed)
         else:
-            charge = {"battery_voltage": (-0.15, 0.15)}
-            # Without a channel that shows its battery, every flight starts on the same charge.
-            spread = {} if "battery_sag" in self.causes else charge | drawn.spread
-            hidden, usual = dataclasses.replace(drawn, spread=spread), Drawn({}, {}, spread=charge)
+            usual, hidden = self.worlds()
             groups = ((usual, IDENTIFY * self.identified), (hidden, count))
             if self.family == ROTORPY:
                 flown = _rotorpy().fly_groups(groups, rng, self.reality, seconds)
