@@ -7,7 +7,7 @@ import io
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -15,9 +15,6 @@ from msgspec import Meta
 from inclined_landing.eval.base.options import Look, RunFolder, Seed
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
-
-if TYPE_CHECKING:
-    from inclined_landing.envs.flights import Flight
 
 POLICY = "landing"
 LOOK: dict[str, Any] = {"width": 640, "height": 360}
@@ -50,10 +47,13 @@ def command(
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.envs.policy import load_policy
     from inclined_landing.envs.shared import runs
-    from inclined_landing.envs.shared.statistics import proportion
-    from inclined_landing.envs.shared.tables import count_words, say
+    from inclined_landing.envs.shared.measures import STRICT, count_words
+    from inclined_landing.envs.shared.tables import say
     from inclined_landing.envs.tasks import hover_states
     from inclined_landing.envs.tasks.frozen import PAPER_STARTS
+    from inclined_landing.eval.study.engine import Study, View, count
+    from inclined_landing.eval.study.flights import table_of
+    from inclined_landing.eval.study.show import show
 
     began = time.monotonic()
     policy = load_policy(POLICY)
@@ -62,8 +62,12 @@ def command(
     states = np.concatenate([hover_states(PAPER_STARTS, task.vehicle), drawn])
     print(f"flying the policy '{POLICY}' from {len(states)} starts ...", file=sys.stderr)
     flights = record_flights(policy, "mujoco", states, steps=task.judged_steps)
-    paper = len(PAPER_STARTS)
-    _show({"the paper's three": flights[:paper], f"random, seed {seed}": flights[paper:]})
+    table = table_of(task, flights)
+    names = np.where(np.arange(len(flights)) < len(PAPER_STARTS), "the paper's three", f"random, seed {seed}")
+    views = [View(("starts",), task.measures, "success"), View((), task.measures)]
+    study = Study(name="demo", title=f"Policy {POLICY}", cases=(), views=views)
+    results = count(study, table.assign(starts=names))
+    show([results])
     print("filming the paper's three starts ...", file=sys.stderr)
     points = tuple(",".join(f"{axis:g}" for axis in point) for point in PAPER_STARTS)
     with runs.staged_run(out) as folder:
@@ -75,22 +79,5 @@ def command(
         names = sorted(path.name for path in folder.iterdir())
     seconds = time.monotonic() - began
     print(f"{out}: {', '.join(names)}, written in {seconds:.0f} s\n\n{_NEXT}\n")
-    landed = proportion(sum(flight.strict for flight in flights), len(flights))
-    say(
-        f"The policy reached the goal box in {count_words(landed)}; open {out / 'landing.html'} in a browser."
-    )
-
-
-def _show(groups: dict[str, list[Flight]]) -> None:
-    """Print a row for each group of starts."""
-    from inclined_landing.envs.shared.statistics import proportion
-    from inclined_landing.envs.shared.tables import new_table, share_cell, show_table
-
-    table = new_table(None, "starts", "flights", "in the goal box [%]", "without an early touch", "time [s]")
-    for name, flights in groups.items():
-        reached = [flight for flight in flights if flight.success]
-        times = f"{np.median([flight.duration for flight in reached]):.2f}" if reached else "-"
-        share = share_cell(proportion(len(reached), len(flights)))
-        table.add_row(name, str(len(flights)), share, str(sum(f.strict for f in flights)), times)
-    table.caption = "shares with 95 % Wilson intervals; median time"
-    show_table(table)
+    landed = count_words(results.one(STRICT, starts=None))
+    say(f"The policy {STRICT.said} in {landed}; open {out / 'landing.html'} in a browser.")

@@ -43,7 +43,7 @@ COMMANDS = {
     "gap": (EVAL, "gap {flights} --out {out}", ("report.json",)),
     "identify": (EVAL, "identify {flights} --out {out}", ("report.json",)),
     "blind": (VALIDATION, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
-    "success_effects": (EVAL, "success landing --effects --json", ()),
+    "success_effects": (EVAL, "robustness landing --over effects --every 1 --plant mujoco --json", ()),
 }
 SKIPPED = {
     *("versions", "seconds", "command", "policy", "baseline", "trained", "path", "out", "config"),

@@ -198,8 +198,8 @@ def effects() -> str:
         "# The library of effects\n",
         f"{len(LIBRARY)} physical effects that the paper's equations leave out, each in the equations and in "
         "MuJoCo. All are neutral in the shipped vehicle file. `landing-eval gap` names them from flights, "
-        "`landing-train --randomise` draws them, `landing-eval success --effects` flies a policy under each. "
-        "`landing-eval effects NAME` prints the same.\n",
+        "`landing-train --randomise` draws them, `landing-eval robustness --over effects` flies a policy "
+        "under each. `landing-eval effects NAME` prints the same.\n",
         table(
             ["effect", "formula", "a plausible size", "shows in"],
             (

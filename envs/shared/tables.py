@@ -82,13 +82,6 @@ def share_cell(proportion: dict) -> str:
     return f"{100 * proportion['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def count_words(proportion: dict, what: str = "flights") -> str:
-    """Return a count with its share and interval [%]: `250 of 251 flights (99.6 % [97.8, 99.9])`."""
-    count = f"{proportion['count']} of {proportion['of']} {what}"
-    share = share_cell(proportion).replace(" [", " % [")
-    return count if proportion["share"] is None else f"{count} ({share})"
-
-
 def spread_cell(
     spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
 ) -> str:

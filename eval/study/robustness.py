@@ -175,15 +175,16 @@ def command(
 
 
 def check_one_slope(policies: Mapping[str, Policy]) -> None:
-    """Raise UserError for policies that do not land, or on different slopes."""
+    """Raise UserError for policies of different tasks or slopes, or that are not counted as in `success`."""
     first = next(iter(policies.values())).task
     for policy in policies.values():
         task = policy.task
-        if not task.cut_at_success or task.observes_slope:
-            what = "observes the slope" if task.cut_at_success else f"is for {task.name}"
+        other = task.measures != first.measures or task.evaluated_by != "success"
+        if other or task.observes_slope:
+            what = f"is for {task.name}" if other else "observes the slope"
             raise UserError(
-                f"policy {policy.path} {what}; --over thrust and effects needs policies that land on one "
-                "slope"
+                f"policy {policy.path} {what}; --over thrust and effects needs policies of one task, and "
+                "landings on one slope"
             )
         if not math.isclose(task.inclination, first.inclination):
             raise UserError(f"policy {policy.path} was trained for another inclination than the first")

@@ -1,7 +1,4 @@
-"""`landing-eval success`: how often, how fast and how hard policies reach their goals (`groups`).
-
-With ``--effects`` from the last group of starts alone, once for every effect of the library (`changes`).
-"""
+"""`landing-eval success`: how often, how fast and how hard policies reach their goals (`groups`)."""
 
 from __future__ import annotations
 
@@ -22,7 +19,6 @@ from inclined_landing.eval.base.options import (
     NewFolder,
     Seed,
     ThrustScale,
-    only_without,
 )
 from inclined_landing.models.base.errors import UserError
 
@@ -46,9 +42,8 @@ def command(
     /,
     *,
     flown: Flat[Flown] = Flown(),
-    thrust_scale: Annotated[Scales, only_without("effects")] = (),
-    effects: Flag = False,
-    disturbance: Annotated[Flag, only_without("effects")] = False,
+    thrust_scale: Scales = (),
+    disturbance: Flag = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -58,8 +53,6 @@ def command(
     Args:
         policies: policy files.
         thrust_scale: factors on the total thrust, one row for each (default: 1).
-        effects: one row for each physical effect of the library at a plausible size, which the policies were
-            not trained with; flown from the frozen grid only (four minutes).
         disturbance: fly in the air disturbance of the vehicle file, as landing-eval gap writes it.
         seed: seed for the random starts.
         json: print only JSON on standard output.
@@ -67,7 +60,7 @@ def command(
     """
     if not policies:
         raise UserError("name at least one policy")
-    from inclined_landing.eval.study import changes, groups
+    from inclined_landing.eval.study import groups
     from inclined_landing.eval.study.engine import fact, run
     from inclined_landing.eval.study.flights import named_policies
     from inclined_landing.eval.study.show import hand_over
@@ -83,13 +76,7 @@ def command(
         air = policy.task.vehicle
         if disturbance and not any((*air.disturbance_acceleration, *air.disturbance_angular)):
             raise UserError("--disturbance needs a --vehicle whose table [disturbance] is not all zero")
-    if effects:
-        of_effects = changes.changes(thrusts=(), of_sizes=("medium",))
-        found = [
-            changes.study(kind, of_effects, plant=flown.plant, seed=seed) for kind in groups.kinds(loaded)
-        ]
-    else:
-        options: dict[str, Any] = {"thrust_scales": scales, "disturbance": disturbance}
-        found = [groups.study(kind, plant=flown.plant, seed=seed, **options) for kind in groups.kinds(loaded)]
+    options: dict[str, Any] = {"thrust_scales": scales, "disturbance": disturbance}
+    found = [groups.study(kind, plant=flown.plant, seed=seed, **options) for kind in groups.kinds(loaded)]
     found[0] = dataclasses.replace(found[0], facts=[*facts, *found[0].facts])
     hand_over("success", run(found), json=json, out=out)

@@ -47,7 +47,7 @@ LONG = {
     "gap {place}/20/fit/*.csv --out {place}/out": r"Thrust over mass .*rotor drag.*report.html\.",
     "identify {place}/20/fit/*.csv --out {place}/out": r"\d+ of \d+ constants differ.*vehicle.toml\.",
     "success landing": rf"landing reached the goal box in 251 of 251 flights {SHARE}\.",
-    "success setpoint --effects --plant analytic": r"under \d+ of \d+ effects; the worst is .*\.",
+    "robustness setpoint --over effects --plant analytic": r"under \d+ of \d+ effects; the worst is .*\.",
     "touchdown touchdown --friction 0.8 --restitution 0": rf"policy came to rest .* {SHARE}; .*\.",
     "train setpoint --steps 4096 --out {place}/out": r"Training: ended after .*final.zip\.",
     "train sweep {place}/small.toml --out {place}/out": r"Small: .*it is .* cm .*\.",

@@ -31,8 +31,6 @@ REFUSED = [
     *(f"robustness landing --over moving --{option}" for option in ("plant analytic", "every 3")),
     *(f"robustness landing --over slopes --{option}"
       for option in ("ranges a", "draws 3", "starts 3", "seed 3", "scenario a", "flights 3")),
-    "success landing --effects --thrust-scale 1",
-    "success landing --effects --disturbance",
     "video landing --out a.gif --gif",
     "video landing --out a.mp4 --seed 3",
     "video landing --out a.mp4 --compare a --drawn 3",
