@@ -4,7 +4,7 @@ Four motors with a lag of their own, thrust by the rotor speed squared, reaction
 controller and a 50 Hz pilot on *measured* state, a quaternion body integrated with RK4 at 2 kHz. One vehicle,
 the reference, flies as the paper's equations say; families of others (`family.py`) differ in controller,
 estimator, motors, battery, air and log. Nothing here reads models/, envs/ or the rest of eval/ (an import
-contract and a test hold it to that).
+contract holds it to that).
 """
 
 from .family import FAMILIES, draw
