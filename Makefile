@@ -4,7 +4,6 @@
 # make test-all   the slow tests too, and those that need OpenGL, a browser or an extra: an hour
 # make lint       style, formatting, wording, import contracts and types
 # make bench      simulation speed
-# make diagram    docs/architecture.svg, drawn from the imports
 # make docs       the documentation site in build/site, every link in it checked
 # make wheel      sdist and Linux wheel in dist: installed from there, no compiler is needed
 # make release    the same, and whether they are fit to be published: one line for each check
@@ -33,7 +32,7 @@ TYPES = mkdir -p .venv/types/inclined_landing && touch .venv/types/inclined_land
   && MYPYPATH=.venv/types $(BIN)/mypy --cache-dir .venv/mypy $(addprefix -p inclined_landing.,$(PACKAGES))
 SOURCES := pyproject.toml constraints.txt models/crazyflie.toml $(wildcard models/plugin/*)
 
-.PHONY: install demo test test-all checks lint bench diagram docs wheel release lock
+.PHONY: install demo test test-all checks lint bench docs wheel release lock
 install: $(INSTALLED)
 
 demo: $(INSTALLED)
@@ -61,9 +60,6 @@ lint: checks
 
 bench: $(INSTALLED)
 	$(BIN)/landing-eval benchmark
-
-diagram: .venv/.installed-test
-	$(BIN)/python docs/diagram.py
 
 docs: .venv/.installed-docs build/demo/replay.html build/demo/report/report.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -90,7 +90,7 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
         return groups.study({"final": final}, thrust_scales=scales)
     if task.evaluated_by == "touchdown":
         return motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
-    controller = controllers.of_policy(final, controllers.vehicle_flown())
+    controller = controllers.of_policy(final)
     return moving.study([*scenarios().values()], [controller])
 
 

@@ -44,7 +44,9 @@ def mean(values: np.ndarray) -> dict[str, Any]:
 
 def with_ends(row: Row, factor: float, digits: int) -> str:
     """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`."""
-    value, low, high = (f"{factor * row[key]:,.{digits}f}" for key in ("value", "low", "high"))
+    # + 0.0: no minus sign before zero
+    ends = (round(factor * row[key], digits) + 0.0 for key in ("value", "low", "high"))
+    value, low, high = (f"{end:,.{digits}f}" for end in ends)
     return f"{value} [{low}, {high}]" if row["statistic"] == "share" else f"{value} ({low} to {high})"
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Mapping, Sequence
 from importlib import resources
+from typing import Any
 
 import jinja2
 import matplotlib
 from matplotlib.figure import Figure
 
-from inclined_landing.eval.base.claims import number
+from inclined_landing.eval.base.claims import Section, number
 from inclined_landing.eval.base.style import PNG_DPI, styled
 
 
@@ -34,6 +36,26 @@ def render(package: str, template: str, **content) -> str:
     environment.filters["number"] = number
     environment.globals["parts"] = environment.get_template("parts.html.j2").module
     return environment.get_template(template).render(content)
+
+
+def of_sections(
+    sections: Sequence[Section],
+    images: Mapping[str, bytes],
+    *,
+    title: str,
+    run: str,
+    versions: Mapping[str, Any],
+    lead: str = "",
+    facts: Sequence[tuple[Any, ...]] = (),
+) -> str:
+    """Return the page of sections: claims, or tables of a study.
+
+    images: PNG files by the names that sections have captions for; run: how it was made; facts: rows of what
+    was flown: of what, name, value, unit.
+    """
+    content = {"sections": sections, "title": title, "run": run, "versions": versions, "lead": lead}
+    data = {name: embedded(image) for name, image in images.items()}
+    return render(__package__, "sections.html.j2", images=data, facts=facts, **content)
 
 
 def embedded(image: bytes) -> str:

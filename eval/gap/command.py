@@ -40,8 +40,7 @@ def command(
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import figures, files, identified, terminal, tracks, words
-    from inclined_landing.eval.gap.report.page import page
+    from inclined_landing.eval.gap.report import figures, files, identified, page, words
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models.parameters import load_vehicle
 
@@ -72,10 +71,10 @@ def command(
         flight, following = _flight(d, nominal, known, out)
         tick("figures")
         judged = [log for log in flights.heldout or flights.logs if log.name in d.heldout]
-        flown, held_out = tracks.most_varied_flight(judged), bool(flights.heldout)
-        track = tracks.of(flown, nominal, d.corrected, held_out=held_out, platform=d.platform)
+        flown, held_out = figures.most_varied_flight(judged), bool(flights.heldout)
+        track = figures.track_of(flown, nominal, d.corrected, held_out=held_out, platform=d.platform)
         versions = runs.versions()
-        html = page(d, track, versions=versions, notes=notes, flight=flight)
+        html = page.page(d, track, versions=versions, notes=notes, flight=flight)
         with styled():
             picture = figures.overview(d, track)
         tick("files")
@@ -100,7 +99,7 @@ def command(
             )
         written = out
     finally:
-        terminal.show(d, notes, written, flight, following if written else "")
+        page.show(d, notes, written, flight, following if written else "")
 
 
 def _flight(d: Diagnosis, vehicle: Vehicle, known: VehiclePosterior, out: Path) -> tuple[str, str]:

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.evaluation import Evaluation, open_loop_errors, regime_errors
+from inclined_landing.eval.gap.answer.evaluation import Evaluation, corrected, open_loop_errors, regime_errors
 from inclined_landing.eval.gap.answer.named import (
     distinct_values,
     disturbances,
@@ -19,7 +19,6 @@ from inclined_landing.eval.gap.answer.named import (
     unidentifiable_sets,
     useful_values,
 )
-from inclined_landing.eval.gap.answer.refit import corrected
 from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights

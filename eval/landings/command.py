@@ -24,16 +24,18 @@ def command(
 
     Args:
         study: study file, or the name of a shipped study (paper_landing, steep_landing).
-        out: new folder for results (Parquet), summary (JSON), figures (PNG) and page (HTML).
+        out: new folder for results (Parquet), what is counted (JSON), figures (PNG) and page (HTML).
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         engine: run in this process, or on a Ray cluster.
         address: address of a running Ray cluster (default: start Ray on this machine).
         resume: continue the study that was interrupted in this folder.
     """
     from inclined_landing.envs.shared import pool, runs
+    from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.landings import report
     from inclined_landing.eval.landings.run import PARTS, RECORD, begun, landed
     from inclined_landing.eval.landings.study import read_study
+    from inclined_landing.eval.study.show import document, show, write
     from inclined_landing.models.parameters import load_vehicle
 
     pool.check(engine, address, "--engine")
@@ -43,6 +45,8 @@ def command(
     with runs.owned(out, RECORD if resume else None):
         wanted = begun(wanted, out, resume)
         table = landed(wanted, out, engine, address)
-        summary = report.write(wanted, table, out)
+        results = [report.count(wanted, table.to_pandas())]
+        write(out, results, document("landings", results), flights=False)
         shutil.rmtree(out / PARTS, ignore_errors=True)
-    report.show(summary, out)
+    show(results)
+    say(f"The page is {out / 'index.html'}.")

@@ -1,138 +1,198 @@
-"""The report of a study: summary.json, figures, one self-contained HTML page, a terminal table."""
+"""What is made of a study's landings: shares, quantiles, sensitivities, maps and sentences."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-import pyarrow as pa
+import pandas as pd
 
-from inclined_landing.envs.shared import runs
-from inclined_landing.envs.shared.statistics import proportion, spread
-from inclined_landing.envs.shared.tables import new_table, say, show_table
-from inclined_landing.eval.base.page import embedded, render
+from inclined_landing.envs.shared.measures import Measure, Row, median_of, share, share_of, with_ends
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.landings import maps, sensitivity
-from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS
+from inclined_landing.eval.landings.landing import OUTCOMES
 from inclined_landing.eval.landings.parameters import known_parameters
-from inclined_landing.eval.landings.study import Study
-from inclined_landing.models.base import storage
+from inclined_landing.eval.landings.study import Levels, Range, Study
+from inclined_landing.eval.study import engine
+from inclined_landing.eval.study.engine import Results, View, fact
 
-_SENSITIVE = ("peak_force", "slide_distance", "settling_time")
-_CSS_PIXELS = 0.55  # per pixel of a figure, so that all have one text size
-_ROUNDING = 1e-9  # of a quantity in a table
 _MATTERS = 0.02  # a first-order index below this is not worth a sentence
+_CM: dict[str, Any] = {"shown_unit": "cm", "factor": 100.0}
+_OUTCOMES = (
+    "a landing rests if the vehicle is still and on its feet at the end; it tips over if it tilts by more "
+    "than 60 degrees from the normal, or ends on anything but its feet; it slides off if it leaves over the "
+    "edge in contact, or still moves in contact at the end; it bounces off if it leaves over the edge "
+    "through the air, and misses if the slab is not touched from above"
+)
+_ODDS = "log odds: standardised coefficients of a logistic regression of rest on all parameters"
+_INDEX = "indices: first-order Sobol indices from the variance between bins, with 95 % bootstrap intervals"
+SHARES = tuple(share_of(name, name, note=_OUTCOMES) for name in OUTCOMES)
+QUANTILES = (
+    median_of("peak_force", "peak normal force", "N"),
+    median_of("impulse", "impulse of the first 0.1 s", "N s", shown_unit="mN s", factor=1e3),
+    median_of("slide_distance", "slide distance", "m", **_CM),
+    median_of("settling_time", "settling time of landings that come to rest", "s"),
+    median_of("touchdown_time", "time of the touchdown", "s"),
+    median_of("touchdown_normal_speed", "normal speed at touchdown", "m/s"),
+    median_of("touchdown_tangential_speed", "downhill speed at touchdown", "m/s"),
+    median_of("touchdown_attitude_error", "attitude error at touchdown", "rad"),
+    median_of("largest_tilt", "largest tilt after touchdown", "rad"),
+    median_of("bounces", "bounces after touchdown", "1", shown_unit=""),
+)
 
 
-def write(study: Study, table: pa.Table, out: Path) -> dict:
-    """Write all derived outputs and return the summary."""
-    columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
-    outcome = np.array([OUTCOMES.index(name) for name in columns["outcome"]])
+def _index(name: str, title: str) -> Measure:
+    def cell(row: Row, factor: float, digits: int) -> str:
+        return with_ends({**row, "statistic": "share"}, factor, digits)
+
+    return Measure(name=f"index_{name}", title=title, statistic=share, cell=cell, note=_INDEX)
+
+
+SENSITIVITIES = (
+    Measure(
+        name="log_odds",
+        title="log odds per s.d.",
+        statistic=share,
+        cell=lambda row, *_: f"{row['value']:+.2f}",
+        note=_ODDS,
+    ),
+    _index("rests", "variance of rest"),
+    _index("peak_force", "peak force"),
+    _index("slide_distance", "slide distance"),
+    _index("settling_time", "settling time"),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivities:
+    """How the outcomes depend on each varied parameter."""
+
+    varied: tuple[str, ...]
+    seed: int
+    by = ("parameter",)
+    measures = SENSITIVITIES
+    title = "sensitivities"
+    across = False
+
+    def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
+        """Yield a row for each parameter and measure."""
+        parameters = {name: landings[name].to_numpy() for name in self.varied}
+        names = [m.name.removeprefix("index_") for m in SENSITIVITIES[2:]]
+        outputs = {name: landings[name].to_numpy() for name in names}
+        for row in sensitivity.rows(parameters, outputs, landings["rests"].to_numpy(), self.seed):
+            yield row | {"unit": "1", "flights": len(landings)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Boundaries:
+    """Where half of the landings rest, on the maps of a study, in report units."""
+
+    drawn: Mapping[tuple[str, str], maps.Map]
+    by = ("x", "y", "along", "place")
+    measures = ()
+    title = ""
+    across = False
+
+    def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
+        """Yield a row for each crossing along a row or a column of a map."""
+        for (x, y), one in self.drawn.items():
+            for along in "xy":
+                for line in maps.boundary(one, along):
+                    for crossing in line["crossings"]:
+                        labels = {"x": x, "y": y, "along": along, "place": line["place"]}
+                        about = {"measure": "half_rest", "statistic": "interpolated", "unit": ""}
+                        above = {"rests_above": crossing["rests_above"]}
+                        yield labels | about | {"value": crossing["at"], **above}
+
+
+def count(study: Study, landings: pd.DataFrame) -> Results:
+    """Return what is counted of the landings of a study, a table with parameters, results and `outcome`."""
     known = known_parameters(study.vehicle)
-    varied = {name: columns[name] for name in study.varied}
-    fixed = {name: float(columns[name][0]) for name in known if name not in varied}
-    if study.starts:  # these are part of the start states
-        fixed = {
-            name: x for name, x in fixed.items() if name == "inclination" or not known[name].at_touchdown
-        }
-    rests = outcome == OUTCOMES.index("rests")
-    summary = {
-        "command": "contact",
-        "study": {
-            key: value for key, value in dataclasses.asdict(study).items() if key not in ("starts", "vehicle")
-        },
-        "start_states": len(study.starts),
-        "landings": len(outcome),
-        "outcomes": {name: proportion((outcome == k).sum(), len(outcome)) for k, name in enumerate(OUTCOMES)},
-        "results": {name: spread(columns[name]) | {"meaning": RESULTS[name]} for name in RESULTS},
-        "sensitivities": sensitivity.table(
-            varied, {name: columns[name] for name in _SENSITIVE}, rests, study.seed
-        ),
-        "maps": [],
-        "versions": runs.versions(),
+    landings = landings.assign(**{name: landings["outcome"] == name for name in OUTCOMES})
+    outcome = landings["outcome"].map(OUTCOMES.index).to_numpy()
+    drawn = {
+        (x, y): maps.make_map(known[x], known[y], landings[x].to_numpy(), landings[y].to_numpy(), outcome)
+        for x, y in study.maps
     }
-    figures = {}
-    for x, y in study.maps:
-        one = maps.make_map(known[x], known[y], columns[x], columns[y], outcome)
+    fixed = {name: float(landings[name].iloc[0]) for name in known if name not in study.varied}
+    if study.starts:  # these are part of the start states
+        fixed = {n: x for n, x in fixed.items() if n == "inclination" or not known[n].at_touchdown}
+    described = engine.Study(
+        name="landings",
+        title=study.title or "Landing study",
+        cases=(),
+        views=[
+            View((), SHARES, "outcomes [% of the landings]", across=True),
+            Sensitivities(study.varied, study.seed),
+            View((), QUANTILES, "forces, distances, times", across=True),
+            Boundaries(drawn),
+        ],
+        remarks=partial(_remarks, study),
+        series="parameter",
+        facts=facts(study),
+        draw=partial(_draw, drawn, fixed),
+    )
+    return engine.count(described, landings)
+
+
+def facts(study: Study) -> list[Row]:
+    """Return the parameters of a study in report units, and how its landings are simulated."""
+    found, given = [fact("study", "question", study.question)], {p.name: p for p in study.parameters}
+    for name, entry in known_parameters(study.vehicle).items():
+        value, p = entry.default / entry.factor, given.get(name)
+        if p is not None:
+            found.append(fact(entry.label, "values", _values(p, entry.factor), entry.unit))
+        elif not (math.isnan(value) or (study.starts and entry.at_touchdown)):
+            found.append(fact(entry.label, "default", value, entry.unit))
+    begin = "just above the surface; until the motors are cut, the thrust and the attitude are held"
+    if study.policy:
+        begin = f"where the policy {study.policy} enters the goal box, from the frozen grid"
+    about = {"landings begin": begin, "sampling": study.sampling, "seed": study.seed}
+    about |= {"landings": study.total, "vehicle mass [kg]": study.vehicle.body_mass}
+    found += [fact("simulation", name, value) for name, value in about.items()]
+    found.append(fact("simulation", "start states", len(study.starts)))
+    return [*found, fact("RK4", "step", study.timestep, "s"), fact("RK4", "duration", study.duration, "s")]
+
+
+def _values(p: Levels | Range, factor: float) -> str:
+    if isinstance(p, Levels):
+        more = f", ... ({len(p.values)} values)" if len(p.values) > 12 else ""
+        return ", ".join(f"{x / factor:.4g}" for x in p.values[:12]) + more
+    ends = f"{p.low / factor:.4g} to {p.high / factor:.4g}, {p.distribution}"
+    return ends + f" ({p.mean / factor:.4g} ± {p.deviation / factor:.4g})" * (p.distribution == "normal")
+
+
+def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], out: Path) -> dict[str, str]:
+    """Write the maps into a folder, and return their captions."""
+    captions = {}
+    for (x, y), one in drawn.items():
         file = save_figure(maps.map_figure(one, fixed), out / f"map_{x}_{y}.png")
-        limits = {f"along_{axis}": maps.boundary(one, axis) for axis in "xy"}
-        summary["maps"].append({"x": x, "y": y, "file": file.name, "half_rest": limits})
-        figures[file] = maps.map_words(one, fixed)
-    summary["discussion"] = discussion(summary)
-    storage.write_text(out / "index.html", page(study, summary, figures, fixed))
-    storage.write_json(out / "summary.json", summary)
-    return summary
+        captions[file.name] = maps.map_words(one, fixed)
+    return captions
 
 
-def discussion(summary: dict) -> list[str]:
-    """Return the sentences that follow from the numbers."""
-    known = known_parameters()
-    parts = [f"{name} {share:.1f} % [{low:.1f}, {high:.1f}]" for name, _, share, low, high in _seen(summary)]
-    said = [f"Of {summary['landings']} landings: {', '.join(parts)} (95 % Wilson intervals)."]
+def _remarks(study: Study, results: Results) -> list[str]:
+    """Return the shares of the outcomes, and which parameters decide on rest."""
+    parts = []
+    for measure in SHARES:
+        row = results.one(measure)
+        if row["count"]:
+            parts.append(f"{measure.title} {measure.text(row).replace(' [', ' % [')}")
+    said = [f"Of {study.total} landings: {', '.join(parts)} (95 % Wilson intervals)."]
+    known, odds = known_parameters(), {r["parameter"]: r["value"] or 0 for r in results.all("log_odds")}
     # (index, label, does more of it help) of the parameters, the strongest first
-    rows = [
-        (row["first_order"]["rests"]["index"] or 0.0, known[row["parameter"]].label, row["log_odds"])
-        for row in summary["sensitivities"]
-    ]
+    rows = [(row["value"] or 0.0, row["parameter"]) for row in results.all("index_rests")]
     names = [
-        f"{label} {100 * index:.0f} % ({'more' if (odds or 0) > 0 else 'less'} of it helps)"
-        for index, label, odds in sorted(rows, key=lambda row: -row[0])
+        f"{known[name].label} {100 * index:.0f} % ({'more' if odds[name] > 0 else 'less'} of it helps)"
+        for index, name in sorted(rows, key=lambda row: -row[0])
         if index >= _MATTERS
     ]
     if names:
         said.append(f"Share of the outcome's variance explained by each parameter alone: {', '.join(names)}.")
-        if (total := sum(index for index, _, _ in rows)) > 1.0:
+        if (total := sum(index for index, _ in rows)) > 1.0:
             said.append(f"These shares are estimates: together they come to {100 * total:.0f} %.")
     return said
-
-
-def _seen(summary: dict) -> list[tuple]:
-    """Return name, count, share and interval [%] of the outcomes that occur."""
-    return [
-        (name, share["count"], 100 * share["share"], *(100 * x for x in share["interval"]))
-        for name, share in summary["outcomes"].items()
-        if share["count"]
-    ]
-
-
-def page(study: Study, summary: dict, figures: dict[Path, str], fixed: dict[str, float]) -> str:
-    """Return the HTML page, everything inside; figures: captions by file."""
-    given = {p.name for p in study.parameters}
-    pictures = []
-    for file, text in figures.items():
-        data = file.read_bytes()
-        pixels = int.from_bytes(data[16:20], "big")  # the width in a PNG header
-        pictures.append({"text": text, "data": embedded(data), "width": round(pixels * _CSS_PIXELS)})
-    return render(
-        __package__,
-        "report.html.j2",
-        title=study.title or "Landing study",
-        versions=summary["versions"],
-        study=study,
-        summary=summary,
-        seen=_seen(summary),
-        colours=maps.COLOURS,
-        known=known_parameters(study.vehicle),
-        defaults={name: x for name, x in fixed.items() if name not in given and not math.isnan(x)},
-        start_height=f"{1e3 * fixed['start_height']:g}" if "start_height" in fixed else "a few",
-        sensitive=("rests", *_SENSITIVE),
-        figures=pictures,
-        number=_number,
-    )
-
-
-def _number(x: float) -> str:
-    """Return a number with three digits; 0 for rounding errors of either sign."""
-    return f"{0.0 if abs(x) < _ROUNDING else x:.3g}"
-
-
-def show(summary: dict, out: Path) -> None:
-    """Print the outcomes and the discussion."""
-    outcomes = new_table(summary["study"]["title"] or "landing study", "outcome", "landings", "share [%]")
-    for name, count, share, low, high in _seen(summary):
-        outcomes.add_row(name, str(count), f"{share:.1f} [{low:.1f}, {high:.1f}]")
-    show_table(outcomes)
-    counted, *more = summary["discussion"]
-    say(*more, f"{counted} The page is {out / 'index.html'}.")

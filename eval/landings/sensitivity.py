@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 from scipy import optimize
 
@@ -11,25 +14,27 @@ _RESAMPLES = 200
 _PENALTY = 1e-3  # of the logistic fit; keeps coefficients finite where the classes separate
 
 
-def table(parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray, seed: int):
-    """Return one row for each parameter (n,): its log odds of resting and first-order indices of each output.
+def rows(
+    parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Yield rows for each parameter (n,): its log odds of resting, and first-order indices of each output.
 
     `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
     standardised: change of the log odds for one standard deviation of the parameter.
-    `first_order`: for `rests` and each output (n,), the share of the variance that goes with this
+    `index_*`: for `rests` and each output (n,), the share of the variance that goes with this
     parameter alone (first-order Sobol index, by the variance between bins, corrected for their number),
     with a 95 % bootstrap interval; NaN outputs are left out.
     """
-    rows = []
     odds = _logistic(parameters, rests)
     targets = {"rests": rests.astype(float)} | outputs
     for k, (name, x) in enumerate(parameters.items()):
         bins = _bins(x)
-        index = {
-            target: _first_order(bins, y, np.random.default_rng([seed, k])) for target, y in targets.items()
-        }
-        rows.append({"parameter": name, "log_odds": odds[k], "first_order": index})
-    return rows
+        about = {"parameter": name, "measure": "log_odds", "statistic": "logistic regression"}
+        yield about | {"value": odds[k]}
+        for target, y in targets.items():
+            value, interval = _first_order(bins, y, np.random.default_rng([seed, k]))
+            about = {"parameter": name, "measure": f"index_{target}", "statistic": "first-order index"}
+            yield about | {"value": value} | dict(zip(("low", "high"), interval))
 
 
 def _bins(x: np.ndarray) -> np.ndarray:
@@ -53,20 +58,23 @@ def _share(bins: np.ndarray, y: np.ndarray) -> float:
     return 1.0 - (1.0 - between / total) * (len(y) - 1) / (len(y) - used.sum())
 
 
-def _first_order(bins: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> dict:
+def _first_order(
+    bins: np.ndarray, y: np.ndarray, rng: np.random.Generator
+) -> tuple[float | None, tuple[float, ...]]:
+    """Return the index and the ends of its interval; None and nothing where there is none."""
     known = np.isfinite(y)
     bins, y = bins[known], y[known]
     if len(y) < 2 * (_LEVELS + 1):
-        return {"index": None, "interval": None}
+        return None, ()
     again = []
     for _ in range(_RESAMPLES):
         pick = rng.integers(0, len(y), len(y))
         again.append(_share(bins[pick], y[pick]))
     index = _share(bins, y)
     if not np.isfinite(index):
-        return {"index": None, "interval": None}
+        return None, ()
     low, high = np.nanquantile(again, [0.025, 0.975])
-    return {"index": max(0.0, index), "interval": [max(0.0, float(low)), max(0.0, float(high))]}
+    return max(0.0, index), (max(0.0, float(low)), max(0.0, float(high)))
 
 
 def _logistic(parameters: dict[str, np.ndarray], rests: np.ndarray) -> list[float | None]:

@@ -16,7 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.tables import say
 from inclined_landing.eval.base.claims import Claim, Section, number
-from inclined_landing.eval.base.page import embedded, png, render
+from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.eval.base.style import styled
 from inclined_landing.models.base import storage
 
@@ -77,22 +77,17 @@ def publish(
     sections: list[Section],
     figures: Mapping[str, Figure],
     record: dict,
-    **head: str,
+    title: str,
+    lead: str,
+    run: str,
 ) -> bool:
     """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
 
     figures: by the file names that sections have captions for; record: of the JSON file, with `versions`;
-    head: title, lead and run (how it was made) of the page. Prints the claims that do not hold.
+    run: how it was made. Prints the claims that do not hold.
     """
     images = {file: png(figure) for file, figure in figures.items()}
-    page = render(
-        __package__,
-        "claims.html.j2",
-        sections=sections,
-        images={file: embedded(image) for file, image in images.items()},
-        versions=record["versions"],
-        **head,
-    )
+    page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])
     with runs.staged_run(out) as folder:
         for file, image in images.items():
             storage.write_bytes(folder / file, image)

@@ -3,11 +3,11 @@
 import contextlib
 import dataclasses
 import importlib.metadata
-import importlib.util
 import json
 import re
 import subprocess
 import sys
+import tomllib
 
 import gymnasium
 import pytest
@@ -194,9 +194,9 @@ def test_defaults_of_the_build_are_the_vehicle_files():
     )
 
 
-def test_the_diagram_shows_the_imports_as_they_are():
-    path = ROOT / "docs" / "diagram.py"
-    spec = importlib.util.spec_from_file_location("diagram", path)
-    diagram = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(diagram)
-    assert diagram.FILE.read_text("utf-8").endswith(diagram.comment()), "run `make diagram`"
+def test_the_page_has_the_layers_of_the_contracts():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    packages, rooms = (one["layers"] for one in project["tool"]["importlinter"]["contracts"][:2])
+    blocks = re.findall(r"```text\n(.*?)\n```", (ROOT / "docs/architecture.md").read_text("utf-8"), re.DOTALL)
+    assert blocks[0] == "\n".join(packages).replace("inclined_landing.", "")
+    assert blocks[1] == "\n".join(rooms[1:]).replace("(", "").replace(")", "")

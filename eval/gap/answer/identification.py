@@ -18,8 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.evaluation import Refit
 from inclined_landing.eval.gap.answer.named import disturbances
-from inclined_landing.eval.gap.answer.refit import Refit
 from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight

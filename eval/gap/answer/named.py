@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import defaultdict
 from collections.abc import Mapping
 
 import numpy as np
 from msgspec import structs
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.refit import Refit
+from inclined_landing.eval.gap.answer.evaluation import Displacement, Refit
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, pose_errors
 from inclined_landing.eval.gap.answer.sizes import (
     WEIGHT,
@@ -21,10 +20,14 @@ from inclined_landing.eval.gap.answer.sizes import (
     response,
     thrust_over_weight,
 )
-from inclined_landing.eval.gap.infer.contact import ContactPosterior
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
-from inclined_landing.eval.gap.infer.sets import SetPosterior, leave_one_out, posterior_mode
+from inclined_landing.eval.gap.infer.sets import (
+    SetPosterior,
+    equivalence_class,
+    leave_one_out,
+    posterior_mode,
+)
 from inclined_landing.eval.gap.model.columns import (
     FittedValues,
     Values,
@@ -38,16 +41,6 @@ from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
 
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
-
-DIAGONAL = 0.5  # offset along one axis over the larger along the other, from which it may be a rotor's moment
-
-
-@dataclasses.dataclass(frozen=True)
-class Displacement:
-    """What a named effect does to the position one second ahead."""
-
-    cost: float = math.nan  # m, the error that it accounts for; NaN: not known
-    along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square
 
 
 def named_effects(
@@ -273,59 +266,6 @@ def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
         return []
     acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
     return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
-
-
-def confounded_with(found: SetPosterior | ContactPosterior, name: str) -> tuple[str, ...]:
-    """Return the effects that replace `name` in probable sets, most probable first.
-
-    An effect that is more probable together with `name` than without it is not confounded with it.
-    """
-    alone: dict[str, float] = defaultdict(float)  # probability of sets without `name`
-    beside: dict[str, float] = defaultdict(float)  # and of sets with it
-    covered = 0.0
-    for one in found.sets:
-        if covered >= thresholds.CONFOUNDED_WITHIN:
-            break
-        covered += one.probability
-        for other in one.names - found.names:
-            (beside if name in one.names else alone)[other] += one.probability
-    ranked = sorted(alone.items(), key=lambda item: -item[1])
-    return tuple(n for n, share in ranked if share > max(beside[n], thresholds.CONFOUNDED))
-
-
-def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
-    """Return an effect of the best set, and those that the flights do not distinguish from it.
-
-    These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights,
-    or make a moment too, or are a part of it; or reproduce all but all of it (TIED), whatever their
-    probabilities; or are together the same by their definition (`same_as`). Without requests of the motors a
-    centre of mass towards a corner may be a weak rotor.
-    """
-    local, library = found.local, found.problem.library
-    effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
-    share = {other: local.reproduced(found.names, name, other) for other in others}
-
-    def replaces(other: str) -> bool:
-        moment = "requests" in effect.channels and "requests" in library[other].channels
-        return share[other] >= thresholds.ALIKE or moment or name in library[other].same_as
-
-    replacing = [o for o in confounded_with(found, name) if o in others and replaces(o)]
-    tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
-    same = [o for o in effect.same_as if o in library]
-    if name == "com_offset" and not found.problem.requested and name in found.best.values:
-        same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])
-    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))
-
-
-def _rotor_of_moment(x: float, y: float) -> list[str]:
-    """Return the rotor that, giving less thrust, makes the moment of a centre of mass at (x, y), if one does.
-
-    It is the one towards which the centre of mass lies.
-    """
-    if min(abs(x), abs(y)) < DIAGONAL * max(abs(x), abs(y)):
-        return []
-    corners = {(True, False): 1, (False, False): 2, (False, True): 3, (True, True): 4}  # x forward, y left
-    return [f"weak_rotor_{corners[x > 0.0, y > 0.0]}"]
 
 
 def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.landings import (
     AFTER,
     BEFORE,
@@ -18,7 +17,9 @@ from inclined_landing.eval.gap.flights.landings import (
     landings_of,
 )
 from inclined_landing.eval.gap.flights.usable import UsableFlights
+from inclined_landing.eval.gap.infer import contact_laws
 from inclined_landing.eval.gap.infer.contact import ContactPosterior, contact_posterior
+from inclined_landing.eval.gap.infer.sets import confounded_with
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem, position_errors
 from inclined_landing.eval.gap.result import (
     NamedEffect,
@@ -77,7 +78,7 @@ def contact_answer(
     effects = contact_effects(problem, found)
     after = problem.corrected({n: v for e in effects for n, v in e.fitted.items()})
     repeats = "the motion after touchdown has a systematic error that no effect explains"
-    notes = (f"{repeats} (p {found.p_value:.2g})",) if found.unexplained else ()
+    notes = (f"{repeats} (p {found.p_value:.2g})",) * found.unexplained + _undecided(problem, found, effects)
     test = tuple(landings_of(use.heldout, corrected, reference) or landings)
     worse, better = (_root_mean_square(test, v, slice(None)) for v in (vehicle, after))
     floor = float(np.sqrt(np.mean([(x.deviation[:, :3] ** 2).sum(axis=1).mean() for x in test])))
@@ -95,13 +96,61 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
     """Return the named contact effects with estimates, largest gain first."""
     effects = []
     for name, estimate in found.sizes.items():
-        members = (name, *confounded_with(found, name))
+        (p,) = problem.library[name].parameters
+        alike = _look_alike(problem, name, estimate.value)
+        members = tuple(dict.fromkeys((name, *confounded_with(found.sets, found.names, name), *alike)))
         if found.probability(*members) < thresholds.NAMED:
             continue
-        (p,) = problem.library[name].parameters
-        probability, remedy = found.probability(*members), problem.library[name].remedy
-        effects.append(NamedEffect(name, members, probability, {p.name: estimate}, found.gains[name], remedy))
+        effects.append(
+            NamedEffect(
+                name,
+                members,
+                found.probability(*members),
+                {p.name: estimate},
+                found.gains[name],
+                problem.library[name].remedy,
+                doubt=_doubt(found, members, alike),
+            )
+        )
     return tuple(sorted(effects, key=lambda e: -e.gain))
+
+
+def _doubt(found: ContactPosterior, members: Sequence[str], alike: Sequence[str]) -> str:
+    """Return a sentence on why an effect of contact is not sure, and what would make it so; else empty."""
+    if alike:
+        return (
+            "In doubt, because laws of contact differ: by another law than MuJoCo's, these landings may show "
+            "another effect of its class, and more landings do not help."
+        )
+    if found.probability(*members) >= thresholds.SURE:
+        return ""
+    needed = found.landings_needed(*members)
+    enough = needed and needed > found.count
+    return f"About {needed} landings like these would make it sure." if enough else ""
+
+
+def _look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str, ...]:
+    """Return the effects of the problem that look like one at a value under another law of contact."""
+    (p,) = problem.library[name].parameters
+    others = contact_laws.look_alike(name, p.coordinate(value) / abs(p.coordinate(p.plausible)))
+    return tuple(n for n in others if n in problem.library)
+
+
+def _undecided(
+    problem: TouchdownProblem, found: ContactPosterior, named: Sequence[NamedEffect]
+) -> tuple[str, ...]:
+    """Return a note on the likeliest effect that is not named, and how many landings would show it."""
+    among = {name for one in named for name in one.members}
+    others = {n: found.probability(n) for s in found.sets for n in s.effects if n not in among}
+    likely = max(others, key=lambda n: others[n], default="")
+    if not likely or others[likely] < thresholds.POSSIBLE:
+        return ()
+    ((_, size),) = next(s.values[likely] for s in found.sets if likely in s.effects).items()
+    alike = _look_alike(problem, likely, size)
+    what = " or ".join(n.replace("_", " ") for n in (likely, *alike))
+    needed = None if alike else found.landings_needed(likely)
+    more = f": about {needed} would show it" if needed and needed > found.count else ""
+    return (f"{found.count} landings leave open whether {what} is missing{more}",)
 
 
 def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:

@@ -1,7 +1,7 @@
 """Posterior over sets of contact effects from landings: friction, stiffness, damping, the platform's pose.
 
 As for free flight, every set is a candidate with a spike-and-slab prior: a slab as wide as is plausible, of
-the logarithm where the parameter is a factor, and a spike as wide as two idealised contact models differ.
+the logarithm where the parameter is a factor, and a spike as wide as laws of contact differ.
 Contact is far from linear, so that an effect's errors are simulated on a grid of its sizes and its part of
 the marginal likelihood is a sum over that grid; all others are marginalised by Laplace approximation.
 
@@ -23,6 +23,7 @@ from scipy.special import logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
+from inclined_landing.eval.gap.infer import contact_laws
 from inclined_landing.eval.gap.infer.gaussian import SPIKE, EffectSet, flight_weights
 from inclined_landing.eval.gap.infer.sets import REFIT_ABOVE
 from inclined_landing.eval.gap.infer.touchdown_simulation import TouchdownProblem
@@ -32,7 +33,6 @@ from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
 MOST_EFFECTS = 2  # of a set
-MODEL_ERROR = 0.1  # standard deviation between two idealised contact models, in plausible sizes
 SCAN = (0.2, 0.55, 1.1, 2.4, 4.5)  # sizes simulated on both sides of neutral, in plausible sizes
 TAIL = 0.2, 4.0  # of the slab: weight of a normal so many times as wide
 REFINEMENTS = 2  # grid points added at the mode
@@ -40,6 +40,7 @@ RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
 NEWTON_STEPS = 2  # of the marginalised parameters
 CREDIBLE = 0.95  # probability of an interval
+MOST_LANDINGS = 200  # that are asked for
 COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
@@ -52,6 +53,8 @@ class ContactPosterior:
     gains: dict[str, float]  # effect -> share of the decrease in deviance that is lost without it
     unexplained: bool  # whether a common residual is significant
     p_value: float  # of the most significant common residual
+    count: int  # landings
+    scores: Mapping[EffectSet, tuple[float, float]]  # of every set: log prior, log evidence of all landings
 
     @property
     def names(self) -> EffectSet:
@@ -61,6 +64,24 @@ class ContactPosterior:
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
         return marginal(self.sets, names)
+
+    def landings_needed(self, *names: str) -> int | None:
+        """Return how many landings like these would make sure that one of some effects is missing.
+
+        None if their evidence does not grow that way, or by too little.
+        """
+        # log odds = prior + (log Bayes factor),  of which the latter grows as the number of landings
+        prior, now = (
+            logsumexp([x for s, x in scores if s & set(names)])
+            - logsumexp([x for s, x in scores if not s & set(names)])
+            for scores in (
+                [(s, prior) for s, (prior, _) in self.scores.items()],
+                [(s, prior + log) for s, (prior, log) in self.scores.items()],
+            )
+        )
+        wanted = math.log(thresholds.SURE / (1.0 - thresholds.SURE)) - prior
+        needed = self.count * wanted / (now - prior) if now > prior else math.inf
+        return math.ceil(needed) if needed <= MOST_LANDINGS else None
 
 
 def contact_posterior(
@@ -75,14 +96,14 @@ def contact_posterior(
     """
     problem = TouchdownProblem.of(landings, vehicle, library)
     # The mean of m landings subtracted from each of n: its error is theirs in common.
-    engine = _ContactModel(problem, 1.0 + len(landings) / sum(reference.count) if reference else 1.0)
-    sets, chosen = engine.distribution()
+    inflated = 1.0 + len(landings) / sum(reference.count) if reference else 1.0
+    engine = _ContactModel(problem, inflated, reference is not None)
+    sets, chosen, scores = engine.distribution()
     values = sets[0].values
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
     unexplained = p_value < thresholds.LANDING_RESIDUAL
-    return problem, ContactPosterior(
-        sets, engine.estimates(chosen), engine.gains(values), unexplained, p_value
-    )
+    sizes, gains = engine.estimates(chosen), engine.gains(values)
+    return problem, ContactPosterior(sets, sizes, gains, unexplained, p_value, len(landings), scores)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +155,7 @@ def _most_probable(profiles: Sequence[_Profile]) -> _Profile:
 class _ContactModel:
     """Simulated errors on a grid of every effect (one parameter each), and the evidence of every set."""
 
-    def __init__(self, problem: TouchdownProblem, inflated: float = 1.0):
+    def __init__(self, problem: TouchdownProblem, inflated: float = 1.0, referred: bool = False):
         self.problem = problem
         self.names = list(problem.library)
         self.parameters = [problem.library[n].parameters[0] for n in self.names]
@@ -142,7 +163,9 @@ class _ContactModel:
         self.weights = np.vstack([np.ones(n), flight_weights(n)])
         self.slab = np.array([SLAB * abs(p.coordinate(p.plausible)) for p in self.parameters])
         spike = [SPIKE * abs(p.coordinate(p.neutral + p.negligible)) for p in self.parameters]
-        self.spike = np.hypot(MODEL_ERROR * self.slab, spike)
+        laws = [contact_laws.SCATTER.get(n, contact_laws.OF_OTHERS) for n in self.names]
+        scatter = [one.referred if referred else one.alone for one in laws]
+        self.spike = np.hypot(np.array(scatter) * self.slab, spike)
         self.neutral = problem.errors(problem.vehicle)
         self.scans = [self._scan(j, {}) for j in range(len(self.names))]
         self.slopes = np.stack([scan.slopes() for scan in self.scans], axis=-1)  # (n, 6, q, P)
@@ -287,8 +310,10 @@ class _ContactModel:
             rest = names - {self.names[j]}
             table[rest].append(self.profile(rest, j, scan, others))
 
-    def distribution(self) -> tuple[tuple[ScoredSet, ...], list[_Profile]]:
-        """Return the bagged posterior over sets, most probable first, and the profiles of the first."""
+    def distribution(
+        self,
+    ) -> tuple[tuple[ScoredSet, ...], list[_Profile], dict[EffectSet, tuple[float, float]]]:
+        """Return the bagged posterior, most probable set first, the profiles of that set, and all scores."""
         share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
         table: dict[EffectSet, list[_Profile]] = {}
@@ -314,7 +339,8 @@ class _ContactModel:
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
         scored = (ScoredSet(self.problem.ordered(n), float(probability[n]), values[n]) for n in kept)
-        return tuple(scored), own[kept[0]]
+        scores = {n: (len(n) * odds, float(log[0]) - len(n) * odds) for n, log in logs.items()}
+        return tuple(scored), own[kept[0]], scores
 
     def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
         """Return the posterior mode of a set, by index of the effect."""

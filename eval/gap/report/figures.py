@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -22,8 +23,9 @@ from inclined_landing.eval.base.style import (
     literal,
     panel,
 )
+from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.flights.windows import NEAR, prepare
 from inclined_landing.eval.gap.report.numbers import shown
-from inclined_landing.eval.gap.report.tracks import Track
 from inclined_landing.eval.gap.report.words import REGIMES, centimetres, label
 from inclined_landing.eval.gap.report.words import axis as axis_of
 from inclined_landing.eval.gap.result import (
@@ -34,17 +36,83 @@ from inclined_landing.eval.gap.result import (
     RegimeError,
     ResidualAnalysis,
 )
+from inclined_landing.eval.logs import FlightLog
+from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.vehicle import Vehicle
 
 BEFORE, AFTER = ORANGE, GREEN
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
 WIDTH = 7.4  # inches, of a page
 SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
 PANEL = 3.6  # of three
+EVERY = 1.0  # s between two predictions
 SMALL = 0.1  # of the motion, error of predictions that are drawn as such
 _HEAT = LinearSegmentedColormap.from_list(
     "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
 )
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
+
+
+# ---- a flight that is shown
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """Measured positions of one flight and open-loop predictions along it."""
+
+    flight: str
+    held_out: bool  # of the fit
+    seconds: float  # how far each prediction goes
+    t: np.ndarray  # (m,) s
+    position: np.ndarray  # (m, 3) m, measured
+    times: tuple[np.ndarray, ...]  # of every prediction, (k,) s
+    before: tuple[np.ndarray, ...]  # (k, 3) m, nominal vehicle
+    after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
+
+    @property
+    def worst_axis(self) -> int:
+        """Return the coordinate (0, 1, 2) of the largest errors of the nominal vehicle."""
+        missed = np.zeros(3)
+        for t, p in zip(self.times, self.before):
+            end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]
+            missed += (p[-1] - end) ** 2
+        return int(np.argmax(missed))
+
+
+def track_of(
+    log: FlightLog, before: Vehicle, after: Vehicle, *, held_out: bool, platform: bool = False
+) -> Track | None:
+    """Return predictions along a flight; None when no stretch of it is long enough.
+
+    Raises UserError when the flight cannot be used at all.
+    """
+    flight = prepare(log, before, platform=platform)
+    try:
+        starts = rollout.RolloutWindows.of([flight], every=EVERY)
+    except UserError:
+        return None
+    poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, after)]
+    part = slice(starts.first[0], starts.first[-1] + starts.rows + 1)
+    return Track(
+        flight=log.name,
+        held_out=held_out,
+        seconds=round(starts.rows * starts.dt, 3),
+        t=flight.t[part],
+        position=flight.position[part],
+        times=tuple(flight.t[a : a + starts.rows + 1] for a in starts.first),
+        before=tuple(poses[0]),
+        after=tuple(poses[1]),
+    )
+
+
+def most_varied_flight(logs: Sequence[FlightLog]) -> FlightLog:
+    """Return the flight with the largest range of heights, of those near the floor if there are any."""
+
+    def key(log: FlightLog) -> tuple[bool, float]:
+        height = log.position[:, 2]
+        return bool(np.nanmin(height) < NEAR), float(np.ptp(height))
+
+    return max(logs, key=key)
 
 
 # ---- where

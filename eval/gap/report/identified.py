@@ -21,8 +21,7 @@ from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterio
 from inclined_landing.eval.gap.report import numbers, words
 from inclined_landing.eval.gap.report.figures import AFTER, BEFORE, name_rows
 from inclined_landing.eval.gap.report.files import VEHICLE, disturbance_fields, rounded, rounded_fields
-from inclined_landing.eval.gap.report.page import render
-from inclined_landing.eval.gap.report.terminal import print_answer
+from inclined_landing.eval.gap.report.page import print_answer, render
 from inclined_landing.models.base import storage
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, write_vehicle

@@ -1,25 +1,32 @@
-"""The report page: one self-contained HTML file."""
+"""An answer on a page, which is one self-contained HTML file, and in the terminal.
+
+In the terminal stand the limits, the sentences and the table of the page, the headline last.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 from matplotlib.figure import Figure
+from rich.table import Table
 
+from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base import page as base_page
 from inclined_landing.eval.base.style import styled
 from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
 from inclined_landing.eval.gap.report.numbers import exact, interval
-from inclined_landing.eval.gap.report.tracks import EVERY, Track
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.effects import LIBRARY
 
+_HEADS = ("effect", "size", "95 % interval", "confidence", "error after 1 s")
+
 
 def page(
-    d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[str] = (), flight: str = ""
+    d: Diagnosis, track: figures.Track | None, *, versions: dict, notes: Sequence[str] = (), flight: str = ""
 ) -> str:
     """Return the HTML page of a diagnosis.
 
@@ -42,8 +49,8 @@ def page(
             rows.append((first, *row, last))
             first = last = ""
     caption = track and (
-        f"{track.flight}, {'left out of' if track.held_out else 'part of'} the fit. Every {EVERY:g} s a "
-        "prediction starts from the measured state, driven by the commands alone."
+        f"{track.flight}, {'left out of' if track.held_out else 'part of'} the fit. Every "
+        f"{figures.EVERY:g} s a prediction starts from the measured state, driven by the commands alone."
     )
     return render(
         "gap.html.j2",
@@ -79,3 +86,48 @@ def render(template: str, found: Diagnosis | Identification, *, notes: Sequence[
     )
     # No line ends between a number and its unit.
     return re.sub(r" (?=%)|(?<=\d) (?=(?:cm|mm|ms|deg)\b)", "\u00a0", text)
+
+
+def show(
+    d: Diagnosis,
+    notes: Sequence[str] = (),
+    report: Path | None = None,
+    flight: str = "",
+    following: str = "",
+) -> None:
+    """Print limits, sentences, the table of effects and the headline.
+
+    report: the folder with the page. flight: on the most informative flight; following: the command for it.
+    """
+    answer = new_table(None, *_HEADS)
+    for one in words.answers(d):
+        last = (one.how, one.cost)
+        for parameter, number, ends in one.sizes:
+            answer.add_row(one.title + f", {parameter}" * bool(parameter), number, ends, *last)
+            last = ("", "")
+    headline = words.headline(d) + (f" The report is {report / 'report.html'}." if report else "")
+    print_answer(headline, words.sentences(d, flight), answer, notes, d, following)
+
+
+def print_answer(
+    headline: str,
+    sentences: Sequence[str],
+    rows: Table,
+    notes: Sequence[str],
+    found: Diagnosis | Identification,
+    following: str = "",
+) -> None:
+    """Print an answer, the notes first and the headline last; repeated notes are removed."""
+    say(*(f"Note: {note}" for note in words.notes(found.notes, notes)), style="dim")
+    if rows.row_count:
+        show_table(rows)
+    say(*sentences)
+    for aside in found.set_aside:
+        say(f"{aside.flight} was set aside and not used: {aside.reason}", style="bold")
+    for one in found.inconsistent_flights:
+        who, *more = words.inconsistency(one)
+        say(who, style="bold")
+        say(*more)
+    if following:
+        print(f"To plan a more informative flight: {following}")  # whole, to be copied
+    say(headline, style="bold")

@@ -32,16 +32,16 @@ class Controller:
     """Something to score; `pilot(n)` begins a scenario of n flights."""
 
     name: str
-    kind: str  # "policy", "motor cut" or "planner"
     vehicle: Vehicle
     pilot: Callable[[int], Pilot]
 
 
-def find(name: str, vehicle: Vehicle, label: str | None = None) -> Controller:
+def find(name: str, label: str | None = None) -> Controller:
     """Return the controller `name`: the planner, or a policy."""
     if name == PLANNER:
-        return Controller(PLANNER, "planner", vehicle, lambda n: PlannerPilot(vehicle))
-    return of_policy(load_policy(name), vehicle, label)
+        vehicle = vehicle_flown()
+        return Controller(PLANNER, vehicle, lambda n: PlannerPilot(vehicle))
+    return of_policy(load_policy(name), label)
 
 
 def find_all(names: Sequence[str]) -> list[Controller]:
@@ -49,15 +49,15 @@ def find_all(names: Sequence[str]) -> list[Controller]:
 
     Raises UserError if two of them have the same name.
     """
-    vehicle, named = vehicle_flown(), named_policies(tuple(dict.fromkeys(names)) or BASELINES)
-    found = [find(policy, vehicle, label) for label, policy in named.items()]
+    named = named_policies(tuple(dict.fromkeys(names)) or BASELINES)
+    found = [find(policy, label) for label, policy in named.items()]
     called = [controller.name for controller in found]
     if twice := [name for name in called if called.count(name) > 1]:
         raise UserError(f"two controllers are named {twice[0]}; rename one")
     return found
 
 
-def of_policy(policy: Policy, vehicle: Vehicle, label: str | None = None) -> Controller:
+def of_policy(policy: Policy, label: str | None = None) -> Controller:
     """Return a policy as a controller; raises UserError for one that flies in a plane or does not land."""
     if not policy.task.has_platform:
         raise UserError(f"policy {policy.path} is for {policy.task.name}, which has no platform to land on")
@@ -66,8 +66,7 @@ def of_policy(policy: Policy, vehicle: Vehicle, label: str | None = None) -> Con
             f"policy {policy.path} flies in a plane; the scenarios need one in three dimensions, such as "
             "those of landing-train touchdown --dimensions 3"
         )
-    kind = "motor cut" if policy.task.cut_at_success else "policy"
-    return Controller(label or policy.name, kind, vehicle, lambda n: PolicyPilot(policy, n))
+    return Controller(label or policy.name, vehicle_flown(), lambda n: PolicyPilot(policy, n))
 
 
 class PlannerPilot:

@@ -10,9 +10,8 @@ import pytest
 from jinja2 import nodes
 
 from inclined_landing import eval as rooms
-from inclined_landing.eval import truth
 from inclined_landing.eval.base.claims import Claim, Section
-from inclined_landing.eval.base.page import render
+from inclined_landing.eval.base.page import of_sections
 from inclined_landing.eval.gap.answer.identification import Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.report import identified
@@ -28,7 +27,7 @@ IN_SCRIPTS = {"{{ script }}", "{{ content }}"}  # the program's own, and JSON th
 
 
 def test_there_are_templates():
-    assert len(TEMPLATES) >= 8 and ROOM / "base/page.html.j2" in TEMPLATES
+    assert len(TEMPLATES) >= 6 and ROOM / "base/page.html.j2" in TEMPLATES
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: f"{path.parent.name}/{path.name}")
@@ -65,8 +64,8 @@ def test_what_stands_in_a_script_cannot_leave_it():
 
 def claims_page(sections: list[Section], title: str, lead: str, run: str, version: str, **images: str) -> str:
     """Return a page of claims."""
-    content = {"title": title, "lead": lead, "run": run, "versions": {"python": version}}
-    return render(truth.__name__, "claims.html.j2", sections=sections, images=images, **content)
+    data = {name: image.encode() for name, image in images.items()}
+    return of_sections(sections, data, title=title, lead=lead, run=run, versions={"python": version})
 
 
 def test_the_page_of_claims():

@@ -13,14 +13,13 @@ from scipy import optimize, stats
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.named import confounded_with
 from inclined_landing.eval.gap.flights.noise import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mode
 from inclined_landing.eval.gap.infer.fit import model_error_weights
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
-from inclined_landing.eval.gap.infer.sets import _relevant_subsets
+from inclined_landing.eval.gap.infer.sets import _relevant_subsets, confounded_with
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BASE_DEVIATIONS,
@@ -287,9 +286,8 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     """b for a, in the sets that hold 95 %; neither what comes in addition nor what is too rare."""
     shares = {("a", "c"): 0.6, ("b", "c"): 0.25, ("c",): 0.05, ("a", "c", "d"): 0.06, ("e", "c"): 0.03}
     sets = tuple(ScoredSet(names, p) for names, p in shares.items())
-    found = types.SimpleNamespace(sets=sets, names=sets[0].names)
-    assert confounded_with(found, "a") == ("b",)
-    assert confounded_with(found, "c") == ()
+    assert confounded_with(sets, sets[0].names, "a") == ("b",)
+    assert confounded_with(sets, sets[0].names, "c") == ()
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():

@@ -21,10 +21,10 @@ from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.doubt import most_informative_flight
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.report import figures, files, terminal, words
+from inclined_landing.eval.gap.report import figures, files, words
+from inclined_landing.eval.gap.report.figures import Track
 from inclined_landing.eval.gap.report.numbers import interval
-from inclined_landing.eval.gap.report.page import page
-from inclined_landing.eval.gap.report.tracks import Track
+from inclined_landing.eval.gap.report.page import page, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -433,7 +433,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     flight, _ = most_informative_flight(plan_input)
     text = page(d, None, versions={}, flight=flight).replace("\u00a0", " ")
     body = re.sub(r"<[^>]+>", " ", text[text.index("<body>") :])
-    terminal.show(d, flight=flight)
+    show(d, flight=flight)
     seen = [" ".join(one.split()) for one in (body, capsys.readouterr().out)]
     # Effects: marginal over the sets, of the class as of each member.
     for name in ("thrust_scale", "mass", "attitude_trim"):
@@ -469,7 +469,7 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
     d = dataclasses.replace(
         example(), inconsistent_flights=(InconsistentFlights(("b",), ("a", "c"), differences, 1e-4, 0.01),)
     )
-    terminal.show(d)
+    show(d)
     out = " ".join(capsys.readouterr().out.split())
     who = "b contradicts the other 2 flights. Compared with the others, in b the rotors give"
     assert out.index(who) < out.rindex("Thrust over mass is 12 % lower")

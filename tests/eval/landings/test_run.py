@@ -14,6 +14,7 @@ from inclined_landing.envs.shared import pool, runs
 from inclined_landing.eval import cli
 from inclined_landing.eval.landings import command, design, landing, report, run
 from inclined_landing.eval.landings.study import read_study
+from inclined_landing.eval.study import show
 from inclined_landing.models.base.errors import UserError
 from tests.pages import EVIL, check_page
 
@@ -63,8 +64,9 @@ def chunks_of_ten(monkeypatch):
 @pytest.fixture
 def no_report(monkeypatch):
     """What is made of the results is left out."""
-    monkeypatch.setattr(report, "write", lambda *_: {})
-    monkeypatch.setattr(report, "show", lambda *_: None)
+    monkeypatch.setattr(report, "count", lambda *_: None)
+    for name in ("document", "write", "show"):
+        monkeypatch.setattr(show, name, lambda *_, **__: None)
 
 
 def bits(folder):
@@ -73,20 +75,19 @@ def bits(folder):
 
 def test_a_run_leaves_results_summary_figures_and_page(reference):
     names = ["index.html", "map_inclination_friction.png"]
-    names += ["results.parquet", "study.json", "summary.json"]
-    assert sorted(p.name for p in reference.iterdir()) == names
+    names += ["landings.json", "results.parquet", "study.json"]
+    assert sorted(p.name for p in reference.iterdir()) == sorted(names)
     table = pq.read_table(reference / "results.parquet")
     assert table.num_rows == 24 and set(table["outcome"].to_pylist()) <= set(landing.OUTCOMES)
     assert set(landing.RESULTS) < set(table.column_names)
     assert table.schema.field("mass").metadata[b"unit"] == b"kg"
-    summary = json.loads((reference / "summary.json").read_text("utf-8"))
-    assert sum(share["count"] for share in summary["outcomes"].values()) == 24
-    assert [row["parameter"] for row in summary["sensitivities"]] == [
+    rows = json.loads((reference / "landings.json").read_text("utf-8"))["rows"]
+    assert sum(row["count"] for row in rows if row["measure"] in landing.OUTCOMES) == 24
+    assert [row["parameter"] for row in rows if row["measure"] == "log_odds"] == [
         *("inclination", "friction", "restitution", "foot_height", "mass")
     ]
     text = (reference / "index.html").read_text("utf-8")
     assert text.count("data:image/png;base64,") == 1 and "http" not in text
-    assert "Discussion" in text
     check_page(text, f"A small one {EVIL}", f"{EVIL} question")
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.eval.landings import design, landing, maps, sensitivity
+from inclined_landing.eval.landings import design, landing, maps, report, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate
 from inclined_landing.eval.landings.parameters import known_parameters, touchdown_states
 from inclined_landing.eval.landings.study import read_study, shipped
@@ -179,15 +179,15 @@ def test_sensitivities_find_what_matters():
     rng = np.random.default_rng(0)
     a, b, c = rng.random((3, 8000))
     y = 2 * a + b  # variances 4 to 1, nothing from c
-    rows = sensitivity.table({"a": a, "b": b, "c": c}, {"y": y}, y > 1.5, 0)
-    index = [row["first_order"]["y"] for row in rows]
+    rows = list(sensitivity.rows({"a": a, "b": b, "c": c}, {"y": y}, y > 1.5, 0))
+    index = [row for row in rows if row["measure"] == "index_y"]
     # Twenty bins leave 1/400 of a linear effect's variance inside them.
-    assert [i["index"] for i in index] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    assert [i["value"] for i in index] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
     for i in index[:2]:
-        assert i["interval"][0] < i["index"] + 0.01 and i["interval"][1] > i["index"] - 0.01
-    odds = [row["log_odds"] for row in rows]
+        assert i["low"] < i["value"] + 0.01 and i["high"] > i["value"] - 0.01
+    odds = [row["value"] for row in rows if row["measure"] == "log_odds"]
     assert odds[0] > odds[1] > 1 and abs(odds[2]) < 0.2
-    assert sensitivity.table({"a": a}, {}, np.ones(8000, bool), 0)[0]["log_odds"] is None
+    assert next(sensitivity.rows({"a": a}, {}, np.ones(8000, bool), 0))["value"] is None
 
 
 def test_map_boundary_and_prediction():
@@ -215,11 +215,17 @@ def test_map_boundary_and_prediction():
 
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_shipped_results_are_of_the_shipped_studies(name):
-    summary = json.loads((shipped()[name].parent / "results" / name / "summary.json").read_text("utf-8"))
+    found = json.loads((shipped()[name].parent / "results" / name / "landings.json").read_text("utf-8"))
     study = read_study(name)
-    assert summary["study"].items() <= json.loads(json.dumps(dataclasses.asdict(study))).items()
-    assert sum(share["count"] for share in summary["outcomes"].values()) == summary["landings"]
-    assert summary["landings"] == study.total * max(1, summary["start_states"])
+    facts = [{"study": "landings", **row} for row in report.facts(study)]
+    flown = {row["name"]: row["value"] for row in found["facts"]}
+    later = ("landings", "start states")  # known once the starts are flown
+    assert [f for f in facts if f["name"] not in later] == [
+        f for f in found["facts"] if f["name"] not in later
+    ]
+    assert flown["landings"] == study.total * max(1, flown["start states"])
+    counts = [row["count"] for row in found["rows"] if row["measure"] in landing.OUTCOMES]
+    assert sum(counts) == flown["landings"]
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def test_ship_and_car_move_as_their_spectra_say(name):
 
 def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     """On a ship at sea; fewer flights are the first ones, with the same numbers."""
-    scenario, planner = scenarios()["ship_5_bow"], controllers.find("planner", VEHICLE)
+    scenario, planner = scenarios()["ship_5_bow"], controllers.find("planner")
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
@@ -63,7 +63,7 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
 
 def test_who_does_nothing_does_not_land():
     """A vehicle whose motors are off falls to the floor, or onto the platform it started over."""
-    off = controllers.Controller(*("off", "planner", VEHICLE), lambda n: lambda t, context: np.zeros((n, 4)))
+    off = controllers.Controller(*("off", VEHICLE), lambda n: lambda t, context: np.zeros((n, 4)))
     travel = scenarios()["travel_200_cm_s"]
     assert not fly(travel, off, 4)["at_rest"].any()
     (results,) = run([moving.study([travel], [off], 1)])
