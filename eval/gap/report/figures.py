@@ -189,7 +189,10 @@ def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, Plan
         g = gap["mujoco"]
         look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
         look |= {"zorder": 20, "clip_on": False}
-        for value, colour, text in ((g.before, BEFORE, "the same in MuJoCo"), (g.after, AFTER, None)):
+        for value, colour, text in (
+            (g.before, BEFORE, "the same windows simulated in MuJoCo"),
+            (g.after, AFTER, None),
+        ):
             axis.plot(g.horizon, 100 * value, "D", markeredgecolor=colour, label=text, **look)
         axis.legend(loc="upper left", handletextpad=0.2)
     top = max([value for value, *_ in ends] + [1e-3]) * 1.06
