@@ -13,6 +13,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 SCALE = 3.0  # the vehicle is a few pixels wide in a full view: it is drawn this much larger
 VISUAL_GROUP = 2
+_DISC_ALPHA = 0.22  # of the rotors' discs, which the scene leaves unseen
 _CLOSE_CAMERAS = ("closeup", "onboard")
 _FRAME_RADIUS = 0.006  # m
 # The camera `arena` looks along this line, and the arena fills this share of its picture: the caption and the
@@ -54,6 +55,7 @@ def rendering_model(
     spec = build_spec(vehicle)
     strip_physics(spec)
     add_frame(spec, vehicle, _FAR_FRAME_RADIUS if far else _FRAME_RADIUS)
+    spec.material("disc").rgba[3] = _DISC_ALPHA
     add_arena_camera(spec, vehicle, aspect)
     scale_vehicle(spec, scale)
     body = spec.body("platform")

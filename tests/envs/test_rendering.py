@@ -205,6 +205,13 @@ def test_import_touches_neither_opengl_nor_learning():
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
+def test_films_alone_draw_the_rotors_discs():
+    """In MuJoCo's viewer a translucent disc would cast a solid shadow over the feet."""
+    film = make_renderer(64, 48, "closeup", "ray").model
+    for model, seen in ((build_spec().compile(), False), (film, True)):
+        assert (model.mat_rgba[model.geom_matid[model.geom("disc_front_left").id], 3] > 0) == seen
+
+
 GL = """
 import numpy as np
 from inclined_landing.envs.rendering import make_renderer
