@@ -111,14 +111,14 @@ def load(name: str | Path) -> ColumnMap:
 def detect(names: Sequence[str], where: str) -> ColumnMap:
     """Return the shipped mapping that asks for most of the column names at hand.
 
-    The documented CSV is the one that fits only where no other does. Raises UserError, listing the columns,
-    when none fits.
+    The documented CSV is chosen only where no other format fits, and logs of no use only where it does not
+    fit either. Raises UserError, listing the columns, when none fits.
     """
     documented = shipped()["documented"]
     for spelled in (list(names), _plain_names(names)):
         fitting = [m for m in shipped().values() if m.detect and all(_any(spelled, d) for d in m.detect)]
         if fitting:
-            return max(fitting, key=lambda m: (m is not documented, len(m.detect)))
+            return max(fitting, key=lambda m: (not m.refuse, m is not documented, len(m.detect)))
     found = f"{where}: its columns ({shown(', '.join(names), 90)})"
     if all(_any([*_plain_names(names), "t"], name) for name in ("x", "y", "z")):
         raise UserError(

@@ -674,6 +674,16 @@ def test_bad_mappings_are_refused_in_words(tmp_path, text, words):
         read_log(tmp_path / "a.csv", mapping="no_such_mapping")
 
 
+def test_a_documented_log_stays_one_whatever_an_imu_adds(tmp_path):
+    """A format of accelerations alone, which is refused, has these columns too."""
+    table = log_table(a_log()).assign(imu_ax=0.0, imu_az=9.8, imu_wz=0.0, m1_pwm=4e4)
+    table.to_csv(tmp_path / "a.csv", index=False)
+    np.testing.assert_allclose(read_log(tmp_path / "a.csv", check=False).position, a_log().position)
+    table[["t", "imu_ax", "imu_az", "imu_wz", "m1_pwm"]].to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(UserError, match="no position and no attitude were logged"):
+        read_log(tmp_path / "b.csv")
+
+
 # --- Crazyflie: client CSV and micro-SD -------------------------------------------------------------
 
 
