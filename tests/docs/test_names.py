@@ -18,41 +18,15 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 NO_CODE = re.compile(r'^\s*r?"""(?:.|\n)*?"""|(?:^|\s)#.*$', re.MULTILINE)
 NAME = re.compile(r"-{0,2}[A-Za-z_][\w./-]*(\(\))?")
 SUFFIXES = (".py", ".toml", ".cc", ".h", ".in", ".j2", ".js", ".xml", ".yml", ".cff", ".txt", ".json", ".md")
-FOREIGN = {  # names of other programs, and names that are put together from parts
-    *("kalman_core.c", "estimator_complementary.c"),
-    *("crtp_supervisor.c", "crtp_localization_service.c", "crtp_commander_generic.c"),
-    *(
-        "CONFIG_ENABLE_THRUST_BAT_COMPENSATED",
-        "supervisor_state_machine.c",
-        "platform_defaults.h",
-        "thrustLocked",
-        "Commander",
-        "send_setpoint",
-    ),
-    *(
-        "_nr_of_retries",
-        "clampctrl",
-        "viscosity",
-        "release.yml",
-        "vVERSION",
-        "ADDRESS",
-        "stock.toml",
-    ),
-    *(
-        "inclined-landing-UID",
-        "data_20250421_211350",
-        "rep1",
-        "a_b",
-        "x_mm",
-        "m4",
-        "-pitch",
-        "_utils",
-        "_rebuild_tensor_v2",
-        "InclinedTouchdown-v0",
-    ),
-    *("mocap_attitude", "arm-none-eabi-size", "NormalizeObservation", "FrameStackObservation"),
-    *("TimeAwareObservation", "trajectory_1", "trajectory_2"),
-    *(f"touched_{part}" for part in ("slab", "base", "floor")),
+# Names of other programs, and names that are put together from parts.
+FOREIGN = {
+    *"kalman_core.c estimator_complementary.c crtp_supervisor.c crtp_localization_service.c".split(),
+    *"crtp_commander_generic.c supervisor_state_machine.c platform_defaults.h thrustLocked Commander".split(),
+    *"CONFIG_ENABLE_THRUST_BAT_COMPENSATED send_setpoint _nr_of_retries clampctrl viscosity".split(),
+    *"release.yml vVERSION ADDRESS stock.toml inclined-landing-UID data_20250421_211350 rep1".split(),
+    *"a_b x_mm m4 -pitch _utils _rebuild_tensor_v2 InclinedTouchdown-v0 mocap_attitude".split(),
+    *"arm-none-eabi-size NormalizeObservation FrameStackObservation TimeAwareObservation".split(),
+    *("trajectory_1", "trajectory_2", *(f"touched_{part}" for part in ("slab", "base", "floor"))),
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
 }
 

@@ -7,14 +7,13 @@ import pytest
 
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
-from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options, trained_task
+from inclined_landing.envs.policy import load_policy, locate, trained_options, trained_task
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import make_plant
-from tests.policy_files import restamp
+from tests.policy_files import pilot, restamp
 
 K = 3
 
@@ -23,15 +22,6 @@ def build(name="landing", n=4, plant="analytic", vehicle=None, history=K, **opti
     vehicle = vehicle or load_vehicle()
     task = make_task(name, vehicle, pwm_centre="hover", history=history)
     return BatchEnv(task, make_plant(plant, n, vehicle, **options), seed=0)
-
-
-def pilot(task, seed=0) -> Policy:
-    """A linear policy that hovers nearly, and answers to all that it is given."""
-    given = len(input_names(task))
-    weight = np.random.default_rng(seed).normal(0.0, 0.1, (given, len(task.action_names)))
-    bias = np.zeros(len(task.action_names))
-    centre, scale = input_centre(task), input_scale(task)
-    return Policy(task, {}, "pilot", centre, scale, 10.0, (weight,), (bias,), "Tanh")
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -31,19 +31,11 @@ from inclined_landing.envs.save import actor_of
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from tests.policy_files import restamp
+from tests.policy_files import Spaces, restamp
 
 NAME = "inclined_landing.envs:InclinedLanding-v0"  # imported in other processes too
 SETPOINT = {"task": "setpoint", "task_options": {}}
 METADATA = {"task": "landing", "task_options": {"pwm_centre": "hover"}, "seed": 3}
-
-
-class Spaces(gym.Env):
-    """An environment of given shapes, for building networks only."""
-
-    def __init__(self, observations: int, actions: int):
-        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (observations,), np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (actions,), np.float32)
 
 
 def model(observations=5, actions=2, **policy_kwargs) -> PPO:

@@ -8,7 +8,7 @@ import pytest
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.history import input_centre, input_names, input_scale
-from inclined_landing.envs.policy import Policy, load_policy, locate, trained_options
+from inclined_landing.envs.policy import load_policy, locate, trained_options
 from inclined_landing.envs.tasks import TASKS, make_task
 from inclined_landing.envs.vehicle_parameters import NAMES, UNITS, vehicle_parameters
 from inclined_landing.models.attitude import LAG, VZ
@@ -16,7 +16,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, vehicle_names
 from inclined_landing.models.plants import make_plant
-from tests.policy_files import restamp
+from tests.policy_files import pilot, restamp
 
 V = load_vehicle()
 # Those without effects: what is told is the linear drag, and their hover that of the transfer function.
@@ -25,23 +25,6 @@ FLEET = [
     for vehicle in map(load_vehicle, vehicle_names())
     if all(value == getattr(V, name) for name, value in vars(vehicle).items() if name.startswith("effects_"))
 ]
-
-
-def pilot(task, seed=0) -> Policy:
-    """A linear policy that answers to all that it is given."""
-    weight = np.random.default_rng(seed).normal(0.0, 0.1, (len(input_names(task)), len(task.action_names)))
-    bias = np.zeros(len(task.action_names))
-    return Policy(
-        task,
-        {},
-        locate("landing-nominal"),
-        input_centre(task),
-        input_scale(task),
-        10.0,
-        (weight,),
-        (bias,),
-        "Tanh",
-    )
 
 
 def told(task, observation):

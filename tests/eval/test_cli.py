@@ -8,25 +8,17 @@ import sys
 
 import numpy as np
 import pytest
-import torch
-from stable_baselines3 import PPO
 
-from inclined_landing.envs import save_policy
 from inclined_landing.envs.shared import command_line, runs
 from inclined_landing.eval import cli
 from inclined_landing.models import plugins
+from tests.policy_files import hovering
 
 
 @pytest.fixture(scope="module")
 def landing_policy(tmp_path_factory):
     """Hovers: all weights zero."""
-    path = tmp_path_factory.mktemp("policy") / "hover.zip"
-    network = PPO("MlpPolicy", "InclinedLanding-v0", seed=0, device="cpu")
-    with torch.no_grad():
-        for parameter in network.policy.parameters():
-            parameter.zero_()
-    save_policy(network, path)
-    return path
+    return hovering(tmp_path_factory.mktemp("policy") / "hover.zip")
 
 
 def test_options_are_known_without_their_machinery():

@@ -11,7 +11,6 @@ import sys
 from importlib import resources
 from pathlib import Path
 
-import gymnasium
 import hypothesis
 import jsonschema
 import numpy as np
@@ -34,7 +33,7 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from tests.eval.export import compiled
-from tests.policy_files import restamp, written
+from tests.policy_files import Spaces, restamp, written
 
 POLICIES = ("landing-nominal", "landing", "setpoint", "touchdown-nominal")
 # float32 sums of 64 products of size 1 at 6e-8 each, through two layers and a gain of about 3: some 1e-6.
@@ -317,13 +316,6 @@ def test_the_contract_is_the_task_the_metadata_and_the_vehicle():
 
 
 # --- policies of any size -----------------------------------------------------------------------------
-
-
-class Spaces(gymnasium.Env):
-    """An environment of given shapes, for building networks only."""
-
-    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float32)
-    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 class AnyTask(Task):

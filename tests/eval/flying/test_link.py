@@ -35,24 +35,9 @@ BAD = (
     *(f"radio://0/80/2M/{address}" for address in ("", "E7", "E7E7E7E7E7E7", "G7E7E7E7E7", "Ｅ7E7E7E7E7")),
     *(RADIO + query for query in ("?", "?rate_limit=0", "?rate_limit=fast", "?safelink=0", "#here", "/")),
     *("radio", "radio://", "radio://0", "80/2M", "E7E7E7E7E7", "usb", "usb://", "usb://x", "usb://0/1"),
-    *(
-        "udp://",
-        "udp://:19850",
-        "udp://127.0.0.1",
-        "udp://127.0.0.1:0",
-        "udp://127.0.0.1:65536",
-        "udp://[::1]:1",
-    ),
-    *(
-        "udp://a@127.0.0.1:1",
-        "udp://127.0.0.1:1/",
-        "udp://a:1?x",
-        "udp://a b:1",
-        "",
-        " ",
-        "-",
-        "/dev/ttyACM0",
-    ),
+    *"udp:// udp://:19850 udp://127.0.0.1 udp://127.0.0.1:0 udp://127.0.0.1:65536 udp://[::1]:1".split(),
+    *"udp://a@127.0.0.1:1 udp://127.0.0.1:1/ udp://a:1?x - /dev/ttyACM0".split(),
+    *("udp://a b:1", "", " "),
     *(RADIO + " ", " " + RADIO, RADIO * 2, "é", "\u202e", "\0", "\n", "x" * 10_000, "\udcff", "😀://0"),
 )
 

@@ -105,64 +105,44 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
     x, y, z = log.position.T
     roll, pitch, _ = log.attitude.T
     pwm, cmd_roll, cmd_pitch, _ = log.command.T
-    short = log.between(0, 0.5)
     holes = log.rows((np.arange(len(log)) // 80) % 2 == 0)
     jumping = log.position.copy()
     jumping[::30] += 1.0
-    return {
-        "half a second": (short, "lasts only 0.5 s; at least 1 s"),
+    logs = {
+        "half a second": (log.between(0, 0.5), "lasts only 0.5 s; at least 1 s"),
         "only holes": (holes, "7 gaps in time, the longest of 0.81 s .*; between them, no interval"),
-        "NaN": (
-            change(log, roll=np.where(log.t > 5, np.nan, roll)),
-            "column roll is not a number in 699 rows",
-        ),
-        "standing": (change(log, x=0, y=0, z=0), "x, y, z never change"),
-        "millimetres": (change(log, x=1e3 * x, y=1e3 * y, z=1e3 * z), "wrong unit .millimetres"),
         "lost tracking": (dataclasses.replace(log, position=jumping), "x, y, z jump in 39 of 1200 rows"),
-        "no attitude": (change(log, roll=0, pitch=0), "neither roll nor pitch ever changes"),
-        "roll sign": (change(log, roll=-roll), "roll and pitch mirror .* roll has the wrong sign"),
-        "pitch sign": (change(log, pitch=-pitch), "roll and pitch mirror .* pitch has the wrong sign"),
-        "both signs": (
-            change(log, roll=-roll, pitch=-pitch),
-            "both signs are wrong, or the frames are turned",
-        ),
-        "swapped": (change(log, roll=pitch, pitch=roll), "roll and pitch .*(swapped|mirror)"),
-        "turned": (
-            change(log, roll=pitch, pitch=-roll),
-            "turned by .?90 deg .* columns are swapped and one sign",
-        ),
-        "x and z swapped": (change(log, x=z, z=x), "x moves up and down with the thrust command"),
-        "x and y swapped": (change(log, x=y, y=x), "roll and pitch mirror the horizontal acceleration"),
-        "degrees": (change(log, roll=np.degrees(roll), pitch=np.degrees(pitch)), "degrees taken for radians"),
-        "z down": (change(log, z=-z), "z must point up"),
-        "command roll sign": (change(log, cmd_roll=-cmd_roll), "cmd_roll has the wrong sign"),
-        "commands swapped": (
-            change(log, cmd_roll=cmd_pitch, cmd_pitch=cmd_roll),
-            "cmd_roll and cmd_pitch mirror",
-        ),
-        "command degrees": (
-            change(log, cmd_roll=np.degrees(cmd_roll), cmd_pitch=np.degrees(cmd_pitch)),
-            "column cmd_roll reaches .* degrees",
-        ),
-        "rate degrees": (
-            change(log, cmd_yaw_rate=30 * np.sin(log.t)),
-            "cmd_yaw_rate reaches 30 rad/s at .*: degrees/s",
-        ),
-        "too much PWM": (
-            change(log, cmd_thrust_pwm=pwm * 1.6),
-            "cmd_thrust_pwm holds .*, but PWM is 0 to 65535",
-        ),
-        "fraction": (change(log, cmd_thrust_pwm=pwm / 65535), r"a fraction\? State its unit"),
-        "newton": (change(log, cmd_thrust_pwm=pwm / 65535 * 0.6), "newton, gram or m/s2 need a mapping file"),
-        "millinewton": (change(log, cmd_thrust_pwm=pwm / 110), "full = 0.6"),
-        "upside down": (change(log, roll=roll + np.pi), "upside down in most of the rows"),
-        "constant thrust": (change(log, cmd_thrust_pwm=42_000), "cmd_thrust_pwm is always 42000"),
-        "on the ground": (change(log, cmd_thrust_pwm=pwm / 10), "never exceeds .* this is not a flight"),
-        "millivolt": (
-            dataclasses.replace(log, voltage=1e3 * log.voltage),
-            "vbat reaches 4100 V at t = 0.00 s: millivolt",
-        ),
-    }
+        "millivolt": (dataclasses.replace(log, voltage=1e3 * log.voltage),
+                      "vbat reaches 4100 V at t = 0.00 s: millivolt"),
+    }  # fmt: skip
+    columns = {
+        "NaN": ({"roll": np.where(log.t > 5, np.nan, roll)}, "column roll is not a number in 699 rows"),
+        "standing": ({"x": 0, "y": 0, "z": 0}, "x, y, z never change"),
+        "millimetres": ({"x": 1e3 * x, "y": 1e3 * y, "z": 1e3 * z}, "wrong unit .millimetres"),
+        "no attitude": ({"roll": 0, "pitch": 0}, "neither roll nor pitch ever changes"),
+        "roll sign": ({"roll": -roll}, "roll and pitch mirror .* roll has the wrong sign"),
+        "pitch sign": ({"pitch": -pitch}, "roll and pitch mirror .* pitch has the wrong sign"),
+        "both signs": ({"roll": -roll, "pitch": -pitch}, "both signs are wrong, or the frames are turned"),
+        "swapped": ({"roll": pitch, "pitch": roll}, "roll and pitch .*(swapped|mirror)"),
+        "turned": ({"roll": pitch, "pitch": -roll}, "turned by .?90 deg .* columns are swapped and one sign"),
+        "x and z swapped": ({"x": z, "z": x}, "x moves up and down with the thrust command"),
+        "x and y swapped": ({"x": y, "y": x}, "roll and pitch mirror the horizontal acceleration"),
+        "degrees": ({"roll": np.degrees(roll), "pitch": np.degrees(pitch)}, "degrees taken for radians"),
+        "z down": ({"z": -z}, "z must point up"),
+        "upside down": ({"roll": roll + np.pi}, "upside down in most of the rows"),
+        "command roll sign": ({"cmd_roll": -cmd_roll}, "cmd_roll has the wrong sign"),
+        "commands swapped": ({"cmd_roll": cmd_pitch, "cmd_pitch": cmd_roll}, "cmd_roll and cmd_pitch mirror"),
+        "command degrees": ({"cmd_roll": np.degrees(cmd_roll), "cmd_pitch": np.degrees(cmd_pitch)},
+                            "column cmd_roll reaches .* degrees"),
+        "rate degrees": ({"cmd_yaw_rate": 30 * np.sin(log.t)}, "cmd_yaw_rate reaches 30 rad/s .*: degrees/s"),
+        "too much PWM": ({"cmd_thrust_pwm": pwm * 1.6}, "cmd_thrust_pwm holds .*, but PWM is 0 to 65535"),
+        "fraction": ({"cmd_thrust_pwm": pwm / 65535}, r"a fraction\? State its unit"),
+        "newton": ({"cmd_thrust_pwm": pwm / 65535 * 0.6}, "newton, gram or m/s2 need a mapping file"),
+        "millinewton": ({"cmd_thrust_pwm": pwm / 110}, "full = 0.6"),
+        "constant thrust": ({"cmd_thrust_pwm": 42_000}, "cmd_thrust_pwm is always 42000"),
+        "on the ground": ({"cmd_thrust_pwm": pwm / 10}, "never exceeds .* this is not a flight"),
+    }  # fmt: skip
+    return logs | {name: (change(log, **changed), words) for name, (changed, words) in columns.items()}
 
 
 @pytest.mark.parametrize("mistake", mistakes(flight()))

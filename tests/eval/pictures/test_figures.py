@@ -6,11 +6,8 @@ import imageio_ffmpeg
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from matplotlib.colors import to_hex
-from stable_baselines3 import PPO
 
-from inclined_landing.envs import save_policy
 from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
@@ -21,6 +18,7 @@ from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.learning import final_scores, learning_curves
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
+from tests.policy_files import hovering
 
 SLOPE = load_vehicle().platform_inclination
 LANDING = make_task("landing")
@@ -241,13 +239,7 @@ def test_curriculum_figure_shows_its_conditions(options):
 @pytest.fixture(scope="module")
 def hover_policy(tmp_path_factory):
     """Keeps its height, level, until the time limit: all weights zero."""
-    path = tmp_path_factory.mktemp("policy") / "hover.zip"
-    network = PPO("MlpPolicy", "InclinedLanding-v0", seed=0, device="cpu")
-    with torch.no_grad():
-        for parameter in network.policy.parameters():
-            parameter.zero_()
-    save_policy(network, path)
-    return str(path)
+    return str(hovering(tmp_path_factory.mktemp("policy") / "hover.zip"))
 
 
 def test_figure_command_writes_the_paper_s_two_cases(hover_policy, tmp_path, capsys):
