@@ -4,6 +4,7 @@
 
 import os
 import sys
+from pathlib import Path
 
 # Every worker of the suite, and every process that a test starts, has one core: thread pools of the linear
 # algebra would only wait for each other. Before NumPy is imported.
@@ -19,6 +20,22 @@ import pytest
 # Compiled functions take seconds at their first call; the same examples on every machine and run.
 hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("suite")
+
+
+def pytest_configure():
+    """Remove compiled functions that are older than any source of one.
+
+    Numba looks at a function's own file only, not at those of the functions that are compiled into it.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ or "NUMBA_CACHE_DIR" in os.environ:
+        return
+    root = Path(__file__).parents[1]
+    folders = [root / name for name in ("models", "envs", "eval", "train")]
+    sources = [path for folder in folders for path in folder.rglob("*.py")]
+    newest = max(path.stat().st_mtime for path in sources if b"import numba" in path.read_bytes())
+    for index in (path for folder in folders for path in folder.rglob("__pycache__/*.nbi")):
+        if index.stat().st_mtime < newest:
+            index.unlink(missing_ok=True)
 
 
 @pytest.fixture(autouse=True)
