@@ -25,7 +25,7 @@ from inclined_landing.models.vehicle import Vehicle
 from tests.validation.flights import public_sets
 
 from .causes import paths_of, read
-from .shared import check_folder
+from .shared import check_folder, table_of
 
 DIGITS = 5  # of a value in the file: fewer than any interval allows, and readable
 DRAWS = 2000  # of the bootstrap over flights
@@ -50,16 +50,20 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     check_folder(data)
     storage.check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
-    lines = ["| vehicle | judged on | flights | base file | identified |", "|---|---|---|---|---|"]
+    rows = []
     for name, entry in chosen.items():
         flights = _flights(data, entry, entry["fitted"])
         base = load_vehicle(entry["base"]).changed(body_mass=entry["mass"])
         found = _rounded(identify(flights, base))
         judged = [_judged(data, entry, one, base, found.vehicle) for one in entry["judged"]]
         write(out / f"{name}.toml", name, entry, found, judged)
-        lines += [f"| `{name}` | {j['name']} | {j['flights']} | {_cm(j, 0)} | {_cm(j, 1)} |" for j in judged]
-        print("\n".join(lines[-len(judged) :]), flush=True)
-    storage.write_text(out / "table.md", "\n".join(lines) + "\n")
+        rows += [
+            {"vehicle": f"`{name}`", "judged on": j["name"], "flights": j["flights"]}
+            | {"base file": _cm(j, 0), "identified": _cm(j, 1)}
+            for j in judged
+        ]
+    storage.write_text(out / "table.md", table_of(rows))
+    print(table_of(rows))
     print(f"{len(chosen)} vehicles were identified and judged; the table is {out / 'table.md'}.")
 
 
@@ -146,7 +150,7 @@ def heading(name: str, entry: Mapping, found: Identification, judged: Sequence[M
         f"{', '.join(found.flights)}; {entry['command']}.",
         f"Made by `python -m tests.validation identified DATA --only {name}` (landing-eval identify from "
         f"{entry['base']} with a mass of {entry['mass']:g} kg), version {version('inclined-landing')}, "
-        f"{date.today().isoformat()}. Its posterior lies beside it.",
+        f"{date.today().isoformat()}. Its posterior is next to it.",
         "Position error one second after an open-loop start, on flights left out, from the base file with "
         "this mass to this one: "
         + "; ".join(f"{_cm(j, 0)} to {_cm(j, 1)} ({j['name']}, {j['flights']} flights)" for j in judged)
