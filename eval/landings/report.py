@@ -146,7 +146,7 @@ def facts(study: Study) -> list[Row]:
         value, p = entry.default / entry.factor, given.get(name)
         if p is not None:
             found.append(fact(entry.label, "values", _values(p, entry.factor), entry.unit))
-        elif not (math.isnan(value) or (study.starts and entry.at_touchdown)):
+        elif not (math.isnan(value) or (study.policy and entry.at_touchdown and name != "inclination")):
             found.append(fact(entry.label, "default", value, entry.unit))
     begin = "just above the surface; until the motors are cut, the thrust and the attitude are held"
     if study.policy:
