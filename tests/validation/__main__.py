@@ -18,7 +18,7 @@ from inclined_landing.models.base.errors import UserError
 PROGRAM = "python -m tests.validation"
 COMMANDS = (
     *("flights", "gap-blind", "gap-agreement", "causes", "trust", "identified"),
-    *("gap-example", "plan-loop", "flight-table", "tosses", "peers"),
+    *("gap-example", "plan-loop", "flight-table", "tosses", "landings", "peers"),
 )
 
 

@@ -22,7 +22,7 @@ from tests.validation.simulator import Reality, World
 
 from . import causes, generate
 from .accepted import LEVEL, accepted
-from .causes import DISTURBANCE, FREE_FLIGHT, LANDINGS, SIZES, TOUCHDOWN, UNKNOWN, Drawn
+from .causes import DISTURBANCE, FREE_FLIGHT, SIZES, TOUCHDOWN, UNKNOWN, Drawn
 
 # Families whose cases thresholds are chosen on, and those that are scored once.
 SETS = {"dev": ("cascade", "firmware", "feed_forward"), "fresh": ("geometric", "full_state")}
@@ -33,16 +33,12 @@ LACKS = {
     *("ground_effect", "second_order_attitude", "slung_load", "yaw_loss", "wall", "burst"),
     *("spin_down", "axial_inflow", "com_offset", *TOUCHDOWN),
 }
-# Sets, and families, of landings alone, after an identification by others: on the feet of the simulator's
-# reference, and on Bullet's contact.
-ENGINES = ("landings", "bullet")
-_SEEDS = (*SETS, ROTORPY, "", *ENGINES)  # the place of a set is part of its seed
+_SEEDS = (*SETS, ROTORPY)  # the place of a set is part of its seed
 STRATA = (
     *("single", "pair", "nothing", "few flights", "noisy", "slow log", "paper", "base off"),
     *("unknown", "disturbance", "touchdown"),
 )
 IDENTIFY, HELDOUT = 10, 3  # flights: every kind once to identify with
-LANDED = 12  # landings of the same
 # Constants that are 10 % off after identification, by the name of the effect that rescales them.
 BASE_OFF = {
     "mass": ("body_mass",),
@@ -107,7 +103,7 @@ class Case:
     @property
     def identified(self) -> bool:
         """Does the user identify the vehicle first?"""
-        return self.family in ENGINES or self.stratum not in ("paper", "touchdown")
+        return self.stratum not in ("paper", "touchdown")
 
     def label(self) -> dict:
         """What the scorer needs to know, as plain data."""
@@ -143,15 +139,8 @@ class Case:
         rng = np.random.default_rng(self.entropy)
         count = self.count + HELDOUT
         if self.stratum == "touchdown":
-            fly = simulator.fly
-            if self.family == "bullet":
-                from .bullet_reality import fly
-            groups = (
-                (Drawn({}, {}), LANDED * self.identified),
-                (causes.combined(*self.drawn.values()), count),
-            )
-            landed = [generate.land_all(one, rng, count=n, fly=fly) for one, n in groups]
-            plain, gap = (generate.logs(one, contact=True) for one in landed)
+            drawn = causes.combined(*self.drawn.values())
+            plain, gap = [], generate.logs(generate.land_all(drawn, rng, count=count), contact=True)
         else:
             usual, hidden = self.worlds()
             groups = ((usual, IDENTIFY * self.identified), (hidden, count))
@@ -202,15 +191,13 @@ def draw(
     logged = not landed and "battery_sag" not in hidden and rng.uniform() < 0.4
     return Case(
         name=name,
-        family=family if family in ENGINES else reality.family,
+        family=reality.family,
         stratum=stratum,
         causes=hidden,
         size=size,
         drawn=drawn,
         reality=reality,
-        count=LANDED
-        if family in ENGINES
-        else {"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
+        count={"few flights": 3, "touchdown": generate.LANDINGS}.get(stratum, 10),
         voltage=logged or any(one.voltage for one in drawn.values()),
         base={one: 1 + 0.1 * rng.choice([-1, 1]) for one in BASE_OFF} if stratum == "base off" else {},
         entropy=(*entropy, 1),
@@ -219,9 +206,6 @@ def draw(
 
 def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tuple[str, ...], str | None]]:
     """(stratum, causes, size) of the cases of a full set of a family, stratum by stratum."""
-    if family in ENGINES:
-        every = [((name,), size) for name in LANDINGS for size in SIZES[1:]] + [((), None)] * 2
-        return [("touchdown", hidden, size) for hidden, size in every * 3]
     names = [name for name in FREE_FLIGHT if _has(family, name)]
     # Two of the three sizes for every cause, so that each size has its share.
     result = [
@@ -247,7 +231,7 @@ def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tupl
 
 
 def of_set(name: str, seed: int, limit: int | None = None) -> list[Case]:
-    """The cases of a set of SETS, ROTORPY or ENGINES, in an order and with names that tell nothing.
+    """The cases of a set of SETS or ROTORPY, in an order and with names that tell nothing.
 
     limit: at most so many, the strata keeping their shares.
     """

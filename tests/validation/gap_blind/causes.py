@@ -210,7 +210,7 @@ TOUCHDOWN: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "platform_tilt": ((0.02, 0.05, 0.1), _plain("surface_tilt", "offset", signed=True)),
 }
 
-# Those of landings after an identification: see `cases.ENGINES`.
+# Those of landings after an identification: see tests/validation/landings.py.
 LANDINGS: dict[str, tuple[tuple[float, float, float], Draw]] = {
     "friction": TOUCHDOWN["friction"],
     "restitution": ((0.5, 0.8, 1.2), _divided("damping_scale")),

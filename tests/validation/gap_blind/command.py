@@ -19,20 +19,19 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
 from ..shared import answered, check_known
-from .cases import ENGINES, ROTORPY, SETS, Case, of_set
+from .cases import ROTORPY, SETS, Case, of_set
 from .score import score_case
 from .tables import markdown, results_of
 
 _NEEDED = {
     "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
-    "bullet": ("pybullet",),
 }
 _SET, _LABELS = "set.json", "sealed/labels.json"
 
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy,landings,bullet}")] = "dev",
+    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy}")] = "dev",
     seed: Seed = 0,
     cases: Annotated[int, Meta(ge=1, le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
@@ -42,13 +41,12 @@ def command(
     Args:
         out: folder for results.json and table.md; an interrupted run goes on in it.
         set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure; or flights of RotorPy (needs rotorpy). Landings after
-            other landings: on the simulator's feet, or on Bullet's contact (needs pybullet).
+            structure; or flights of RotorPy (needs rotorpy).
         seed: of the set.
         cases: at most so many, every stratum keeping its share (default: all).
         processes: cases diagnosed at a time.
     """
-    check_known("set", [set], (*SETS, ROTORPY, *ENGINES))
+    check_known("set", [set], (*SETS, ROTORPY))
     if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
         raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     drawn = {case.name: case for case in of_set(set, seed, cases)}
