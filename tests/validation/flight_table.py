@@ -191,12 +191,12 @@ class Truth:
 
     @property
     def strict(self) -> bool:
-        """In the goal box before any touch of the platform."""
+        """Whether it was in the goal box before any touch of the platform."""
         return self.goal is not None and (self.touched is None or self.goal <= self.touched)
 
     @property
     def landed(self) -> bool:
-        """At rest on its feet on the platform."""
+        """Whether it is at rest on its feet on the platform."""
         return self.rests == "platform" and self.upright
 
 
@@ -226,7 +226,7 @@ def fly_once(plan: FlightPlan, setting: Setting, seed: int, case: Case | None = 
         began.append(flight.clock.now())
 
     def interrupt() -> None:
-        """As a signal would, out of whatever the pilot waits in."""
+        """Interrupt the pilot as a signal would, whatever it waits in."""
         happen()
         raise KeyboardInterrupt
 

@@ -72,3 +72,6 @@ def command(
             write_vehicle(folder / "truth.toml", apply(load_vehicle(), {cause: drawn.parameters}))
     if cause is None:
         introduce(out)
+    else:
+        print(f"{out} contains twenty flights with {cause}; the next command is")
+        print(f"landing-eval gap {out}/fit/*.csv --heldout {out}/heldout/*.csv --out {out}/report")

@@ -68,7 +68,7 @@ NOT_COMPARED = {
 
 
 def accepted(cause: str) -> tuple[frozenset[str], ...]:
-    """The sets of effect names that name `cause`, its own first."""
+    """Return the sets of effect names that name `cause`, its own first."""
     return (
         frozenset({EFFECT.get(cause, cause)}),
         *(names for one, sets, _ in ALIASES if one == cause for names in sets),
@@ -76,5 +76,5 @@ def accepted(cause: str) -> tuple[frozenset[str], ...]:
 
 
 def entailed(cause: str) -> frozenset[str]:
-    """The effects that physically come with `cause`."""
+    """Return the effects that physically come with `cause`."""
     return frozenset(name for ones, names, _ in ENTAILED if cause in ones for name in names)

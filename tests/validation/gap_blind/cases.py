@@ -102,11 +102,11 @@ class Case:
 
     @property
     def identified(self) -> bool:
-        """Does the user identify the vehicle first?"""
+        """Whether the user identifies the vehicle first."""
         return self.stratum not in ("paper", "touchdown")
 
     def label(self) -> dict:
-        """What the scorer needs to know, as plain data."""
+        """Return what the scorer needs to know, as plain data."""
         return {
             "family": self.family,
             "stratum": self.stratum,
@@ -117,7 +117,7 @@ class Case:
         }
 
     def vehicle(self, identified: Vehicle) -> Vehicle:
-        """The vehicle that the gap is measured for: as identified, with the constants of `base` off."""
+        """Return the vehicle that is diagnosed: the identified one, with the constants of `base` off."""
         changes = {}
         for name, factor in self.base.items():
             for field in BASE_OFF[name]:
@@ -162,7 +162,7 @@ def draw(
     seed: int | Sequence[int] = 0,
     name: str = "case",
 ) -> Case:
-    """A case of a stratum, in a reality of a family of the simulator, of one of SETS, or of ROTORPY.
+    """Return a case of a stratum in a reality of a family: of the simulator, of one of SETS, or ROTORPY.
 
     Causes and size are drawn from the seed where they are not given. Raises ValueError for a cause that the
     family cannot have.
@@ -205,7 +205,7 @@ def draw(
 
 
 def plans(rng: np.random.Generator, family: str = "dev") -> list[tuple[str, tuple[str, ...], str | None]]:
-    """(stratum, causes, size) of the cases of a full set of a family, stratum by stratum."""
+    """Return (stratum, causes, size) of the cases of a full set of a family, stratum by stratum."""
     names = [name for name in FREE_FLIGHT if _has(family, name)]
     # Two of the three sizes for every cause, so that each size has its share.
     result = [
@@ -260,7 +260,7 @@ def _reality(family: str, rng) -> Reality:
 
 
 def _can_fly(reality: Reality, drawn: dict[str, Drawn]) -> bool:
-    """Does the reality fly with these causes? RotorPy's does not with much more lag."""
+    """Return whether the reality flies with these causes; RotorPy's does not with much more lag."""
     if reality.family != ROTORPY:
         return True
     return _rotorpy().flies(reality, World(**causes.combined(*drawn.values()).world))
@@ -271,7 +271,7 @@ def _has(family: str, cause: str) -> bool:
 
 
 def _candidates(stratum: str) -> list[str]:
-    """Causes for a stratum: with constants off, those that are not the like of one of them."""
+    """Return the causes for a stratum: where constants are off, those that differ in kind from them."""
     off = {"paper": _PAPER_OFF, "base off": tuple(BASE_OFF)}.get(stratum, ())
     off = {*off, *(LEVEL if off else ()), *(("body_drag", "lateral_drag") if off else ())}
     tables = {"unknown": UNKNOWN, "disturbance": DISTURBANCE, "touchdown": TOUCHDOWN}
@@ -291,7 +291,7 @@ def _hidden(stratum: str, rng, family: str) -> tuple[str, ...]:
 
 
 def _fitted(reality: Reality, stratum: str, rng) -> Reality:
-    """The reality as the stratum wants it: more noise, or fewer rows."""
+    """Return the reality with what the stratum changes: more noise, or fewer rows."""
     c, b = reality.constants, reality.build
     if stratum == "noisy":
         angle = math.radians(rng.uniform(0.6, 1.0))

@@ -47,7 +47,7 @@ def _sign(rng) -> float:
 
 
 def _scale(field: str, both: bool = True, parameters: tuple[str, ...] = ("scale",)) -> Draw:
-    """A factor: size 0.1 is 1.1, or 1/1.1 where both make sense."""
+    """Return how a factor is drawn: size 0.1 is 1.1, or 1/1.1 where both make sense."""
 
     def draw(size, rng, reality):
         up = not both or rng.uniform() < 0.5
@@ -58,7 +58,7 @@ def _scale(field: str, both: bool = True, parameters: tuple[str, ...] = ("scale"
 
 
 def _less(field: str) -> Draw:
-    """A factor below 1: below 0.65 of the nominal friction landings slide off the slope."""
+    """Return how a factor below 1 is drawn; below 0.65 of the nominal friction landings slide off."""
 
     def draw(size, rng, reality):
         return Drawn({field: (1 - size) * World._field_defaults[field]}, {"scale": 1 - size})
@@ -71,7 +71,10 @@ def _divided(field: str) -> Draw:
 
 
 def _plain(field: str, parameter: str, signed: bool = False, force: bool = False) -> Draw:
-    """force: labelled as for the paper's mass, since flights show forces over mass alone."""
+    """Return how a number that is added to the nominal one is drawn.
+
+    force: it is labelled as for the paper's mass, since flights show forces over mass alone.
+    """
 
     def draw(size, rng, reality):
         value = size * (_sign(rng) if signed else 1.0)
@@ -99,7 +102,10 @@ def _vector(first: str, second: str, names: tuple[str, str]) -> Draw:
 
 
 def _battery(channel: bool) -> Draw:
-    """Size: volts lost at hover load. Without a channel every flight starts on the same charge."""
+    """Return how a battery is drawn, by the volts that it loses at hover load.
+
+    Without a channel every flight starts on the same charge.
+    """
 
     def draw(size, rng, reality):
         c, power = reality.constants, reality.build.battery_power
@@ -125,7 +131,10 @@ def _battery(channel: bool) -> Draw:
 
 
 def _ground(size, rng, reality):
-    """The label has the thrust added four radii above the ground, where all forms agree to first order."""
+    """Return a ground effect, labelled by the thrust that it adds four radii above the ground.
+
+    All forms agree there to first order.
+    """
     added = size / 256.0
     if reality.build.ground == CHEESEMAN:
         added /= 1.0 - added

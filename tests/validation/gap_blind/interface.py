@@ -1,5 +1,7 @@
-"""What is added at the interface of a simulator by others: air, forces from outside, and commands and poses
-that are late or wrong. Worlds hold arrays (n,) here, one entry for each flight of a batch."""
+"""Air, external forces, and commands and poses that are late or wrong, added to a simulator by others.
+
+Worlds hold arrays (n,) here, one entry for each flight of a batch.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _HELD = RATE // PILOT_RATE  # periods for which a command stands
 
 
 def received(command: np.ndarray, w: World):
-    """Roll, pitch and yaw rate, each (n,), that the vehicle makes of commands (n, 4)."""
+    """Return roll, pitch and yaw rate, each (n,), that the vehicle receives for commands (n, 4)."""
     angles = command[:, 1:3].copy()
     angles[np.abs(angles) < w.dead_zone[:, None]] = 0.0
     step = np.where(w.quantum > 0.0, w.quantum, 1.0)[:, None]
@@ -28,13 +30,13 @@ def received(command: np.ndarray, w: World):
 
 
 def wind(x: np.ndarray, w: World) -> np.ndarray:
-    """Steady wind (n, 3) at positions x (n, 3), with a rising column."""
+    """Return the steady wind (n, 3) at positions x (n, 3), with a rising column."""
     squared = (x[:, 0] - w.updraft_x) ** 2 + (x[:, 1] - w.updraft_y) ** 2
     return np.column_stack([w.wind_x, w.wind_y, w.updraft * np.exp(-squared / (2.0 * w.updraft_radius**2))])
 
 
 def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
-    """Accelerations (n, 3) [m/s2] from outside: bias of thrust, a fan, a force with the heading."""
+    """Return external accelerations (n, 3) [m/s2]: bias of thrust, a fan, a force with the heading."""
     push = Rotation.from_quat(q).apply([0.0, 0.0, 1.0]) * (w.thrust_bias / (c.mass * w.mass_scale))[:, None]
     swing = w.swing * np.sin(2.0 * np.pi * time / w.swing_period)
     heading = 2.0 * angles(q)[:, 2]
@@ -44,7 +46,7 @@ def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
 
 
 def correlated(rng, shape: tuple[int, int, int], time: float | np.ndarray) -> np.ndarray:
-    """Ornstein-Uhlenbeck paths (ticks, n, m) of standard deviation 1; time: one, or (n,) [s]."""
+    """Return Ornstein-Uhlenbeck paths (ticks, n, m) of standard deviation 1; time: one, or (n,) [s]."""
     start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
     paths = np.empty(shape)
     for j, keep in enumerate(np.exp(-1.0 / (np.broadcast_to(time, shape[1]) * RATE))):
@@ -56,12 +58,15 @@ def correlated(rng, shape: tuple[int, int, int], time: float | np.ndarray) -> np
 
 
 def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
-    """Accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6) of a build's air."""
+    """Return accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6) of a build's air."""
     return np.array([*b.disturbance, *b.disturbance_torque]) * correlated(rng, shape, b.disturbance_time)
 
 
 def heard(rng, ticks: int, w: World) -> np.ndarray:
-    """The period (ticks, n) whose command is in effect, when each arrives up to `command_jitter` [s] late."""
+    """Return the period (ticks, n) whose command is in effect.
+
+    Each command arrives up to `command_jitter` [s] late.
+    """
     sent, periods = np.arange(0, ticks, _HELD), np.arange(ticks)
     late_by = rng.uniform(0.0, 1.0, (len(sent), len(w.command_jitter))) * w.command_jitter * RATE
     arrives = np.maximum.accumulate(sent[:, None] + np.round(late_by), axis=0)
@@ -72,7 +77,7 @@ def heard(rng, ticks: int, w: World) -> np.ndarray:
 
 
 def late(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:
-    """Rows of history (ticks, n, m) at period k (one, or (n,)), `delay` (n,) [s] ago; linear in between."""
+    """Return rows of history (ticks, n, m), `delay` (n,) [s] before period k (one, or (n,)), interpolated."""
     at = np.maximum(k - delay * RATE, 0.0)
     before = np.floor(at + 1e-9).astype(int)
     part, flight = np.maximum(at - before, 0.0)[:, None], np.arange(len(delay))
@@ -81,15 +86,15 @@ def late(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:
 
 
 def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Product of quaternions (n, 4), scalar last."""
+    """Return the product of quaternions (n, 4), scalar last."""
     return (Rotation.from_quat(p) * Rotation.from_quat(q)).as_quat()
 
 
 def turn(yaw, roll, pitch) -> np.ndarray:
-    """Quaternion (n, 4) of Rz(yaw) Rx(roll) Ry(pitch)."""
+    """Return the quaternion (n, 4) of Rz(yaw) Rx(roll) Ry(pitch)."""
     return Rotation.from_euler("ZXY", np.column_stack([yaw, roll, pitch])).as_quat()
 
 
 def angles(q: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw (n, 3) of Rz Rx Ry."""
+    """Return roll, pitch, yaw (n, 3) of Rz Rx Ry."""
     return Rotation.from_quat(q).as_euler("ZXY")[:, [1, 2, 0]]

@@ -91,12 +91,12 @@ def draw(rng: np.random.Generator) -> Reality:
 
 
 def _between(rng, low: float, high: float) -> float:
-    """Uniform on a logarithmic scale."""
+    """Return a number that is uniform on a logarithmic scale."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
 def flies(reality: Reality, w: World) -> bool:
-    """Is the attitude loop well inside stability?
+    """Return whether the attitude loop is well inside stability.
 
     With gains kp on the angle and kd on the rate, and motors of first order, tau: by Routh tau kp < kd.
     """
@@ -105,7 +105,7 @@ def flies(reality: Reality, w: World) -> bool:
 
 
 def parameters(c: Constants, w: World | None = None) -> dict:
-    """RotorPy's parameters of the vehicle of `c`: nominal, as its controllers believe, or in world `w`."""
+    """Return RotorPy's parameters of the vehicle of `c`, in world `w` or nominal (as controllers assume)."""
     w = World() if w is None else w
     lateral, axial = c.drag_per_speed[0], c.drag_per_speed[2]
     k_eta = c.thrust_per_speed * w.thrust_scale
@@ -125,15 +125,17 @@ def parameters(c: Constants, w: World | None = None) -> dict:
 
 
 def vehicle(params: Sequence[dict], abstraction: str = "cmd_motor_speeds") -> BatchedMultirotor:
-    """RotorPy's batch of vehicles with these parameters."""
+    """Return RotorPy's batch of vehicles with these parameters."""
     n = len(params)
     batch = BatchedMultirotorParams(list(params), n, _CPU)
     return BatchedMultirotor(batch, n, {"x": torch.zeros(n, 3)}, _CPU, abstraction)
 
 
 def advance(plant: BatchedMultirotor, s, speeds, push, h: float):
-    """RotorPy's state (n, 20) after h seconds at commanded rotor speeds (n, 4); push (n, 20) adds to its
-    derivative."""
+    """Return RotorPy's state (n, 20) after h seconds at commanded rotor speeds (n, 4).
+
+    push (n, 20) adds to its derivative.
+    """
     every = torch.arange(len(s))
     speeds = torch.clip(speeds, plant.params.rotor_speed_min, plant.params.rotor_speed_max)
     middle = s + 0.5 * h * (plant._s_dot_fn(0.0, s, speeds, every) + push)
@@ -169,7 +171,7 @@ class Flights:
         self.build()
 
     def period(self, k: int) -> None:
-        """One period of the flight controller."""
+        """Advance by a period of the flight controller."""
         c, w, z, time = self.reality.constants, self.w, self.z, k / RATE - WARM_UP
         self.states[k] = z
         estimate = interface.times(z[:, Q], self.level)  # of the flight controller
@@ -203,7 +205,7 @@ class Flights:
         self.angles = measured[:, 3:]
 
     def _command(self, ref: np.ndarray) -> np.ndarray:
-        """PWM, roll, pitch, yaw rate (n, 4) for one row of every reference (n, REF_SIZE)."""
+        """Return PWM, roll, pitch, yaw rate (n, 4) for one row of every reference (n, REF_SIZE)."""
         c, yaw = self.reality.constants, self.angles[:, 2]
         thrust, q, upward = self.wish(interface.turn(yaw, *self.angles[:, :2].T), ref)
         roll, pitch, _ = interface.angles(q).T
@@ -219,7 +221,7 @@ class Flights:
         return np.column_stack([np.clip(pwm, *c.pwm_range), rest])
 
     def _supply(self, k: int, z: np.ndarray, time: float) -> np.ndarray:
-        """Rotor speed (n,) per speed asked for, under the battery's voltage, which goes into the log."""
+        """Return the rotor speed (n,) per commanded speed, under the battery's voltage, which is logged."""
         c, w = self.reality.constants, self.w
         load = c.hover_current / (c.mass * c.gravity) * self.thrusts(z[:, ROTORS]).sum(1)
         self.volts[k] = c.battery_voltage + w.battery_voltage - c.battery_fall * max(time, 0.0)
@@ -228,7 +230,7 @@ class Flights:
         return share ** (0.5 * self.reality.build.battery_power)
 
     def recordings(self, rng) -> list[Recording]:
-        """The logs."""
+        """Return the logs."""
         c, b, w = self.reality.constants, self.reality.build, self.w
         every, first = round(b.log_ticks) // 2, round(WARM_UP * RATE)
         rows = np.arange(-(-first // every) * every, len(self.states), every)
@@ -267,7 +269,7 @@ class Flights:
         self.z[:, ROTORS] = math.sqrt(c.mass * c.gravity / (4 * c.thrust_per_speed))
 
     def gusts(self, rng, ticks: int) -> np.ndarray:
-        """RotorPy's horizontal Dryden gusts (ticks, n, 3), of standard deviation `gust` over the flights."""
+        """Return RotorPy's horizontal Dryden gusts (ticks, n, 3), of standard deviation `gust`."""
         w, n, seed = self.w, len(self.worlds), int(rng.integers(2**31))
         if not w.gust.any():
             return np.zeros((ticks, n, 3))
@@ -280,9 +282,9 @@ class Flights:
         return path / path[:, :, :2].std() * w.gust[:, None]
 
     def wish(self, q: np.ndarray, ref: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pilot's law, for attitudes q (n, 4) and one row of every reference (n, REF_SIZE).
+        """Return the pilot's thrust (n,) [N], attitude (n, 4) and upward force (n,) [N].
 
-        Returns thrust (n,) [N], attitude (n, 4), upward force (n,) [N].
+        q (n, 4) are attitudes, ref (n, REF_SIZE) one row of every reference.
         """
         yaw, still = self.angles[:, 2], np.zeros_like(self.position)
         state = {"x": self.position, "v": self.velocity, "q": q, "w": still}
@@ -293,7 +295,7 @@ class Flights:
 
     @torch.inference_mode()
     def advance(self, estimate, wanted, supply, fade, push) -> np.ndarray:
-        """The state one period later.
+        """Return the state one period later.
 
         estimate (n, 4) is the controller's attitude; wanted (n, 4) the thrust [N], roll, pitch and yaw rate
         that it received; supply (n,) the rotor speed per speed asked for; fade (n,) the share of thrust that
@@ -314,7 +316,7 @@ class Flights:
         return advance(self.plant, s, speeds, added, 1.0 / RATE).numpy()
 
     def thrusts(self, rotors: np.ndarray) -> np.ndarray:
-        """Thrust [N] of rotors (..., 4) in still air."""
+        """Return the thrust [N] of rotors (..., 4) in still air."""
         return self.reality.constants.thrust_per_speed * rotors**2
 
 

@@ -37,7 +37,7 @@ _NEAR_GROUND = (
 
 
 def score_case(label: Mapping, report: Mapping) -> dict:
-    """Judge one report against its label: a flat row.
+    """Return the judgement of one report against its label, a flat row.
 
     label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `members`,
     `parameters`, optionally `sure`, `sets`, `possible`, `gap` and `seconds`.
@@ -67,7 +67,7 @@ def score_case(label: Mapping, report: Mapping) -> dict:
 
 
 def _answers(label: Mapping, report: Mapping, spurious: list[str]) -> dict:
-    """What the shares over all strata count; None where a case says nothing about one.
+    """Return what the shares over all strata count; None where a case says nothing about one.
 
     - `quiet`: nothing is hidden; the answer is nothing
     - `alone`: one cause of the library, medium or strong; it is sure, and no name is spurious
@@ -93,7 +93,7 @@ def _answers(label: Mapping, report: Mapping, spurious: list[str]) -> dict:
 
 
 def _welcome(label: Mapping) -> set[str]:
-    """Names that are right to give beside or instead of the causes' own."""
+    """Return the names that are right next to, or instead of, the causes' own."""
     hidden = [*label["causes"], *label["base"]]
     return {name for c in hidden for names in (*accepted(c), entailed(c)) for name in names}
 
@@ -107,7 +107,7 @@ def _found(cause: str, names: Iterable[str], classes: list[set]) -> str | None:
 
 
 def _among(label: Mapping, classes: list[set], possible: Iterable[str]) -> bool | None:
-    """Is every cause among the names, what may take their place, and what is told as possible?"""
+    """Return whether every cause is among the names, those confounded with them, and the possible ones."""
     causes = [cause for cause in label["causes"] if cause not in DISTURBANCE]
     if not causes or set(causes) & set(UNKNOWN):
         return None
@@ -139,8 +139,9 @@ def _outcome(label, report, spurious, found, classes) -> str:
 
 
 def belief(label: Mapping, report: Mapping) -> dict | None:
-    """What the report believes of its answer: None where it has no probabilities or no set of the library is
-    true.
+    """Return the probabilities that the report gives its answer and the truth.
+
+    None where it has no probabilities, or no set of the library is true.
 
     Returns `probability` of the likeliest set, whether that set is `right`, and the probability of the
     `truth`: of all sets that are right. Names that free flight cannot tell apart count as one.
@@ -168,7 +169,7 @@ def belief(label: Mapping, report: Mapping) -> dict | None:
 
 
 def closed_share(gap: Mapping) -> float | None:
-    """Share of the closable gap that is closed, (before - after)/(before - floor).
+    """Return the share of the closable gap that is closed, (before - after)/(before - floor).
 
     None where `before` is less than 1.5 times the floor: too little to close for a share to tell.
     """
@@ -179,7 +180,7 @@ def closed_share(gap: Mapping) -> float | None:
 
 
 def parameter_error(cause: str, label: Mapping, effects: Iterable[Mapping]) -> float | None:
-    """Error of the estimate as a share of how far the truth is from neutral; None without an estimate."""
+    """Return the estimate's error over the distance of the truth from neutral; None without an estimate."""
     truth = label["parameters"][cause]
     effect = _estimate(cause, effects)
     wanted = comparable(cause, truth)
@@ -193,7 +194,7 @@ def parameter_error(cause: str, label: Mapping, effects: Iterable[Mapping]) -> f
 
 
 def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str, bool]:
-    """Number -> does its 95 % interval hold the truth? Empty without an estimate or intervals."""
+    """Return by number whether its 95 % interval holds the truth; empty without estimate or intervals."""
     truth = label["parameters"][cause]
     effect = _estimate(cause, effects)
     wanted = comparable(cause, truth)
@@ -213,7 +214,7 @@ def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str,
 
 
 def _estimate(cause: str, effects: Iterable[Mapping]) -> Mapping | None:
-    """The effect that names `cause` alone, if there is one."""
+    """Return the effect that names `cause` alone, if there is one."""
     names = {name for option in accepted(cause) if len(option) == 1 for name in option}
     return next((effect for effect in effects if effect["name"] in names), None)
 
@@ -221,7 +222,7 @@ def _estimate(cause: str, effects: Iterable[Mapping]) -> Mapping | None:
 def comparable(
     effect: str, values: Mapping[str, float], at: Mapping[str, float] | None = None
 ) -> dict[str, float] | None:
-    """What truth and estimate of an effect are compared by: deviations from neutral. None: nothing.
+    """Return the deviations from neutral by which truth and estimate are compared; None for none.
 
     Thrust scale, thrust bias and mass by what they do to thrust over mass in hover; a battery without its
     channel by the slope of thrust over load, with it by that over voltage; ground effect by the thrust it
