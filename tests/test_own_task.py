@@ -79,7 +79,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
     small = ["--width", "96", "--height", "64", "--backend", "ray", "--start", "0.5,0,1"]
     assert evaluate(["picture", "whole/final.zip", "--out", "hop.png", *small, *flown]) == 0
     assert evaluate(["figure", "whole/final.zip", "--out", "figures", *flown]) == 0
-    assert (tmp_path / "figures" / "trajectory.pdf").is_file()
+    assert (tmp_path / "figures" / "trajectory_2.pdf").is_file()
 
 
 @pytest.mark.parametrize(("path", "code", "sentence"), [

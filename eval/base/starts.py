@@ -16,7 +16,6 @@ from inclined_landing.models.base.errors import UserError
 Point = tuple[float, ...]  # x, z or x, y, z, m
 _PLANAR = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])
 _IN_SPACE = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))
-_FREE = ((1.5, 1.0, 0.6),)
 
 
 def axes_of(task: Task) -> str:
@@ -27,11 +26,14 @@ def axes_of(task: Task) -> str:
 def usual_starts(task: Task) -> tuple[Point, ...]:
     """Return the starts of films; the first one is that of a picture.
 
-    Those of landings in the plane are the paper's.
+    Those of landings in the plane are the paper's, those of a task without a platform its first evaluated
+    ones, to the centimetre.
     """
-    if task.is_planar:
-        return _PLANAR
-    return _IN_SPACE if task.has_platform else _FREE
+    if task.has_platform:
+        return _PLANAR if task.is_planar else _IN_SPACE
+    states = next(iter(task.evaluation_groups(0).values())).state[:3]
+    columns = [STATE_NAMES.index(name) for name in axes_of(task)]
+    return tuple(tuple(map(float, point)) for point in states[:, columns].round(2))
 
 
 def parse_starts(texts: Sequence[str], task: Task) -> list[Point]:
