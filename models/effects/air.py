@@ -41,8 +41,6 @@ EFFECTS = (
         "body drag.",
         channels=("translation",),
         apply=_rotor_drag,
-        forms=("translation speed", "translation late"),
-        form=0.15,
         says="the rotors have {lateral} times the modelled drag across their axes, {axial} times along them",
     ),
     Effect(

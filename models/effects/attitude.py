@@ -86,7 +86,6 @@ EFFECTS = (
                 bounds=(0.06, 4.0),
                 plausible=0.6,
                 negligible=0.08,
-                manoeuvre=0.12,
                 constant=FittedConstant(
                     "attitude time constant tau", field="attitude_time_constant", unit="s"
                 ),
@@ -98,7 +97,6 @@ EFFECTS = (
         channels=("attitude",),
         apply=_time_constant,
         is_lag=True,
-        starts=({"scale": 0.6}, {"scale": 1.7}, {"scale": 2.7}),
         says="the attitude loops have {scale} times the modelled time constant",
     ),
     Effect(
@@ -115,7 +113,6 @@ EFFECTS = (
                 bounds=(-0.017, 0.15),
                 plausible=0.03,
                 negligible=0.008,
-                manoeuvre=0.015,
                 constant=FittedConstant(
                     "rate loop lag", field="attitude_bandwidth", unit="s", inverse=True, offset=True
                 ),
@@ -127,8 +124,6 @@ EFFECTS = (
         channels=("attitude",),
         apply=_second_order,
         is_lag=True,
-        forms=("attitude late",),
-        form=0.2,
         says="the rate loop lags by {rate_lag} more than modelled",
     ),
     Effect(
@@ -145,7 +140,6 @@ EFFECTS = (
                 bounds=(-0.2, 5.0),
                 plausible=0.5,
                 negligible=0.05,
-                manoeuvre=0.1,
                 one_signed=True,
                 adds_to="effects_attitude_integral",
                 constant=FittedConstant(
@@ -178,7 +172,6 @@ EFFECTS = (
                 bounds=(0.0, 4.0),
                 plausible=0.4,
                 negligible=0.08,
-                step=0.4,
                 one_signed=True,
                 adds_to="effects_attitude_saturation",
                 constant=FittedConstant(
@@ -283,7 +276,6 @@ EFFECTS = (
                 bounds=(0.3, 2.0),
                 plausible=0.9,
                 negligible=0.01,
-                manoeuvre=0.05,
                 constant=FittedConstant("yaw rate gain", field="attitude_yaw_gain"),
             ),
             Parameter(
@@ -292,7 +284,6 @@ EFFECTS = (
                 bounds=(0.1, 8.0),
                 plausible=1.5,
                 negligible=0.1,
-                manoeuvre=0.3,
                 constant=FittedConstant(
                     "yaw rate time constant", field="attitude_yaw_bandwidth", unit="s", inverse=True
                 ),

@@ -80,11 +80,6 @@ EFFECTS = (
         apply=_slung_load,
         says="a load of {mass} swings on a string of {length}",
         product="the weight of the load; the string's length follows from its swing",
-        starts=tuple(
-            {"mass": mass, "length": length}
-            for mass in (0.0015, 0.004)
-            for length in (0.12, 0.2, 0.3, 0.5, 0.8)
-        ),
         told_by="Weigh the load and measure its string.",
     ),
     Effect(
@@ -103,7 +98,6 @@ EFFECTS = (
                 bounds=(-0.015, 0.015),
                 plausible=0.001,
                 negligible=1e-4,
-                placement=2e-4,
                 along_the_arm=True,
             ),
             Parameter(
@@ -112,7 +106,6 @@ EFFECTS = (
                 bounds=(-0.015, 0.015),
                 plausible=-0.001,
                 negligible=1e-4,
-                placement=2e-4,
                 along_the_arm=True,
             ),
             # By which the loops take the moment over: of the firmware kp ki'/(kp kp' + ki') with its gains 6
@@ -143,9 +136,6 @@ EFFECTS = (
         "Climbs with changing thrust distinguish it from a trim, which does not grow with the thrust.",
         channels=("attitude", "requests"),
         apply=_com_offset,
-        starts=({"hold": 0.002},),
-        forms=("requests slope",),
-        form=0.2,
         says="the centre of mass is {x} forward and {y} left of the middle of the rotors, and the attitude "
         "loops take its moment over at {hold}",
     ),

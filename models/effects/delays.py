@@ -3,13 +3,8 @@
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
-def _delay(
-    longest: float, plausible: float, negligible: float, name: str, field: str, manoeuvre: float = 0.0
-) -> Parameter:
-    """A delay, added to a field of the vehicle.
-
-    All have the same step: where their slopes bend, at whole rows of a log, they stay sums of each other.
-    """
+def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
+    """A delay, added to a field of the vehicle."""
     constant = FittedConstant(name, field=field, unit="s", offset=True)
     return Parameter(
         "delay",
@@ -20,12 +15,8 @@ def _delay(
         one_signed=True,
         adds_to=field,
         constant=constant,
-        step=0.001,
-        manoeuvre=manoeuvre,
     )
 
-
-_STARTS = tuple({"delay": delay} for delay in (0.01, 0.025, 0.05, 0.08))
 
 EFFECTS = (
     Effect(
@@ -43,7 +34,6 @@ EFFECTS = (
         apply=added("effects_thrust_delay", "delay"),
         is_lag=True,
         of_the_drive=True,
-        starts=_STARTS,
         says="thrust commands act {delay} after they were sent",
     ),
     Effect(
@@ -51,7 +41,7 @@ EFFECTS = (
         description="The roll, pitch and yaw rate commands act later than they were sent.",
         formula="roll, pitch and yaw rate command (t - delay) in the attitude loops",
         source="radio links of the Crazyflie; about 60 ms in the utias_fmpc flights",
-        parameters=(_delay(0.2, 0.04, 0.004, "attitude delay", "effects_attitude_delay", 0.008),),
+        parameters=(_delay(0.2, 0.04, 0.004, "attitude delay", "effects_attitude_delay"),),
         regimes=("attitude_step", "lateral"),
         confused_with=("second_order_attitude", "attitude_time_constant", "mocap_delay"),
         remedy="Send commands at 100 Hz or more with a fresh radio channel, lower the load of the link, or "
@@ -59,7 +49,6 @@ EFFECTS = (
         channels=("attitude", "yaw"),
         apply=added("effects_attitude_delay", "delay"),
         is_lag=True,
-        starts=_STARTS,
         says="attitude commands act {delay} after they were sent",
     ),
     Effect(
@@ -69,15 +58,13 @@ EFFECTS = (
         "for the log and for controllers.",
         formula="measured(t) = state(t - delay)",
         source="motion capture over a network: 4 to 20 ms",
-        parameters=(_delay(0.15, 0.02, 0.002, "mocap delay", "effects_mocap_delay", 0.007),),
+        parameters=(_delay(0.15, 0.02, 0.002, "mocap delay", "effects_mocap_delay"),),
         regimes=("attitude_step", "lateral", "climb"),
         confused_with=("thrust_delay", "attitude_delay"),
         remedy="Use the capture time stamps of the cameras instead of the time of arrival, or shift the log.",
         channels=("translation", "attitude", "yaw"),
         apply=added("effects_mocap_delay", "delay"),
         is_lag=True,
-        starts=_STARTS,
-        same_as=("thrust_delay", "attitude_delay"),
         says="the measured pose is {delay} older than its time stamp",
     ),
     Effect(
@@ -98,8 +85,6 @@ EFFECTS = (
                 constant=FittedConstant(
                     "estimator delay", field="effects_estimator_delay", unit="s", offset=True
                 ),
-                step=0.001,
-                manoeuvre=0.003,
             ),
         ),
         regimes=("attitude_step", "lateral"),

@@ -102,24 +102,13 @@ class Parameter:
     # Of a reference: two sizes, one about each of its bounds, act like one size about a value between them.
     linear: bool = True
     constant: FittedConstant | None = None
-    # By how much [unit] what fits best varies with how one vehicle is flown: no loop is quite of its form.
-    manoeuvre: float = 0.0
-    # By how much [unit] it differs between flights of one vehicle, where the motors' requests show it: these
-    # move by 3 to 4 % each from day to day (CrazyPAD), half of it in every difference of all four. Flights of
-    # one day share it.
-    placement: float = 0.0
     along_the_arm: bool = False  # a length that goes with the vehicle's arms
-    step: float = 0.0  # over which a fit takes slopes; 0: negligible
+    times: float = 1.0  # how many times as large its sizes are as for the shipped vehicle
 
     @property
     def is_factor(self) -> bool:
         """Return whether the parameter multiplies (neutral is 1) instead of adding (neutral is 0)."""
         return self.neutral == 1.0 and not self.is_reference
-
-    @property
-    def between(self) -> float:
-        """Return by how much [unit] flights of one vehicle may differ."""
-        return max(self.manoeuvre, self.negligible)
 
     @property
     def possible(self) -> tuple[float, float]:
@@ -160,9 +149,7 @@ class Parameter:
             bounds=(self.bounds[0] * times, self.bounds[1] * times),
             plausible=self.plausible * times,
             negligible=self.negligible * times,
-            manoeuvre=self.manoeuvre * times,
-            placement=self.placement * times,
-            step=self.step * times,
+            times=self.times * times,
         )
 
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
@@ -192,7 +179,7 @@ class Parameter:
             ),
             plausible=plausible if plausible > self.bounds[0] else 2.0 - plausible,
             negligible=self.negligible * times,
-            manoeuvre=self.manoeuvre * times,
+            times=self.times * times,
         )
 
     def size(self, value: float) -> float:
@@ -228,7 +215,7 @@ class Effect:
     `apply(vehicle, values)` returns the vehicle with the effect on top of what it has already: scales
     multiply, offsets add. `values` maps parameter names to numbers; a missing name is neutral.
 
-    This is everything that the gap workflow knows of an effect; other effects are referred to by name.
+    Other effects are referred to by name. How it is fitted stands in `eval/gap/model/fitting.py`.
     """
 
     name: str
@@ -249,15 +236,7 @@ class Effect:
     scales_thrust: bool = False  # free flight shows the ratio of thrust to mass alone
     # Effects that MuJoCo's contact model changes along with it but real feet do not: they may be as far off.
     couples_with: tuple[str, ...] = ()
-    # Errors of its formula that are free while it is named (`eval/gap/model/columns.py`), and the standard
-    # deviation of their weights: from the development families of docs/evidence/hidden_effects.md.
-    forms: tuple[str, ...] = ()
-    form: float = 0.05
     of_the_place: bool = False  # of the surroundings: another value on another day or in another room
-    # Values that a fit begins at too: where an effect is not linear, its slopes at neutral may mislead.
-    starts: tuple[Mapping[str, float], ...] = ()
-    # Effects that, together and of its size, are the same to every flight.
-    same_as: tuple[str, ...] = ()
     # Whether `identify` fits it; else it stays as it is: a fault of one part, what ordinary flights hide.
     identified: bool = True
     # What flights see of it where its size follows only with another constant known: the acceleration that it
@@ -317,7 +296,6 @@ class Effect:
         parameters = (
             dataclasses.replace(
                 p,
-                manoeuvre=max(p.manoeuvre, p.placement),
                 plausible=p.plausible * (HELD if p.along_the_arm else 1.0),
                 bounds=(p.neutral, p.neutral) if p.adds_to == "effects_attitude_hold" else p.bounds,
             )

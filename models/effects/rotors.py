@@ -38,7 +38,6 @@ def _weak_rotor(k: int) -> Effect:
                 bounds=(-0.03, 0.6),
                 plausible=0.12,
                 negligible=0.01,
-                placement=0.015,
                 one_signed=True,
                 adds_to=f"effects_rotor_loss.{k}",
             ),
@@ -62,8 +61,6 @@ def _weak_rotor(k: int) -> Effect:
         "times as much of its torque",
         requires={"request_differences": 0.0},
         identified=False,
-        forms=("requests slope",),
-        form=0.2,
     )
 
 
@@ -76,9 +73,7 @@ EFFECTS = (
         "motion.",
         formula="(r_2 + r_4 - r_1 - r_3) / (r_1 + r_2 + r_3 + r_4) = share in hover",
         source="balance of the turning moment; up to 0.1 in the CrazyPAD flights",
-        parameters=(
-            Parameter("share", bounds=(-0.3, 0.3), plausible=0.03, negligible=0.003, placement=0.003),
-        ),
+        parameters=(Parameter("share", bounds=(-0.3, 0.3), plausible=0.03, negligible=0.003),),
         regimes=("hover",),
         confused_with=_NAMES,
         remedy="It only reduces the control range. Swap propellers between the two directions, and align the "

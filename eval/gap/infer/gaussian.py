@@ -77,7 +77,7 @@ class Spread:
         # over the n flights that excite a column:
         #   sigma^2 = (SPIKE negligible)^2 + placement^2 + (between^2 - placement^2) / n
         count = np.array([self.excitation.get(c.key, problem.groups) for c in columns])
-        placement = [problem.parameter(c).placement if problem.requested else 0.0 for c in columns]
+        placement = [problem.variation(c).placement for c in columns]
         shared = np.square(placement) / [2.0 if at_an_end(c) else 1.0 for c in columns]  # of both together
         each = np.maximum(self.between_deviations(problem, columns) ** 2 - shared, 0.0)
         negligible = _negligible_sizes(problem, columns, self.confounded)
@@ -119,8 +119,9 @@ def _between_by_em(problem: Problem, linear: Linearisation, unit: np.ndarray) ->
     # Prior: a unit, which confounded columns share as they share a negligible size; what varies with the
     # manoeuvre in each of them, since no loop is quite of its form.
     parameters = [problem.parameter(c) for c in linear.columns]
-    loop = np.array([p.manoeuvre > 0.0 for p in parameters])
-    known = np.where(loop, np.array([p.between for p in parameters]) / unit, 1.0)
+    manoeuvre = np.array([problem.variation(c).manoeuvre for c in linear.columns])
+    loop = manoeuvre > 0.0
+    known = np.where(loop, np.maximum(manoeuvre, [p.negligible for p in parameters]) / unit, 1.0)
     known = np.maximum(BETWEEN, known) ** 2
     variance, eye = known.copy(), np.eye(len(unit))
     # Bounds: for the attitude loops half a slab, for the rest a whole one (days differ as vehicles do).

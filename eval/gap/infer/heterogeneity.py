@@ -1,7 +1,7 @@
 """Heterogeneity of flights: which of them are inconsistent with the others, and in which effects.
 
 Every flight has an estimate of each effect relative to the common fit, small random effects allowed for
-(`posterior.BETWEEN`, and `Parameter.manoeuvre` of the effects). The flights are split in two groups whose
+(`gaussian.BETWEEN`, and `Variation.manoeuvre` of the effects). The flights are split in two groups whose
 effects differ with the slab prior (`columns.slab_deviations`), and the contrast is compared with the
 scatter within the groups by an F test. All splits are tested: the false alarms are shared out evenly over the
 sizes of the smaller group, within one size over its groups (Bonferroni), and over the effects.
@@ -68,7 +68,7 @@ class _FlightInformation:
         # the model error of the loops (`manoeuvre`).  Marginal:  a -> (1 + a S)^-1 a,  b -> (1 + a S)^-1 b
         confounded = confounding(linear)
         small = BETWEEN**2 / np.array([confounded[c.key] for c in columns])
-        small += (np.array([problem.parameter(c).manoeuvre for c in columns]) / unit) ** 2
+        small += (np.array([problem.variation(c).manoeuvre for c in columns]) / unit) ** 2
         inner = np.linalg.inv(np.eye(len(unit)) + a * small)
         own: dict[str, list[int]] = {}
         for k, column in enumerate(columns):

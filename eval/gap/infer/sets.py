@@ -27,6 +27,7 @@ from inclined_landing.eval.gap.infer.gaussian import (
     flight_weights,
 )
 from inclined_landing.eval.gap.model.columns import FittedValues, ParameterColumn, Values
+from inclined_landing.eval.gap.model.fitting import fitting
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.result import ScoredSet, marginal
 
@@ -208,9 +209,10 @@ def _far_starts(problem: Problem, values: Values) -> dict[str, tuple[FittedValue
     """
     here, result = problem.squares(values), {}
     for name, effect in problem.library.items():
-        if name in values or not effect.starts:
+        starts = fitting(name).starts
+        if name in values or not starts:
             continue
-        tried = [{**values, name: {**effect.neutral, **start}} for start in effect.starts]
+        tried = [{**values, name: {**effect.neutral, **start}} for start in starts]
         least, start = min(((problem.squares(t), t) for t in tried), key=lambda one: one[0])
         if here - least > 2.0 * FIT_WITHIN:
             result[name] = {name: dict(start[name])}, 0.5 * (here - least)
@@ -221,7 +223,7 @@ def _other_references(problem: Problem, spread: Spread) -> list[FittedValues]:
     """Return single effects about the references of their starts, sized by the slopes there."""
     result = []
     for name, effect in problem.library.items():
-        for about in effect.starts:
+        for about in fitting(name).starts:
             start = {name: {**effect.neutral, **about}}
             within = all(
                 effect.parameter(p).possible[0] <= x <= effect.parameter(p).possible[1]
@@ -446,11 +448,11 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     def replaces(other: str) -> bool:
         moment = "requests" in effect.channels and "requests" in library[other].channels
-        return share[other] >= thresholds.ALIKE or moment or name in library[other].same_as
+        return share[other] >= thresholds.ALIKE or moment or name in fitting(other).same_as
 
     replacing = [o for o in confounded_with(found.sets, found.names, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
-    same = [o for o in effect.same_as if o in library]
+    same = [o for o in fitting(name).same_as if o in library]
     if name == "com_offset" and not found.problem.requested and name in found.best.values:
         same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])
     return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))

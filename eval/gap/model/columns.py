@@ -4,7 +4,7 @@ No formula is exact. True thrust, drag and loop responses are some percent large
 at speed, in a climb, late in a flight or along one axis. Each of these is a column, the base model's
 contribution times a quantity of order one, with a normal prior on its weight. Without them a structural error
 of the base model would be evidence for an effect, more so with more flights. An effect may have such errors
-of its own (`Effect.forms`), free while it is in the set.
+of its own (`Fitting.forms`), free while it is in the set.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
+from inclined_landing.eval.gap.model.fitting import Variation, fitting
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
@@ -67,7 +68,7 @@ class ParameterColumn:
 
 @dataclasses.dataclass(frozen=True)
 class FormColumn:
-    """A column of the Jacobian: a model (form) error of an effect, see `Effect.forms`."""
+    """A column of the Jacobian: a model (form) error of an effect, see `Fitting.forms`."""
 
     effect: str
     form: str
@@ -153,15 +154,20 @@ class Candidates:
         """Return the parameter of a column; of a model error, its weight."""
         if isinstance(column, BaseColumn):
             sd = BASE_DEVIATIONS[column.form]
-            return Parameter(
-                column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF, manoeuvre=0.5 * sd
-            )
+            return Parameter(column.form, bounds=(-9.0, 9.0), plausible=sd, negligible=sd / OFF)
         if isinstance(column, FormColumn):
-            sd = self.library[column.effect].form
+            sd = fitting(column.effect).form
             return Parameter(
                 column.form, bounds=(-9.0, 9.0), plausible=0.0, negligible=sd / OFF, is_reference=True
             )
         return self.library[column.effect].parameter(column.parameter)
+
+    def variation(self, column: Column) -> Variation:
+        """Return by how much what fits a column best varies."""
+        if isinstance(column, BaseColumn):
+            return Variation(manoeuvre=0.5 * BASE_DEVIATIONS[column.form])
+        known = fitting(column.effect).parameters.get(column.key[1], Variation())
+        return known * self.parameter(column).times
 
     def ordered(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return effects in the order of the library."""
@@ -202,7 +208,7 @@ class Candidates:
     def one_sided_difference(self, values: Values, column: ParameterColumn) -> tuple[Vehicle, float]:
         """Return the vehicle of a one-sided finite difference along a column at `values`, and the step."""
         p = self.parameter(column)
-        step = p.step or p.negligible
+        step = self.variation(column).step or p.negligible
         if column.fixed:  # a second instance of the effect, added to the first
             added = {p.name: p.value_at(step), **dict(column.fixed)}
             return self.library[column.effect].apply(self.corrected(values), added), step

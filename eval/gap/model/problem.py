@@ -28,6 +28,7 @@ from inclined_landing.eval.gap.model.columns import (
     ParameterColumn,
     Values,
 )
+from inclined_landing.eval.gap.model.fitting import Variation, fitting
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions, thrust_elasticity
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.model.swing import stretches
@@ -191,6 +192,13 @@ class Problem(Candidates):
         ]
         return np.zeros(len(columns)), np.diag(np.square(sd))
 
+    def variation(self, column: Column) -> Variation:
+        """Return by how much what fits a column best varies; in the motors' requests with placements too."""
+        known = super().variation(column)
+        if self.requested:
+            return Variation(max(known.manoeuvre, known.placement), known.placement, known.step)
+        return Variation(known.manoeuvre, 0.0, known.step)
+
     def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight, each with its vehicle."""
         return list(_POOL.map(lambda f, v: _whitened(f, predict(f, v)), self.flights, vehicles))
@@ -227,7 +235,7 @@ class Problem(Candidates):
             FormColumn(name, f)
             for name in values
             if np.any(self.sizes(name, values))
-            for f in self.library[name].forms
+            for f in fitting(name).forms
         ]
 
     def jacobian(

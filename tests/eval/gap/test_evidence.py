@@ -30,6 +30,7 @@ from inclined_landing.eval.gap.model.columns import (
     FormColumn,
     ParameterColumn,
 )
+from inclined_landing.eval.gap.model.fitting import FITTING
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import (
     Basis,
@@ -274,6 +275,13 @@ def test_bumps_and_random_features_follow_a_bent_function():
     assert Basis.of(seen[:, :1] * 5.0, ("flight time",))(seen[:, :1]).shape == (2000, 40)  # 20 s, every 0.5
 
 
+def test_what_is_said_of_fits_is_of_effects_and_parameters_of_the_library():
+    for name, own in FITTING.items():
+        starts = {parameter for start in own.starts for parameter in start}
+        assert starts | set(own.parameters) <= {p.name for p in LIBRARY[name].parameters}, name
+        assert set(own.same_as) <= set(LIBRARY)
+
+
 def test_attitudes_are_levelled_and_tilted_back():
     rng = np.random.default_rng(5)
     attitude = rng.uniform([-0.5, -0.5, -3.0], [0.5, 0.5, 3.0], (50, 3))
@@ -343,8 +351,8 @@ def test_slopes_of_delays_are_sums_of_each_other(delay):
     vehicle = VEHICLE.changed(effects_thrust_delay=delay, effects_attitude_delay=delay)
     start, slopes = predict(flight, vehicle), {}
     for name in ("thrust_delay", "attitude_delay", "mocap_delay"):
-        (p,) = LIBRARY[name].sized_for(vehicle).parameters
-        slopes[name] = (predict(flight, LIBRARY[name].apply(vehicle, {p.name: p.step})) - start) / p.step
+        step = FITTING[name].parameters["delay"].step
+        slopes[name] = (predict(flight, LIBRARY[name].apply(vehicle, {"delay": step})) - start) / step
     together = slopes["thrust_delay"] + slopes["attitude_delay"]
     assert np.abs(together).max() > 0.1
     # Drag couples both only through the measured attitude: the sum is exact but for rounding over the step.

@@ -167,7 +167,7 @@ def test_how_a_battery_was_put_in_is_shared_by_the_flights_of_a_day():
     for problem in (few, many):
         [x] = [c for c in problem.columns(["com_offset"]) if c.parameter == "x"]
         slab = np.sqrt(slab_covariance(problem, [x])[0, 0])
-        assert spikes(problem, [x])[0] >= min(problem.parameter(x).placement, 0.5 * slab) - 1e-12
+        assert spikes(problem, [x])[0] >= min(problem.variation(x).placement, 0.5 * slab) - 1e-12
     silent = prepare_all([dataclasses.replace(flown(V, k), requests=None) for k in range(6)], V, False)[0]
     unseen = Problem.of(silent, V, identifiable_effects(LIBRARY, silent)[0])
     [x] = [c for c in unseen.columns(["com_offset"]) if c.parameter == "x"]

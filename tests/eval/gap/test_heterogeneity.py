@@ -9,7 +9,7 @@ import pytest
 from inclined_landing.eval.gap.flights.windows import prepare
 from inclined_landing.eval.gap.infer.fit import autocorrelation_inflation, fit_least_squares
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights
-from inclined_landing.eval.gap.model.columns import BASE, ParameterColumn, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, Candidates, ParameterColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.result import Difference, InconsistentFlights
@@ -90,10 +90,9 @@ def test_false_alarms_are_as_rare_as_stated():
     columns = tuple(ParameterColumn(name, p.name) for name in NAMES for p in LIBRARY[name].parameters)
     unit = np.array([LIBRARY[c.effect].parameter(c.parameter).negligible for c in columns])
     flights = [types.SimpleNamespace(name=str(k)) for k in range(8)]
+    known = Candidates(load_vehicle(), LIBRARY)
     problem = types.SimpleNamespace(
-        flights=flights,
-        library=LIBRARY,
-        parameter=lambda c: LIBRARY[c.effect].parameter(c.parameter),
+        flights=flights, library=LIBRARY, parameter=known.parameter, variation=known.variation
     )
     alarms = 0
     for _ in range(400):
