@@ -21,7 +21,7 @@ from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.evaluation import Refit
 from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.landings import LandingReference
-from inclined_landing.eval.gap.flights.usable import fingerprint, usable_flights
+from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
     estimate_noise,
@@ -55,6 +55,7 @@ from inclined_landing.models.vehicle import Vehicle
 # What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
 PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
 PAPER["fit"] = 85.3
+IDLE = 0.01  # growth of the squared error up to which a reference is put back to neutral
 FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 
 
@@ -130,17 +131,13 @@ def identify(
     library, unidentifiable = identifiable_effects(
         {n: e for n, e in LIBRARY.items() if not (e.contact or e.told_by) and e.identified}, use.fitted
     )
-    # Effects that are not linear in all of their numbers begin at the fit of the others: a fit that begins
-    # with them too ends in worse minima. Requests of the motors show a moment whatever the loops do with it.
-    requested = use.fitted[0].requests is not None
-    first = {n: e for n, e in library.items() if requested or all(p.linear for p in e.parameters)}
-    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, first, model_errors=1.0))
-    problem = _with_library(problem, library)
-    # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
-    joint = {n: joint.get(n, problem.neutral(n)) for n in problem.library}
-    joint = fit_least_squares(problem, joint, prior=slab_deviations).values
+    problem, joint, fitted = _fitted(use, vehicle, library)
+    kept = frozenset[str]()
+    if large := fitted.large_beyond_slopes():  # slopes at neutral may have led to a worse minimum
+        others = _fitted(use, vehicle, {n: e for n, e in library.items() if n not in large})
+        if others[2].ahead.get("after", math.inf) < fitted.ahead.get("after", math.inf):
+            (problem, joint, fitted), kept = others, large
     inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
-    fitted, kept = _Fit.of(problem, joint, use.judged), frozenset[str]()
     while more := fitted.acting_on_worse() - kept:  # does it help to leave these as they were?
         rest = {n: e for n, e in library.items() if n not in kept | more}
         fewer = _Fit.of(_with_library(problem, rest), joint, use.judged)
@@ -237,6 +234,20 @@ class _Fit:
         further = self.ahead["after"] > (1.0 + thresholds.WORSE) * other.ahead["after"]
         return grown[0] < grown[1] and not further
 
+    def large_beyond_slopes(self) -> frozenset[str]:
+        """Return the effects of more than a plausible size that are not linear in all of their numbers.
+
+        Requests of the motors show a moment whatever the loops do with it: there, it is.
+        """
+        effects = () if self.problem.requested else self.problem.library.values()
+        bent = [e for e in effects if not all(p.linear for p in e.parameters)]
+        at = self.values
+        return frozenset(
+            e.name
+            for e in bent
+            if any(abs(p.size(at[e.name][p.name])) > abs(p.size(p.plausible)) for p in e.parameters)
+        )
+
     def acting_on_worse(self) -> frozenset[str]:
         """Return the effects that change most an axis that is worse; any channel for the position."""
         channels = [CHANNELS.index(axis) for axis in self.worse if axis in CHANNELS]
@@ -272,18 +283,31 @@ def worse_axes(
     return {axis: (float(errors[0, k]), float(errors[1, k])) for k, axis in enumerate("xyz") if worse[k]}
 
 
-def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
-    """Return values with neutral references of effects whose sizes are negligible: flights show none of them.
+def _fitted(
+    use: UsableFlights, vehicle: Vehicle, library: Mapping[str, Effect]
+) -> tuple[Problem, FittedValues, _Fit]:
+    """Return the problem with its noise estimated, all effects fitted together, and the vehicle fitted."""
+    problem, joint = estimate_noise(Problem.of(use.fitted, vehicle, library, model_errors=1.0))
+    # The vehicle is the best fit without model errors, which a vehicle file cannot represent.
+    joint = {n: joint[n] for n in problem.library}
+    joint = fit_least_squares(problem, joint, prior=slab_deviations).values
+    return problem, joint, _Fit.of(problem, joint, use.judged)
 
-    At what such a fit ends at, they would bound what later flights can show.
+
+def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
+    """Return values with neutral references of effects of negligible sizes, where flights show none of them.
+
+    At the ends of their ranges, they would bound what later flights can show.
     """
-    result = {}
+    most = (1.0 + IDLE) * problem.squares(values)
     for name, at in values.items():
         parameters = problem.library[name].parameters
         sizes = zip(parameters, problem.sizes(name, values))
-        idle = all(abs(size) < p.negligible for p, size in sizes)
-        result[name] = at | {p.name: p.neutral for p in parameters if p.is_reference and idle}
-    return result
+        about = {p.name: p.neutral for p in parameters if p.is_reference and not p.linear}
+        if about and all(abs(size) < p.negligible for p, size in sizes):
+            idle = {**values, name: at | about}
+            values = idle if problem.squares(idle) <= most else values
+    return values
 
 
 def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:

@@ -282,11 +282,18 @@ def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
 
 
 def test_a_reference_is_not_identified_without_its_effect():
-    """Flights hardly show when the loops take over a moment that is none."""
-    problem, hold = Candidates.for_vehicle(load_vehicle(), LIBRARY), LIBRARY["com_offset"].parameter("hold")
-    for x, kept in ((5e-5, hold.neutral), (2e-4, 3.9)):
+    """Flights hardly show when the loops take over a moment that is none; where they do, it stays."""
+    hold = LIBRARY["com_offset"].parameter("hold").neutral
+    for x, growth, kept in ((5e-5, 0.5, hold), (5e-5, 2.0, 3.9), (2e-4, 0.5, 3.9)):
+        problem = Candidates.for_vehicle(load_vehicle(), LIBRARY)
+        squares = {3.9: 100.0, hold: 100.0 + growth}
+        costs = SimpleNamespace(
+            library=problem.library,
+            sizes=problem.sizes,
+            squares=lambda values, squares=squares: squares[values["com_offset"]["hold"]],
+        )
         offset = {"com_offset": {"x": x, "y": 0.0, "hold": 3.9}}
-        assert _idle_references(problem, offset) == {"com_offset": {"x": x, "y": 0.0, "hold": kept}}
+        assert _idle_references(costs, offset) == {"com_offset": {"x": x, "y": 0.0, "hold": kept}}
 
 
 def test_the_response_of_the_loops_is_63_percent_after_its_time_constant():
