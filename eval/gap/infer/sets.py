@@ -439,8 +439,9 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     These replace it in probable sets, and alone reproduce a share ALIKE of its contribution to the flights,
     or make a moment too, or are a part of it; or reproduce all but all of it (TIED), whatever their
-    probabilities; or are together the same by their definition (`same_as`). Without requests of the motors a
-    centre of mass towards a corner may be a weak rotor.
+    probabilities; or are together the same by their definition (`same_as`). Or they are possible,
+    confused with it by ordinary flights and not linear in all of their numbers: their slopes do not show what
+    they reproduce. Without requests of the motors a centre of mass towards a corner may be a weak rotor.
     """
     local, library = found.local, found.problem.library
     effect, others = library[name], {n: e for n, e in library.items() if n not in found.names}
@@ -452,10 +453,14 @@ def equivalence_class(found: SetPosterior, name: str) -> tuple[str, ...]:
 
     replacing = [o for o in confounded_with(found.sets, found.names, name) if o in others and replaces(o)]
     tied = [o for o in others if share[o] >= thresholds.TIED and others[o].reference is None]
+    bent = [o for o, e in others.items() if not all(p.linear for p in e.parameters)]
+    bent = [
+        o for o in bent if name in others[o].confused_with and found.probability(o) >= thresholds.POSSIBLE
+    ]
     same = [o for o in fitting(name).same_as if o in library]
     if name == "com_offset" and not found.problem.requested and name in found.best.values:
         same += _rotor_of_moment(found.best.values[name]["x"], found.best.values[name]["y"])
-    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *same)))
+    return tuple(dict.fromkeys((name, *replacing, *sorted(tied, key=lambda o: -share[o]), *bent, *same)))
 
 
 def _rotor_of_moment(x: float, y: float) -> list[str]:

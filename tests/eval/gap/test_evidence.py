@@ -19,7 +19,7 @@ from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mo
 from inclined_landing.eval.gap.infer.fit import model_error_weights
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
-from inclined_landing.eval.gap.infer.sets import _relevant_subsets, confounded_with
+from inclined_landing.eval.gap.infer.sets import _relevant_subsets, confounded_with, equivalence_class
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BASE_DEVIATIONS,
@@ -296,6 +296,21 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     sets = tuple(ScoredSet(names, p) for names, p in shares.items())
     assert confounded_with(sets, sets[0].names, "a") == ("b",)
     assert confounded_with(sets, sets[0].names, "c") == ()
+
+
+def test_a_trim_may_be_a_moment_that_is_possible_beside_it():
+    """Slopes at neutral do not show what a moment does that the loops hardly take over; a wind's do."""
+    library = {n: LIBRARY[n] for n in ("attitude_trim", "com_offset", "wind")}
+    for part, members in ((0.06, ("attitude_trim", "com_offset")), (0.04, ("attitude_trim",))):
+        probable = {"com_offset": part, "wind": 0.3}
+        found = types.SimpleNamespace(
+            problem=types.SimpleNamespace(library=library, requested=False),
+            names=frozenset({"attitude_trim"}),
+            sets=(),
+            local=types.SimpleNamespace(reproduced=lambda names, name, other: 0.1),
+            probability=probable.get,
+        )
+        assert equivalence_class(found, "attitude_trim") == members
 
 
 def test_the_form_of_the_model_errs_by_a_share_of_the_motion():
