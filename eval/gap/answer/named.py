@@ -50,8 +50,7 @@ def named_effects(
 
     ahead: what each does. doubtful: these leave too much.
     """
-    problem = found.problem
-    pieces = sorted(loop_pieces(problem, values), key=lambda n: -found.probability(n))
+    problem, pieces = found.problem, loop_pieces(found.problem, values)
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
     total = thrust_over_weight(found, values)
     cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]

@@ -145,14 +145,19 @@ def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tupl
 
 
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
-    """Return the named lags of the attitude loops, of which there are several.
+    """Return the named lags of the attitude loops if there are several, first the largest in plausible sizes.
 
     They are pieces of one change: the flights show how quickly the loops answer, and no single piece, as no
     loop is quite of the formula of any.
     """
+
+    def size(name: str) -> float:
+        of = problem.library[name].parameters
+        return max(abs(p.coordinate(values[name][p.name]) / p.coordinate(p.plausible)) for p in of)
+
     lags = [n for n in values if problem.library[n].is_lag]
     own = [n for n in lags if {"attitude", "translation"} & set(problem.library[n].channels) == {"attitude"}]
-    return tuple(own) if len(own) > 1 else ()
+    return tuple(sorted(own, key=size, reverse=True)) if len(own) > 1 else ()
 
 
 def step_response_time(vehicle: Vehicle) -> float:

@@ -310,7 +310,8 @@ def test_several_lags_of_the_loops_are_pieces_of_one_change():
     for values, pieces in (
         (slower | other, ()),
         (late | {"thrust_delay": {"delay": 0.02}}, ()),
-        (slower | late | other, ("attitude_time_constant", "attitude_delay")),
+        (slower | late | other, ("attitude_time_constant", "attitude_delay")),  # 0.8 for 0.5 plausible sizes
+        ({"attitude_time_constant": {"scale": 1.2}} | late, ("attitude_delay", "attitude_time_constant")),
     ):
         assert loop_pieces(problem, values) == pieces
 
