@@ -13,6 +13,7 @@ from inclined_landing.eval.logs import read_log, sd_card
 from inclined_landing.eval.logs.read import write_log
 from inclined_landing.models.base.errors import UserError
 from tests.log_files import a_log
+from tests.log_files import sd_card as sd_card_log
 
 
 def old_log(rows: list[tuple], names: str) -> bytes:
@@ -68,14 +69,9 @@ def test_what_is_cut_off_costs_its_block(tmp_path, lost):
         sd_card.read(path)
 
 
-def sd_log(columns: dict[str, np.ndarray], step_us: int = 4000) -> bytes:
-    """A log of the current micro-SD format with one event."""
-    names = list(columns)
-    head = struct.pack("<BHHH", 0xBC, 2, 1, 7) + b"fixedFrequency\0" + struct.pack("<H", len(names))
-    head += b"".join(f"{name}(f)".encode() + b"\0" for name in names)
-    for k, row in enumerate(zip(*columns.values())):
-        head += struct.pack(f"<HQ{len(names)}f", 7, step_us * k, *row)
-    return head + struct.pack("<I", zlib.crc32(head))
+def sd_log(columns: dict[str, np.ndarray], step: float = 0.004) -> bytes:
+    """A log of the current micro-SD format, a row each `step` [s]."""
+    return sd_card_log(columns, step * np.arange(len(next(iter(columns.values())))), 2, {})
 
 
 def motion(n: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +161,7 @@ def test_attitude_and_requests_from_the_controllers(tmp_path):
     columns |= {"controller.cmd_roll": 0 * t + 2000.0, "controller.cmd_pitch": 0 * t + 600.0}
     columns |= {"controller.cmd_yaw": 0 * t + 50.0}
     path = tmp_path / "E8_log00"
-    path.write_bytes(sd_log(columns, 10_000))
+    path.write_bytes(sd_log(columns, 0.01))
     log = read_log(path, check=False)
     # Convention ZYX to ZXY at angles of 0.05 rad: second order.
     np.testing.assert_allclose(log.attitude[:, :2], np.radians(np.c_[roll, pitch]), atol=5e-3)
@@ -198,20 +194,20 @@ def test_derived_angles_that_the_gyro_contradicts_are_left_out(tmp_path):
         columns |= {f"controller.{name}": 0 * t, f"controller.{name}Rate": rate}
         columns |= {f"controller.r_{name}": np.radians(turning[name])}
     path = tmp_path / "E8_log00"
-    path.write_bytes(sd_log(columns, 10_000))
+    path.write_bytes(sd_log(columns, 0.01))
     log = read_log(path, check=False)
     # An integral of rows of 10 ms: 3/6 of 3 deg 2 rad/s (0.01 s)/2 at most.
     np.testing.assert_allclose(log.attitude[:, 0], np.radians(roll), atol=np.radians(0.1))
     notes = [note for note in log.notes if "gyro" in note]
     assert len(notes) == 2 and all("correlation 1.00" in note for note in notes)
 
-    path.write_bytes(sd_log(columns | {"controller.r_roll": columns["controller.r_pitch"]}, 10_000))
+    path.write_bytes(sd_log(columns | {"controller.r_roll": columns["controller.r_pitch"]}, 0.01))
     log = read_log(path, check=False)
     assert "roll" in log.missing and "pitch" not in log.missing
     assert any(note.startswith("roll is derived") and note.endswith("left out") for note in log.notes)
 
     wrong = {f"controller.r_{name}": -columns[f"controller.r_{name}"] for name in rates}
-    path.write_bytes(sd_log(columns | wrong, 10_000))
+    path.write_bytes(sd_log(columns | wrong, 0.01))
     with pytest.raises(UserError, match="roll and pitch cannot be derived"):
         read_log(path, check=False)
 
