@@ -23,19 +23,20 @@ hypothesis.settings.load_profile("suite")
 
 
 def pytest_configure():
-    """Remove compiled functions that are older than any source of one.
+    """Remove compiled functions that are older than a source of what may be compiled into them.
 
-    Numba looks at a function's own file only, not at those of the functions that are compiled into it.
+    Numba looks at a function's own file only. Imports only go down, so that those of models use no others.
     """
     if "PYTEST_XDIST_WORKER" in os.environ or "NUMBA_CACHE_DIR" in os.environ:
         return
-    root = Path(__file__).parents[1]
-    folders = [root / name for name in ("models", "envs", "eval", "train")]
-    sources = [path for folder in folders for path in folder.rglob("*.py")]
-    newest = max(path.stat().st_mtime for path in sources if b"import numba" in path.read_bytes())
-    for index in (path for folder in folders for path in folder.rglob("__pycache__/*.nbi")):
-        if index.stat().st_mtime < newest:
-            index.unlink(missing_ok=True)
+    root, newest = Path(__file__).parents[1], {}
+    for folder in ("models", "envs", "train", "eval"):
+        sources = (path for path in (root / folder).rglob("*.py") if b"import numba" in path.read_bytes())
+        newest[folder] = max((path.stat().st_mtime for path in sources), default=0.0)
+        used = max(newest[name] for name in {"models", "envs", folder} & set(newest))
+        for index in (root / folder).rglob("__pycache__/*.nbi"):
+            if index.stat().st_mtime < used:
+                index.unlink(missing_ok=True)
 
 
 @pytest.fixture(autouse=True)
