@@ -83,7 +83,9 @@ class Loop:
         self.diagnose("worn", out="report")
         taught = self.teach(out / "truth.toml")
         before = self.fly(POLICY, "truth.toml", seed + 2, "before", flights=LANDINGS)
-        after = self.fly(taught, "truth.toml", seed + 2, "after", flights=LANDINGS)
+        # The platform as identified, for which the policy was trained.
+        arena = ("--arena", out / "report" / "vehicle.toml")
+        after = self.fly(taught, "truth.toml", seed + 2, "after", *arena, flights=LANDINGS)
         self.results["landings"] = {"before": clean(before), "after": clean(after), "of": LANDINGS}
 
     def plan(self) -> None:
