@@ -90,7 +90,7 @@ def test_demo_counts_films_and_pictures(tmp_path, monkeypatch, capsys):
     out = tmp_path / "demo"
     assert cli.main(["demo", "--out", str(out), "--starts", "4", "--seed", "5"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"random, seed 5 +4 +100\.0 \[51\.0, 100\.0\] +4 ", printed)
+    assert re.search(r"random, seed 5 +4 +100\.0 \[51\.0, 100\.0\] +0 ", printed)
     names = sorted(path.name for path in out.iterdir())
     assert names == ["landing.gif", "landing.html", "landing.mp4", "landing.png"] and all(
         name in printed for name in names
