@@ -10,7 +10,9 @@ import copy
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from typing import Annotated
 
 import numpy as np
@@ -83,28 +85,29 @@ def command(
     settings = {name: Setting(named_vehicle(name)) for name in vehicles}
     plans = {name: _plans(name) for name in policies}
     if faults:
-        planned = [case_flights(plans[policies[0]], settings[vehicles[0]], flights, seed)]
+        jobs = case_flights(plans[policies[0]], settings[vehicles[0]], flights, seed)
+        groups = list(zip([partial(fault_row, case) for case in CASES], jobs))
     else:
-        planned = [start_flights(plans[p], settings[v], flights, seed) for p in policies for v in vehicles]
-    every = [one for flights_ in planned for one in flights_]
-    flown = []
-    with stages(len(every), "flights") as tick:
-        for one in every:
-            flown.append(fly_once(*one))
-            tick()
-    if faults:
-        rows = [fault_row(case, flown[k * flights : (k + 1) * flights]) for k, case in enumerate(CASES)]
-    else:
-        parts = np.array_split(np.arange(len(flown)), len(planned))
-        names = [{"policy": p, "vehicle": v} for p in policies for v in vehicles]
-        rows = [name | start_row([flown[k] for k in part]) for name, part in zip(names, parts)]
+        groups = [
+            (partial(start_row, p, v), start_flights(plans[p], settings[v], flights, seed))
+            for p, v in product(policies, vehicles)
+        ]
+    rows, every = [], []
+    with stages(sum(len(jobs) for _, jobs in groups), "flights") as tick:
+        for row_of, jobs in groups:
+            flown = []
+            for job in jobs:
+                flown.append(fly_once(*job))
+                tick()
+            rows.append(row_of(flown))
+            every += flown
     print(table_of(rows))
     if not faults:
         first, scattered = (100 * one["share"] for one in PAPER_RESULTS)
         print(f"The paper's, real: goal box in {first:.1f} %, from scattered starts {scattered:.1f} %.")
     if out is not None:
         asked = {"policies": policies, "vehicles": vehicles, "faults": faults, "seed": seed}
-        each = [dataclasses.asdict(one) for one in flown]
+        each = [dataclasses.asdict(one) for one in every]
         with runs.staged_run(out) as folder:
             storage.write_json(folder / "results.json", asked | {"rows": rows, "flights": each})
         print(out)
@@ -117,23 +120,27 @@ def _plans(policy: str) -> list[FlightPlan]:
     return [FlightPlan(landing, hover, start) for start in starts]
 
 
-def start_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> Iterator[tuple]:
-    """Yield the arguments of `fly_once`: so many flights from each start.
+def start_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> list[tuple]:
+    """Return the arguments of `fly_once`: so many flights from each start.
 
     The seeds are the same for every policy and vehicle, so that they meet the same noise.
     """
-    for plan, own in zip(plans, seeds_of(seed, len(plans), flights)):
-        yield from ((plan, setting, int(number)) for number in own)
+    seeds = seeds_of(seed, len(plans), flights)
+    return [(plan, setting, int(number)) for plan, own in zip(plans, seeds) for number in own]
 
 
-def case_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> Iterator[tuple]:
-    """Yield the arguments of `fly_once`: so many flights of every case, from the starts in turn.
+def case_flights(plans: Sequence[FlightPlan], setting: Setting, flights: int, seed: int) -> list[list[tuple]]:
+    """Return the arguments of `fly_once` by case: so many flights, from the starts in turn.
 
     Seeds are even where the fault begins in the approach, odd where it begins in the landing.
     """
-    for case, own in zip(CASES, seeds_of(seed, len(CASES), flights)):
-        for k, number in enumerate(own):
-            yield plans[k // 2 % len(plans)], setting, int(number) // 2 * 2 + k % 2, case
+    return [
+        [
+            (plans[k // 2 % len(plans)], setting, int(number) // 2 * 2 + k % 2, case)
+            for k, number in enumerate(own)
+        ]
+        for case, own in zip(CASES, seeds_of(seed, len(CASES), flights))
+    ]
 
 
 def seeds_of(seed: int, rows: int, flights: int) -> np.ndarray:
@@ -141,11 +148,13 @@ def seeds_of(seed: int, rows: int, flights: int) -> np.ndarray:
     return np.random.SeedSequence(seed).generate_state(rows * flights).reshape(rows, flights)
 
 
-def start_row(flown: Sequence[Flown]) -> dict:
+def start_row(policy: str, vehicle: str, flown: Sequence[Flown]) -> dict:
     """Return a line of the table: proportions, times and speeds."""
     truths = [one.truth for one in flown]
     times = [one.report["landing_time"] for one in flown if one.report["landing_time"] is not None]
     return {
+        "policy": policy,
+        "vehicle": vehicle,
         "goal box, seen by the pilot": proportion(sum(one.report["landed"] for one in flown), len(flown)),
         "truly, before a touch": proportion(sum(t.strict for t in truths), len(flown)),
         "at rest on its feet": proportion(sum(t.landed for t in truths), len(flown)),

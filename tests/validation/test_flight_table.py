@@ -121,7 +121,7 @@ def test_a_landing_through_the_whole_chain_is_what_the_pilot_reports(plan):
     assert flown.truth.landed and flown.report["rests"] and flown.truth.outside == 0.0
     assert flown.report["final"] == pytest.approx(flown.truth.last, abs=0.005)  # noise of 0.5 mm, at rest
     assert flown.began is None
-    assert faults.start_row([flown])["truly, before a touch"]["count"] == 1
+    assert faults.start_row("landing", "nominal", [flown])["truly, before a touch"]["count"] == 1
 
 
 @pytest.mark.slow
