@@ -126,7 +126,7 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
         title=study.title or "Landing study",
         cases=(),
         views=[
-            View((), SHARES, "outcomes [% of the landings]", across=True),
+            View((), SHARES, "outcomes", across=True),
             Sensitivities(study.varied, study.seed),
             View((), QUANTILES, "forces, distances, times", across=True),
             Boundaries(drawn),

@@ -93,7 +93,7 @@ def test_the_terminal_begins_with_the_answer_and_has_the_lowest_rows_of_long_tab
     landed = {(policy, f"v{k:02}"): 4 - 3 * (k in (7, 20)) for policy in "ab" for k in range(30)}
     show.show(run([study_of(landed, [View(("vehicle", "policy"), (STRICT, SPEED), "all")])]))
     printed = capsys.readouterr().out.splitlines()
-    assert printed[:3] == ["One", "said", "all: strict [%], the lowest 10 of 30 rows"]
+    assert printed[:3] == ["One", "said", "All: strict [%], the lowest 10 of 30 rows"]
     rows = [line.split() for line in printed if line[2:3] == "v" and line[3].isdigit()]
     assert len(rows) == 10 and len(printed) < 25
     assert [row[0] for row in rows if row[1] == "25.0"] == ["v07", "v20"]
