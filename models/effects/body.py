@@ -112,7 +112,7 @@ EFFECTS = (
             # of the angle and 250, 500 of the rate; of loops without integrals nearly 0.
             Parameter(
                 "hold",
-                unit="1/s",
+                unit="rad/(rad s)",
                 neutral=1.5,
                 bounds=(0.001, 8.0),
                 plausible=0.05,

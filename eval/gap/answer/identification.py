@@ -301,13 +301,18 @@ def _idle_references(problem: Problem, values: FittedValues) -> FittedValues:
     """
     most = (1.0 + IDLE) * problem.squares(values)
     for name, at in values.items():
-        parameters = problem.library[name].parameters
-        sizes = zip(parameters, problem.sizes(name, values))
-        about = {p.name: p.neutral for p in parameters if p.is_reference and not p.linear}
-        if about and all(abs(size) < p.negligible for p, size in sizes):
+        of = problem.library[name].parameters
+        about = {p.name: p.neutral for p in of if p.is_reference and not p.linear}
+        if about and _is_idle(problem, name, values):
             idle = {**values, name: at | about}
             values = idle if problem.squares(idle) <= most else values
     return values
+
+
+def _is_idle(problem: Problem, name: str, values: Values) -> bool:
+    """Return whether all sizes of an effect are negligible, so that what it acts about means nothing."""
+    sizes = zip(problem.library[name].parameters, problem.sizes(name, values))
+    return all(abs(size) < p.negligible for p, size in sizes)
 
 
 def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
@@ -403,7 +408,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
     result = []
     for (effect, parameter), known in sized.items():
         p, value = problem.library[effect].parameter(parameter), values[effect][parameter]
-        if LIBRARY[effect].of_the_place:
+        if LIBRARY[effect].of_the_place or (p.is_reference and _is_idle(problem, effect, values)):
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
         c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)
