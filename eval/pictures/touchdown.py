@@ -23,7 +23,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 CUT_TIME = 1.0  # s that a landing is watched after its motors are cut
 LEAD = 0.1  # s before the first touch that belong to it
-STILL_TIME = 0.12  # s that it goes on once the vehicle is still
+STILL_TIME = 0.04  # s that it goes on once the vehicle is still
 
 
 @dataclasses.dataclass
