@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -64,10 +65,8 @@ class MeasuredFlight:
     noise: np.ndarray  # (C,) standard deviation of the measured pose, and of the requests
     starts: np.ndarray  # (w,) first row of every window
     rows: int  # per window
-    regimes: np.ndarray  # (w, len(REGIMES)) bool
-    acceleration_noise: (
-        np.ndarray
-    )  # (3,) noise of the predicted acceleration by that of the attitude, per row
+    clearance: np.ndarray  # (m,) m above the floor or the slab
+    acceleration_noise: np.ndarray  # (3,) of the predicted acceleration, by that of the attitude in a row
     error_responses: ErrorResponses
     whitening: Whitening
     usable: np.ndarray  # (m,) bool: measured, flying, not touching
@@ -99,6 +98,22 @@ class MeasuredFlight:
     def yaw_rate_command(self) -> np.ndarray | None:
         """Return the commanded yaw rate (m,) [rad/s], None where it or the heading was not logged."""
         return self.command[:, 3] if self.logged[YAW] else None
+
+    @cached_property
+    def regimes(self) -> np.ndarray:
+        """Return the regimes (w, len(REGIMES)) of the windows, bool."""
+        speed = self.cut(self.velocity)
+        horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
+        vertical = np.abs(speed[..., 2]).mean(axis=1)
+        angles = self.cut(self.command[:, 1:3] if self.has_angle_commands else self.attitude[:, :2])
+        lag = max(1, round(0.1 / self.dt))
+        stepped = np.abs(angles[:, lag:] - angles[:, :-lag]).max(axis=(1, 2)) > 0.12
+        near = self.cut(self.clearance).min(axis=1) < NEAR
+        low = np.zeros(len(near), bool)
+        if self.voltage is not None:
+            low = self.cut(self.voltage).mean(axis=1) < LOW_BATTERY
+        climb, lateral = vertical > 0.2, horizontal > 0.5
+        return np.stack([~(climb | lateral | stepped | near), climb, lateral, stepped, near, low], axis=1)
 
     @property
     def pose(self) -> np.ndarray:
@@ -248,7 +263,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         )
     acceleration_noise = _acceleration_noise(noise, attitude[usable], vehicle)
     error_responses = ErrorResponses.of(rows, dt, vehicle, requests is not None)
-    flight = MeasuredFlight(
+    return MeasuredFlight(
         name=log.name,
         dt=dt,
         t=t,
@@ -266,7 +281,7 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         noise=noise,
         starts=starts,
         rows=rows,
-        regimes=np.zeros((len(starts), len(REGIMES)), bool),
+        clearance=_clearance(log.position, vehicle, platform),
         acceleration_noise=acceleration_noise,
         error_responses=error_responses,
         whitening=Whitening.of(error_responses, noise, acceleration_noise),
@@ -274,7 +289,6 @@ def prepare(log: FlightLog, vehicle: Vehicle, *, platform: bool = False) -> Meas
         thrust_is_measured=log.thrust_is_measured,
         requests=requests,
     )
-    return dataclasses.replace(flight, regimes=_regimes(flight, vehicle, platform))
 
 
 def _usable_rows(log: FlightLog, gaps: np.ndarray, vehicle: Vehicle) -> np.ndarray:
@@ -387,25 +401,12 @@ def _acceleration_noise(noise: np.ndarray, attitude: np.ndarray, vehicle: Vehicl
     return np.array([horizontal, horizontal, horizontal * min(1.0, 1.5 * tilt)])
 
 
-def _regimes(flight: MeasuredFlight, vehicle: Vehicle, platform: bool) -> np.ndarray:
-    """Return the regimes (w, len(REGIMES)) of the windows."""
-    speed = flight.cut(flight.velocity)
-    horizontal = np.hypot(speed[..., 0], speed[..., 1]).mean(axis=1)
-    vertical = np.abs(speed[..., 2]).mean(axis=1)
-    angles = flight.cut(flight.command[:, 1:3] if flight.has_angle_commands else flight.attitude[:, :2])
-    lag = max(1, round(0.1 / flight.dt))
-    stepped = np.abs(angles[:, lag:] - angles[:, :-lag]).max(axis=(1, 2)) > 0.12
-    height = flight.position[:, 2].copy()
-    if platform:
-        x, y, z = flight.position.T
-        slope = math.tan(vehicle.platform_inclination)
-        above = (z - vehicle.platform_surface_height + slope * x) * math.cos(vehicle.platform_inclination)
-        over = (np.abs(x) < 0.5 * vehicle.platform_width) & (np.abs(y) < 0.5 * vehicle.platform_depth)
-        height = np.where(over & (above > -0.02), np.minimum(height, above), height)
-    near = flight.cut(height).min(axis=1) < NEAR
-    low = np.zeros(len(near), bool)
-    if flight.voltage is not None:
-        low = flight.cut(flight.voltage).mean(axis=1) < LOW_BATTERY
-    climb, lateral = vertical > 0.2, horizontal > 0.5
-    hover = ~(climb | lateral | stepped | near)
-    return np.stack([hover, climb, lateral, stepped, near, low], axis=1)
+def _clearance(position: np.ndarray, vehicle: Vehicle, platform: bool) -> np.ndarray:
+    """Return the height (m,) above the floor, or above the slab where the vehicle is over it."""
+    x, y, z = position.T
+    if not platform:
+        return z.copy()
+    slope = math.tan(vehicle.platform_inclination)
+    above = (z - vehicle.platform_surface_height + slope * x) * math.cos(vehicle.platform_inclination)
+    over = (np.abs(x) < 0.5 * vehicle.platform_width) & (np.abs(y) < 0.5 * vehicle.platform_depth)
+    return np.where(over & (above > -0.02), np.minimum(z, above), z)

@@ -49,7 +49,6 @@ class NoiseLevels:
     noise: np.ndarray  # (6,) standard deviation of the measured pose [m, rad]
     disturbance: np.ndarray  # (6,) standard deviation of the disturbance [m/s2, rad/s2]
     time: np.ndarray  # (6,) its correlation time [s]
-    inflation: np.ndarray  # (6,) variance inflation by the autocorrelation of windows
 
     def disturbed(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle with this disturbance."""
@@ -66,7 +65,7 @@ class NoiseLevels:
     def typical() -> NoiseLevels:
         """Return typical levels: noise of a millimetre and 0.3 deg, and a small disturbance."""
         noise, disturbance = [0.001] * 3 + [0.00524] * 3, [0.05] * 3 + [1.0] * 3
-        return NoiseLevels(np.array(noise), np.array(disturbance), np.full(6, 0.3), np.ones(6))
+        return NoiseLevels(np.array(noise), np.array(disturbance), np.full(6, 0.3))
 
 
 class ModelDiscrimination:
@@ -177,8 +176,7 @@ class ModelDiscrimination:
         base = predict(flight, self.base)
         slopes = [predict(flight, v) - base for v in self.vehicles]
         slopes += [(predict(flight, high) - predict(flight, low)) / step for low, high, step in self._pairs]
-        weight = 1.0 / np.sqrt(noise_levels.inflation)[:, None]
-        white = np.stack([(weight * white_by(flight.cut(s))).ravel() for s in slopes])
+        white = np.stack([white_by(flight.cut(s)).ravel() for s in slopes])
         shared = slice(len(self), len(self) + len(self._axes))
         white[shared] = self._axes.T @ white[shared]
         return white @ white.T

@@ -89,7 +89,7 @@ class PlanInput:
             hypotheses=sorted(hypotheses.values(), key=lambda h: -h.probability),
             probabilities=probabilities,
             vehicle=vehicle,
-            noise_levels=NoiseLevels(levels[0], levels[1], levels[2], typical.inflation),
+            noise_levels=NoiseLevels(*levels),
             platform=report.platform,
             vary=tuple(d.on for d in report.residual.depends_on) if report.verdict == "unknown" else (),
             reference=reference,
