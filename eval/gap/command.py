@@ -53,7 +53,8 @@ def command(
         found = None
         if flights.reference:
             found = identify(flights.reference, nominal, platform=source.platform)
-            (nominal, *_), known, notes = identified.described(found), found.reference, (*notes, *found.notes)
+            nominal, _, _ = identified.described(found)
+            known, notes = found.reference, (*notes, *found.notes)
             notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
             known, aside = read_reference(source.vehicle, nominal)
@@ -88,15 +89,8 @@ def command(
                 base.parent.mkdir()
                 identified.write(found, base.parent, base=source.vehicle)
             files.write(d, nominal, folder, base=base)
-            files.write_report(
-                folder,
-                "gap",
-                html,
-                d.to_json() | {"summary": words.how_much(d), "flight": flight},
-                source,
-                began,
-                versions,
-            )
+            answer = d.to_json() | {"summary": words.how_much(d), "flight": flight}
+            files.write_report(folder, "gap", html, answer, source, began, versions)
         written = out
     finally:
         page.show(d, notes, written, flight, following if written else "")

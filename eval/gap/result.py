@@ -332,9 +332,8 @@ class Diagnosis:
     seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
-    unidentifiable_sets: tuple[
-        ScoredSet, ...
-    ] = ()  # with effects that the flights could not have shown, at prior odds
+    # With effects that the flights could not have shown, at prior odds.
+    unidentifiable_sets: tuple[ScoredSet, ...] = ()
     inconsistent_flights: tuple[InconsistentFlights, ...] = ()  # flights that contradict the others
     set_aside: tuple[SetAside, ...] = ()  # flights that cannot be used
     # Values of all effects that were estimated again; empty where none was.

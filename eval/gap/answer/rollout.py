@@ -346,9 +346,8 @@ def errors_by_flight(
 
 def pose_errors(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
     """Return the errors (3,) of position [m], tilt and heading [rad] at the end, with a vehicle a flight."""
-    errors = [
-        (simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)
-    ]  # (n, 6) each
+    # (n, 6) of every flight
+    errors = [(simulate(part, own) - part.measured())[:, -1] for part, own in starts.by_flight(vehicles)]
     squares = (np.concatenate(errors) ** 2).mean(axis=0)
     return np.sqrt([squares[:3].sum(), squares[3:5].sum(), squares[5]])
 

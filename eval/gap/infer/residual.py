@@ -33,9 +33,8 @@ from inclined_landing.eval.gap.model.reference import (
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
 from inclined_landing.models.vehicle import Vehicle
 
-UNITS = {
-    channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()
-}  # of `equivalent_sizes`
+# Of `equivalent_sizes`.
+UNITS = {channel: "rad" if unit == "rad/s2" else unit for channel, unit in UNITS_OF.items()}
 FLIPS = 400  # random sign flips
 BLOCK = 5.0  # s of flight that share a sign in the permutation test
 COMMAND_LAGS = (0.1, 0.25)  # s

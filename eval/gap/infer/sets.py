@@ -49,9 +49,7 @@ ROUGH_BEYOND = 20.0  # one further off gets a single Newton step
 NEWTON_STEPS = 3
 STEP_TOLERANCE = 0.5  # negligible sizes: a smaller Newton step ends the iteration
 LINEARISATIONS = 3  # points whose log evidences are averaged
-SIMULATED = (
-    1.25  # squared error of a probable set, simulated, over the least of all, beyond which it is dropped
-)
+SIMULATED = 1.25  # simulated squared error of a probable set over the least of all, above: it is dropped
 SUBSET = 0.02  # the same over that of a subset
 REFIT_ABOVE = 0.03  # probability of a neighbour above which it is fitted through the simulator
 DIAGONAL = 0.5  # offset along one axis over the larger along the other, from which it may be a rotor's moment

@@ -32,9 +32,8 @@ FittedValues = dict[str, dict[str, float]]  # the same, a copy to change
 
 BASE = "base model"  # among values, beside the names of effects: the weights of its model (form) errors
 SLAB = 1.0  # standard deviation of the slab, in plausible sizes
-SHAPE_COVARIANCE = np.array(
-    [[0.3125, 0.1875], [0.1875, 0.3125]]
-)  # covariance of a unit size at both sides: see `slab_covariance`
+# Covariance of a unit size at both sides: see `slab_covariance`.
+SHAPE_COVARIANCE = np.array([[0.3125, 0.1875], [0.1875, 0.3125]])
 LATE = 0.03  # s, by which a contribution may come later
 _LOAD, _SPEED, _CLIMB, _TIME = 0.2, 1.0, 0.5, 20.0  # of hover thrust, m/s, m/s, s: quantities of order one
 _ANGLE, _TURN = 0.2, 1.0  # rad, rad/s

@@ -17,9 +17,7 @@ import numpy as np
 from inclined_landing.models.load import LOAD_SIZE, advance
 
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
-ANGLE = (
-    0.3  # rad, standard deviation of the start's angle; of its rate as much times the frequency of the swing
-)
+ANGLE = 0.3  # rad, standard deviation of the start's angle; of its rate, times the swing's frequency
 _NUMBERS = 2.0  # independent errors in one channel of a window: they are smooth
 _ROUNDS = 3  # of Gauss and Newton
 _STEP = 1e-3  # of differences, in standard deviations
