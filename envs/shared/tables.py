@@ -74,14 +74,6 @@ def show_table(table: Table, console: Console | None = None) -> None:
         say(str(table.caption), console=console)
 
 
-def share_cell(proportion: dict) -> str:
-    """Return a share with its interval [%], as `statistics.proportion` gives it."""
-    if proportion["share"] is None:
-        return "-"
-    low, high = proportion["interval"]
-    return f"{100 * proportion['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
-
-
 def spread_cell(
     spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
 ) -> str:

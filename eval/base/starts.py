@@ -11,7 +11,7 @@ from inclined_landing.envs.tasks import Task, hover_states
 from inclined_landing.envs.tasks.frozen import PAPER_STARTS
 from inclined_landing.envs.tasks.platform import in_platform
 from inclined_landing.models.attitude import STATE_NAMES
-from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.base.errors import UserError, shown
 
 Point = tuple[float, ...]  # x, z or x, y, z, m
 _PLANAR = (PAPER_STARTS[2], PAPER_STARTS[0], PAPER_STARTS[1])
@@ -46,16 +46,23 @@ def start_words(task: Task, state: np.ndarray) -> str:
     return ", ".join(f"{name} {state[STATE_NAMES.index(name)]:g}" for name in axes_of(task)) + " m"
 
 
-def _parsed(text: str, task: Task) -> Point:
-    axes = axes_of(task)
+def read_point(text: str, option: str, axes: str, like: str = "") -> Point:
+    """Return the coordinates along `axes` [m] that an option gives; like: an example for the sentence."""
     try:
         point = tuple(float(number) for number in text.split(","))
     except ValueError:
         point = ()
     if len(point) != len(axes) or not all(map(math.isfinite, point)):
-        example = ",".join(f"{number:g}" for number in usual_starts(task)[0])
         form = ",".join(axes).upper()
-        raise UserError(f"--start must be {form} in metres, like {example}, not {text!r}")
+        raise UserError(
+            f"--{option} must be {form} in metres{like and f', like {like}'}, not {shown(text)!r}"
+        )
+    return point
+
+
+def _parsed(text: str, task: Task) -> Point:
+    axes, example = axes_of(task), ",".join(f"{number:g}" for number in usual_starts(task)[0])
+    point = read_point(text, "start", axes, example)
     for name, value in zip(axes, point):
         low, high = getattr(task.vehicle, f"arena_{name}")
         if not low < value < high:

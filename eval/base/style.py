@@ -115,12 +115,3 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     with storage.made(path.parent), styled(), storage.atomic(path) as part:
         figure.savefig(part, dpi=STAMP_DPI if kind == ".pdf" else PNG_DPI, metadata=metadata)
     return path
-
-
-def make_folder(path: Path) -> None:
-    """Make the folder for a file; raises UserError when that is impossible."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise UserError(f"cannot create the folder {path}: {reason}") from error

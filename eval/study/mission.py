@@ -69,14 +69,15 @@ def command(
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     from inclined_landing.envs.rendering import check_picture_options
+    from inclined_landing.eval.base.starts import read_point
     from inclined_landing.eval.study.engine import fact
-    from inclined_landing.eval.study.missions import fly, make_plan, point, study
+    from inclined_landing.eval.study.missions import fly, make_plan, study
     from inclined_landing.eval.study.show import hand_over
 
     check_picture_options(**dataclasses.asdict(look))
     plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
     if start:
-        starts = np.array([point(text, "start", "X,Y,Z") for text in start])
+        starts = np.array([read_point(text, "start", "xyz") for text in start])
         plan.check_starts(starts)
     else:
         starts = plan.sample(np.random.default_rng(seed), DRAWN if missions is None else missions)

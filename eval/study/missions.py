@@ -25,6 +25,7 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import Row, count_words, counted, median_of, share_of
 from inclined_landing.eval.base.options import Look
 from inclined_landing.eval.base.progress import stages
+from inclined_landing.eval.base.starts import read_point
 from inclined_landing.eval.base.style import save_figure
 from inclined_landing.eval.pictures import film
 from inclined_landing.eval.pictures.figures.mission import mission_figure
@@ -33,7 +34,6 @@ from inclined_landing.eval.study.engine import Results, Study, View, count, fact
 from inclined_landing.eval.study.flights import policy_facts
 from inclined_landing.eval.study.options import HandOver
 from inclined_landing.models.attitude import VX, VY, VZ, X, Y, Z
-from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.parameters import load_vehicle
 
@@ -157,7 +157,7 @@ def make_plan(
     if slope is not None:
         (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
-    x, z = point(hand_overs.hand_over, "hand-over", "X,Z")
+    x, z = read_point(hand_overs.hand_over, "hand-over", "xz")
     return MissionPlan(
         load_policy(setpoint, "setpoint", vehicle=loaded),
         load_policy(landing, vehicle=loaded, inclination=slope),
@@ -165,14 +165,3 @@ def make_plan(
         (x, z),
         *(hand_overs.near, hand_overs.slow, hand_overs.dwell, not hand_overs.drift),
     )
-
-
-def point(text: str, option: str, form: str) -> tuple[float, ...]:
-    """Return the numbers of an option written as `form`."""
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != form.count(",") + 1 or not all(map(math.isfinite, numbers)):
-        raise UserError(f"--{option} must be {form} in metres, not {shown(text)!r}")
-    return numbers

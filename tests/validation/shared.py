@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from inclined_landing.envs.shared.tables import spread_cell
-from inclined_landing.eval.base import style
 from inclined_landing.eval.base.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -55,6 +54,15 @@ def cell(value: Any) -> str:
     return "" if value is None else str(value)
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder for a file; raises UserError when that is impossible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise UserError(f"cannot create the folder {path}: {reason}") from error
+
+
 def answered(
     folder: Path, work: Callable[..., Any], calls: Mapping[str, tuple], processes: int
 ) -> dict[str, Any]:
@@ -63,7 +71,7 @@ def answered(
     An answer is kept as NAME.json in `folder` as soon as it is there, and not asked for again. Raises
     UserError where a process is killed.
     """
-    style.make_folder(folder)
+    make_folder(folder)
     files = {name: folder / f"{name}.json" for name in calls}
     todo = {name: call for name, call in calls.items() if not files[name].exists()}
     for name, answer in in_processes(work, todo, processes, len(calls) - len(todo)):

@@ -13,12 +13,11 @@ import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
-from inclined_landing.eval.base import style
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
-from ..shared import answered, check_known
+from ..shared import answered, check_known, make_folder
 from .cases import ROTORPY, SETS, Case, of_set
 from .score import score_case
 from .tables import markdown, results_of
@@ -75,7 +74,7 @@ def _open_set(out: Path, description: dict, labels: dict) -> dict:
     else:
         found = description | {"versions": runs.versions()}
         storage.write_json(out / _SET, found)
-    style.make_folder((out / _LABELS).parent)
+    make_folder((out / _LABELS).parent)
     storage.write_text(out / _LABELS, sealed)
     return found
 
