@@ -102,7 +102,7 @@ def test_all_the_way(path, own, tmp_path, capsys):
     ("hopping.py:Hop", "1 / 0", "cannot be imported: ZeroDivisionError: division by zero"),
     ("hopping.py:Hop", "raise SystemExit", "cannot be imported: SystemExit"),
 ])  # fmt: skip
-def test_what_is_no_task_is_refused_in_a_sentence(path, code, sentence, own, tmp_path, capsys):
+def test_a_class_that_is_not_a_task_is_refused_in_a_sentence(path, code, sentence, own, tmp_path, capsys):
     (tmp_path / "hopping.py").write_text(CODE + "\n" + code, "utf-8")
     os.mkfifo(tmp_path / "pipe.py")
     (tmp_path / "loop.py").symlink_to("loop.py")

@@ -119,6 +119,6 @@ def test_folders_of_any_name_work(line, name):
 
 
 @pytest.mark.parametrize("name", ["", "x" * 5000, *NAMES])
-def test_commands_that_there_are_not_are_refused(name):
+def test_unknown_commands_are_refused(name):
     with pytest.raises(UserError, match="command"):
         damage.command(cli.main, [name])

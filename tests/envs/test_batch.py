@@ -180,7 +180,7 @@ def test_an_episode_taken_over_begins_where_the_vehicle_is():
 
 
 @pytest.mark.parametrize("ids", [2, [4], [-5], [0.5], [True, False], "0", [[0, 1]]])
-def test_vehicles_that_are_not_there_are_refused(ids):
+def test_unknown_vehicle_numbers_are_refused(ids):
     env = build(4)
     for call in (env.reset, env.observe, env.begin_in_place):
         with pytest.raises(

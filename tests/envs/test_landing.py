@@ -234,7 +234,7 @@ def test_starts_that_cannot_be_found_are_an_error():
 # --- training aids -----------------------------------------------------------------------------------
 
 
-def test_with_a_price_whoever_falls_or_leaves_is_out_and_has_paid_for_ever():
+def test_a_penalty_ends_episodes_out_of_bounds_and_costs_their_return():
     far, fallen = at(3.8, 1.5), at(1.0, 0.03)
     kept = judge(fallen, far, conditions=LandingConditions(leave_limit=0.3))
     assert kept.cut.tolist() == [False, True] and not kept.terminated.any()

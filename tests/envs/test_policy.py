@@ -336,7 +336,7 @@ def test_environments_that_a_policy_file_cannot_hold_are_named(tmp_path, make, s
     assert not list(tmp_path.iterdir())
 
 
-def test_a_model_or_path_that_is_none_is_refused(tmp_path):
+def test_arguments_that_are_not_a_model_or_a_path_are_refused(tmp_path):
     network = learner(vehicles())
     network.save(tmp_path / "p.zip")
     for one, path, said in (
@@ -409,7 +409,7 @@ def hooked(policy):
         (hooked, "PPO, which commands otherwise than its dense layers"),
     ],
 )
-def test_what_was_put_into_a_policy_by_hand_is_found(tmp_path, change, said):
+def test_networks_changed_by_hand_are_refused(tmp_path, change, said):
     with pytest.raises(UserError, match=said):
         save_policy(by_hand(change), tmp_path / "mine.zip")
     assert not list(tmp_path.iterdir())

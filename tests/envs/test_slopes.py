@@ -142,7 +142,7 @@ def test_frozen_starts_over_slopes_never_change():
         over_slopes(make_task("landing"))
 
 
-def test_in_space_a_slope_is_always_told_as_the_drawn_ones_are():
+def test_a_given_slope_in_space_has_an_inclination_from_0_on():
     """Down to -x is up to +x: given starts have inclinations from 0 on too, turned by half a circle."""
     task = make_task("landing", steepest=0.5, dimensions=3, inclination=-0.3, azimuth=0.2)
     start = task.start(hover_states([(1.5, 0.0, 1.8)], task.vehicle))

@@ -63,13 +63,13 @@ def test_at_rest_on_the_feet_with_idle_motors_is_held_and_free():
         ({"force": (GENTLE_FORCE + 3) * WEIGHT}, {"impact": -3 * 0.5}),
     ],
 )
-def test_what_is_not_held_costs(case, paid):
+def test_each_moment_that_is_not_held_costs(case, paid):
     assert terms(judge(**case)) == pytest.approx(paid)
     assert judge(**case).reward[0] == pytest.approx(sum(paid.values()))
 
 
 @pytest.mark.parametrize(("column", "value"), [(VX, 0.06), (WY, 1.1)])
-def test_motion_is_not_rest(column, value):
+def test_a_moving_vehicle_is_not_at_rest(column, value):
     state = resting()
     state[0, column] = value
     assert terms(judge(state)) == {"time": -1.0}

@@ -164,7 +164,7 @@ def test_an_environment_has_the_disturbance_of_its_seed(tmp_path):
     assert not np.array_equal(seen[0], seen[1])
 
 
-def test_what_is_no_disturbance_is_refused():
+def test_wrong_disturbance_seeds_are_refused():
     for seed in (-1, 0.5, True, "gust"):
         with pytest.raises(
             UserError, match="disturbance must be a seed, a whole number from 0, or a generator"

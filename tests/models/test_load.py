@@ -167,7 +167,7 @@ def test_a_load_is_put_onto_its_sphere(kind, options):
 
 
 @pytest.mark.parametrize("kind, options", PLANTS)
-def test_a_load_that_is_not_there_cannot_be_put_anywhere(kind, options):
+def test_a_vehicle_without_a_load_refuses_one(kind, options):
     with pytest.raises(UserError, match="no vehicle of this plant has a slung load"):
         aloft(kind, options, SHIPPED).set_load([0], [0.0, 0.0, -1.0])
     plant = aloft(kind, options)

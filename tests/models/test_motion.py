@@ -85,7 +85,7 @@ def test_selection_and_assignment_keep_each_platforms_motion():
         {"amplitude": np.full((2, len(MODES), 1), 1.3)},
     ],
 )
-def test_what_is_no_motion_is_refused(change):
+def test_wrong_motions_are_refused(change):
     parts = dict(zip(("velocity", "amplitude", "frequency", "phase"), Motion.still(2).arrays))
     with pytest.raises(UserError, match=r"motion|platform"):
         Motion(**(parts | change))

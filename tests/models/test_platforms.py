@@ -298,7 +298,7 @@ def test_a_platform_set_anew_stands_still():
     assert plant.state[1, Z] < 0.5  # through where it was
 
 
-def test_what_cannot_move_is_refused():
+def test_motions_of_fixed_platforms_are_refused():
     for plant in (make_plant("analytic", 1), make_plant("mujoco", 1)):
         with pytest.raises(UserError, match="cannot move"):
             plant.set_motion([0], Motion.still(1))

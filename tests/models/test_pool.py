@@ -157,7 +157,7 @@ def test_vehicles_that_do_not_go_together_are_refused(changed, sentence):
         make_plant("analytic", 2, V, pool=[V, V.changed(**changed)])
 
 
-def test_vehicles_that_are_not_there_are_refused():
+def test_unknown_vehicle_numbers_are_refused():
     plant = make_plant("analytic", 2, V, pool=[V])
     for wrong in (2, -1):
         with pytest.raises(UserError, match="choose vehicles 1 to 1 of the pool"):

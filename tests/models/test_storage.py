@@ -25,7 +25,7 @@ def test_sentences_stay_short():
 
 
 @pytest.mark.parametrize("path", [3, None, b"x", [], 1.5])
-def test_what_is_no_path_is_refused(path):
+def test_an_argument_that_is_not_a_path_is_refused(path):
     """The number of a file that is open, too: 0 would be read for ever."""
     for call in (storage.read_text, storage.read_json):
         with pytest.raises(UserError, match="study must be a path, not"):

@@ -38,7 +38,7 @@ def named(path: str) -> bool:
     )
 
 
-def test_what_others_made_is_named():
+def test_third_party_files_are_named():
     missing = []
     about = {"THIRD_PARTY_NOTICES.md", "tests/packaging/test_notices.py", "LICENSE"}
     for path in tree():

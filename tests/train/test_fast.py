@@ -295,7 +295,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_it_is_not_for_is_refused(what):
+def test_unsupported_options_of_the_fast_update_are_refused(what):
     options = dict(REFUSED[what])
     kwargs = {"activation_fn": options.pop("activation_fn")} if "activation_fn" in options else None
     with pytest.raises(UserError, match=what):

@@ -160,7 +160,7 @@ def test_a_failed_run_leaves_the_others_and_no_result(place, capsys):
     assert not Path("runs/pretended/result.json").exists()
 
 
-def test_what_is_added_or_changed_is_done_and_what_follows_it(place):
+def test_added_or_changed_commands_run_with_those_after_them(place):
     assert sweep() == 0 and calls()
     write(RECIPE | {"seeds": [5, 6, 7]})
     assert sweep() == 0 and len(calls()) == 2 * 2 + 1  # and what is done of all runs together

@@ -491,7 +491,7 @@ def test_on_varied_vehicles_a_run_learns_again_until_it_lands_them_too(tmp_path,
     assert Run(TrainConfig(out=tmp_path / "b", resume=True)).metrics["reached"] is True
 
 
-def test_what_the_landing_trains_on_unless_told(tmp_path):
+def test_defaults_of_a_landing_training(tmp_path):
     """Drawn vehicles, a history and all commands; --nominal the paper's task; or what is given."""
 
     def said(**options):

@@ -381,7 +381,7 @@ def test_faults_are_named_and_timed():
             Fault.parse(wrong)
 
 
-def test_a_link_that_is_not_there_fails_to_connect():
+def test_connecting_over_a_lost_link_fails():
     flight = fly_simulated(seed=1, faults=[Fault("link-lost")])
     flight.clock.wait_until(1.1)
     flight.link.open(flight.uri)
@@ -389,6 +389,6 @@ def test_a_link_that_is_not_there_fails_to_connect():
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (9.0, 0.0), (math.nan, 0.0)])
-def test_starts_that_cannot_be(start):
+def test_impossible_starts_are_refused(start):
     with pytest.raises(UserError):
         World(Setting(start=start), 0)

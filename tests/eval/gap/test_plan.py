@@ -182,7 +182,7 @@ def test_the_design_is_safe_repeatable_and_tells(plan):
     assert plan.without is None and doubt.why_near(plan) == []
 
 
-def test_the_scale_tells_mass_from_thrust():
+def test_only_weighing_distinguishes_mass_from_thrust():
     discrimination = ModelDiscrimination([MASS, THRUST], VEHICLE, NoiseLevels.typical())
     expected = discrimination.expected(gram(discrimination, points("climb", "thrusts")))
     found = doubt.effects_in_doubt(plan_input(MASS, THRUST), discrimination, expected)

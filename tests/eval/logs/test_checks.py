@@ -328,7 +328,7 @@ def test_motors_that_run_on_the_floor_are_no_flight(begin, seconds, pwm):
 
 
 @pytest.mark.parametrize("level", [True, False])
-def test_a_hover_is_no_standing(level):
+def test_a_hover_is_not_taken_for_standing(level):
     """As still as the noise lets one see, at nearly the command that it flies with."""
     for share in (0.85, 1.15):
         log = flight(level=level)

@@ -59,7 +59,7 @@ def test_a_log_that_contradicts_itself_is_refused():
 
 
 @pytest.mark.parametrize("wrong", [3, None, object(), 1.5, b"x", [3], {}, int])
-def test_what_is_no_log_is_refused(wrong, tmp_path):
+def test_arguments_that_are_not_logs_are_refused(wrong, tmp_path):
     good = tmp_path / "good.csv"
     write_log(good, a_log())
     for call in (
@@ -144,7 +144,7 @@ def test_a_commanded_yaw_angle_is_not_made_into_a_rate(tmp_path):
     assert np.isnan(back.command[:, 3]).all() and "there is no yaw rate command" in back.notes[0]
 
 
-def test_quaternions_become_the_houses_angles(tmp_path):
+def test_quaternions_become_roll_pitch_and_yaw(tmp_path):
     log = a_log()
     roll, pitch, yaw = log.attitude.T
     rotation = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=1))
@@ -240,7 +240,7 @@ REFUSED = [  # file, its content, what is said
 
 
 @pytest.mark.parametrize(("name", "content", "words"), REFUSED)
-def test_what_is_no_log_is_one_sentence_that_says_what_to_do(tmp_path, capsys, name, content, words):
+def test_a_file_that_is_not_a_log_is_refused_with_a_remedy(tmp_path, capsys, name, content, words):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -165,7 +165,7 @@ def test_seeds_have_median_and_range(tmp_path):
     assert len(by_gid(level.collections, "band")) == 1
 
 
-def test_what_is_no_run_is_a_sentence(tmp_path):
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path):
     run = write_run(tmp_path / "a")
     for content in ("[]", '{"config": 3}'):
         (run / "run.json").write_text(content)

@@ -96,7 +96,7 @@ def test_the_model_follows_its_own_flight_and_not_that_of_another():
     assert 0.08 < np.median(apart["weak"]) < 0.16
 
 
-def test_what_stands_on_the_ground_is_not_simulated():
+def test_time_on_the_ground_is_not_simulated():
     """Two seconds at rest before a flight: without a floor the vehicle would fall 20 m meanwhile."""
     flight = log_of(flown("setpoint", (0.6, 0.3, 1.0)))
     stand = np.arange(0.0, 2.0, 0.01)

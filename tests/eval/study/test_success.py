@@ -154,7 +154,7 @@ def test_cut_motors_slide_on_a_slippery_slope(landing):
     assert after.touched[0] and not after.at_rest[0]
 
 
-def test_what_is_not_flown_on_ends_as_it_would(landing, monkeypatch):
+def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
     """From the goal box in many motions: at, above and below the friction that holds the slope."""
     rng = np.random.default_rng(0)
     states = np.repeat(pose(landing.goal_position[1]), 6, axis=0)

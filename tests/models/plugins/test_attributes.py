@@ -87,7 +87,7 @@ def test_it_is_read_and_flies_differently_in_both_plants_alike(plugin, name, unc
 
 
 @pytest.mark.parametrize("plugin, name", ATTRIBUTES, ids=lambda x: x)
-def test_what_is_no_number_or_one_too_many_is_refused(build, plugin, name):
+def test_wrong_numbers_are_refused(build, plugin, name):
     count = np.size(getattr(V, plugins.fields()[plugin][name]))
     for text in ("fast", "nan", " ".join(["1"] * (count + 1))):
         with pytest.raises(ValueError, match=rf"{plugin}: attribute '{name}' must be {count} finite number"):
