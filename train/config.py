@@ -105,9 +105,9 @@ class TrainConfig:
     """Train a policy with Stable-Baselines3's PPO and write everything into one run folder.
 
     If the task sets a success rate, the run ends when the curriculum is complete and two evaluations in a row
-    reach that rate, with the nominal vehicle and with one deviation at a time. The exit code is 3 if the run
-    ends without reaching it, and 2 for wrong input. Options without a default take the value of the task or
-    of its vehicles; run.json in the run folder records all values.
+    reach that rate, on the nominal vehicle and on vehicles with one effect each. The exit code is 3 if the
+    run ends without reaching it, and 2 for wrong input. Options without a default take the value of the task
+    or of its vehicles; run.json in the run folder records all values.
 
     `landing-train sweep RECIPE` runs the command lines of a recipe for every seed.
     """

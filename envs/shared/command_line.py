@@ -177,6 +177,7 @@ def _tidy(page: str) -> str:
 def _heading(group: str) -> str:
     """Return the heading of a group of options, which tyro calls by the name of its argument."""
     known = {"flown": "flight conditions", "look": "rendering", "real": "hardware", "source": "flight logs"}
+    known |= {"hand-overs": "hand-over", "reading": "flight logs"}
     return known.get(group, group.replace("-", " "))
 
 

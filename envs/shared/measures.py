@@ -44,15 +44,14 @@ def mean(values: np.ndarray) -> dict[str, Any]:
 
 def with_ends(row: Row, factor: float, digits: int) -> str:
     """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`."""
-    # + 0.0: no minus sign before zero
-    ends = (round(factor * row[key], digits) + 0.0 for key in ("value", "low", "high"))
-    value, low, high = (f"{end:,.{digits}f}" for end in ends)
+    # z: no minus sign before zero
+    value, low, high = (f"{factor * row[key]:z,.{digits}f}" for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]" if row["statistic"] == "share" else f"{value} ({low} to {high})"
 
 
 def alone(row: Row, factor: float, digits: int) -> str:
     """Return the value without its interval."""
-    return f"{factor * row['value']:.{digits}f}"
+    return f"{factor * row['value']:z.{digits}f}"
 
 
 def counted(row: Row, factor: float, digits: int) -> str:
@@ -111,8 +110,8 @@ STRICT = share_of(
     "strict",
     "strict",
     said="reached the goal box",
-    note="strict: the vehicle reaches the goal box within 300 steps without touching anything first "
-    "(where success, with touches, is the same, it has no column)",
+    note="strict: the vehicle reaches the goal box within 300 steps without touching anything first; "
+    "the column success, which allows touches, is shown only where it differs",
 )
 TOUCHED = share_of("touched", "touched", cell=counted, shown_unit="")
 TIME_TO_GOAL = median_of("time_to_goal", "time", "s")

@@ -80,5 +80,5 @@ def spread_cell(
     """Return a median with the ends of its range, as `statistics.spread` gives them."""
     if spread["median"] is None:
         return "-"
-    middle, low, high = (f"{factor * spread[key]:,.{digits}f}" for key in ("median", *ends))
+    middle, low, high = (f"{factor * spread[key]:z,.{digits}f}" for key in ("median", *ends))
     return f"{middle} ({low} to {high})"

@@ -51,7 +51,7 @@ LogFiles = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metava
 
 @dataclasses.dataclass(frozen=True)
 class Flown:
-    """The conditions of the flights.
+    """How and where the policy flies.
 
     Args:
         task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
@@ -94,7 +94,8 @@ class Look:
     """Camera, size and renderer of a picture.
 
     Args:
-        camera: viewpoint. For videos and --whole, flight frames the entire flight.
+        camera: viewpoint. video and picture also know flight, which frames the entire flight, and video
+            --forces knows touch, a fixed close view of the touchdown.
         width: width of the picture in pixels.
         height: height of the picture in pixels.
         backend: gl is OpenGL, ray is ray casting, auto is OpenGL if it runs on hardware.
@@ -110,12 +111,12 @@ class Look:
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """What the column names of logs do not say.
+    """How to read logs whose column names do not say enough.
 
     Args:
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
-        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
     """
 
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
@@ -139,13 +140,13 @@ def _pairs(options: tuple[str, ...], option: str, expected: str) -> dict[str, st
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LogSource(Reading):
-    """Logs, and what their column names do not say.
+    """The logs, and how to read them.
 
     Args:
         files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
-        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
     """
 
     files: LogFiles
@@ -157,18 +158,18 @@ class LogSource(Reading):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FlightSource(LogSource):
-    """Flights for a model, and the model.
+    """The flights, how to read them, and the model that they are compared with.
 
     Args:
         files: flights to fit: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of
             one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
-        where: the rows to take of a table of several vehicles, for example name=cf1; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).
-        platform: the platform of the vehicle file was present in the flights (logs with contacts show it).
+        platform: the platform in the vehicle file was present in the flights (logs with contacts show that).
     """
 
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()

@@ -33,6 +33,7 @@ def command(
     """Export a policy as ONNX or as C for a microcontroller, with contract and test vectors.
 
     Args:
+        policy: policy file, or name of a shipped policy.
         format: onnx for ONNX runtimes, c for a microcontroller.
         out: new folder for the export.
         task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which

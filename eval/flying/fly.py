@@ -46,7 +46,7 @@ def _reject(why: str, **options: object) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class FlightOptions:
-    """Policy or plan, and the arena.
+    """What is flown, and in which arena.
 
     Args:
         policy: policy for landing (motors are cut in the goal box) or touchdown (the policy itself comes to
@@ -109,7 +109,7 @@ class FlightOptions:
 
 @dataclasses.dataclass(frozen=True)
 class VehicleOptions:
-    """The vehicle, and the source of its positions.
+    """The real vehicle, and where its position comes from.
 
     Args:
         uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
@@ -118,7 +118,7 @@ class VehicleOptions:
         position: source of positions, motion capture or the vehicle's own Lighthouse deck.
         stand: height of the vehicle's stand in metres (default: 0).
         heading: direction of the nose in degrees from x, if motion capture shows no attitude.
-        yes: skip the confirmation; only for simulated vehicles.
+        yes: skip the confirmation; only for a simulator, at --uri udp://...
     """
 
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None
@@ -150,14 +150,14 @@ class VehicleOptions:
         check_uri(self.uri)
         if self.yes and not self.uri.startswith("udp://"):
             raise UserError(
-                "--yes is only for simulated vehicles; a real flight must be confirmed by typing a word"
+                "--yes is only for a simulator (--uri udp://...); a real flight is confirmed by typing a word"
             )
         return RealConnection(self.uri, self.mocap, self.mocap_latency or 0.0, confirms=not self.yes)
 
 
 @dataclasses.dataclass(frozen=True)
 class SimulationOptions:
-    """The simulated Crazyflie.
+    """A simulated Crazyflie instead of a real one.
 
     Args:
         simulated: fly a simulated Crazyflie, in virtual time.

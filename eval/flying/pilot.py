@@ -436,8 +436,8 @@ class Pilot:
         self._last_print = time
         x, y, z = estimate.state[X : Z + 1]
         self._print(
-            f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:6.2f}  y {y:6.2f}  z {z:5.2f} m  would "
-            f"command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):5.1f}, "
-            f"pitch {math.degrees(command[PITCH_COMMAND]):5.1f} deg, "
-            f"yaw rate {math.degrees(command[YAW_RATE]):6.1f} deg/s"
+            f"{time - self._began:5.1f} s  {self.phase.value:8}  x {x:z6.2f}  y {y:z6.2f}  z {z:5.2f} m  "
+            f"would command PWM {command[PWM]:5.0f}, roll {math.degrees(command[ROLL_COMMAND]):z5.1f}, "
+            f"pitch {math.degrees(command[PITCH_COMMAND]):z5.1f} deg, "
+            f"yaw rate {math.degrees(command[YAW_RATE]):z6.1f} deg/s"
         )

@@ -88,7 +88,7 @@ def preflight_checks(
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
             f"tilted by {degrees:.1f} deg{other}; at most {math.degrees(LEVEL):.0f} deg",
         ),
-        "inside the arena": (inside, f"x {x:.2f}, y {y:.2f} m; at least {ROOM:g} m from the walls"),
+        "inside the arena": (inside, f"x {x:z.2f}, y {y:z.2f} m; at least {ROOM:g} m from the walls"),
         "height": (
             abs(z - expected) <= HEIGHT,
             f"stands at z {z:.3f} m, expected {expected:.3f}: stand {stand:g} m, centre of mass "

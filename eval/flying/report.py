@@ -66,7 +66,7 @@ def describe(report: FlightReport) -> str:
         touched = report.touched and report.outcome == "goal box"
         return (
             f"{report.outcome}{' after touching the platform,' if touched else ''} "
-            f"{report.landing_time:.2f} s after hand-over at vx {vx:.2f}, vz {vz:.2f} m/s; "
+            f"{report.landing_time:.2f} s after hand-over at vx {vx:z.2f}, vz {vz:z.2f} m/s; "
             f"{rest[report.rests]}"
         )
     if report.cause is None:

@@ -49,7 +49,7 @@ def command(
     with stages(source.count + len(reference) + 5) as tick:
         flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
         notes = flights.notes
-        tick("reference")
+        tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
         found = None
         if flights.reference:
             found = identify(flights.reference, nominal, platform=source.platform)
@@ -59,7 +59,7 @@ def command(
         else:
             known, aside = read_reference(source.vehicle, nominal)
             notes = (*notes, aside) if aside else notes
-        tick("diagnosis")
+        tick("searching for missing effects")
         d = diagnose(
             flights.logs,
             nominal,
@@ -68,9 +68,9 @@ def command(
             platform=source.platform or None,
             plants=tuple(words.PLANTS),
         )
-        tick("most informative flight")
+        tick("looking for the most informative flight")
         flight, following = _flight(d, nominal, known, out)
-        tick("figures")
+        tick("drawing figures")
         judged = [log for log in flights.heldout or flights.logs if log.name in d.heldout]
         flown, held_out = figures.most_varied_flight(judged), bool(flights.heldout)
         track = figures.track_of(flown, nominal, d.corrected, held_out=held_out, platform=d.platform)
@@ -78,7 +78,7 @@ def command(
         html = page.page(d, track, versions=versions, notes=notes, flight=flight)
         with styled():
             picture = figures.overview(d, track)
-        tick("files")
+        tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:

@@ -28,9 +28,9 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     began = time.monotonic()
     with stages(source.count + 2) as tick:
         flights = read_flights(source.files, source.heldout, tick=tick, **source.options())
-        tick("fit")
+        tick("fitting the vehicle")
         found = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
-        tick("page")
+        tick("writing the report")
         versions = runs.versions()
         html = identified.page(
             found,

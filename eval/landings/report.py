@@ -57,7 +57,7 @@ SENSITIVITIES = (
         name="log_odds",
         title="log odds per s.d.",
         statistic=share,
-        cell=lambda row, *_: f"{row['value']:+.2f}",
+        cell=lambda row, *_: f"{row['value']:+z.2f}",
         note=_ODDS,
     ),
     _index("rests", "variance of rest"),

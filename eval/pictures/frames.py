@@ -87,9 +87,9 @@ def caption(flight: Track, k: int) -> str:
     """Return the caption of frame k."""
     s, pwm = flight.state[k], flight.commands[k, 0]
     planar = np.abs(flight.state[:, 1]).max() < 0.01
-    across = "" if planar else f"y {s[1]:+5.2f}  "
-    where = f"t {flight.t[k]:4.2f} s  x {s[0]:+5.2f}  {across}z {s[2]:4.2f} m"
-    return f"{where}  pitch {np.degrees(s[7]):+3.0f} deg  PWM {pwm:5.0f}"
+    across = "" if planar else f"y {s[1]:+z5.2f}  "
+    where = f"t {flight.t[k]:4.2f} s  x {s[0]:+z5.2f}  {across}z {s[2]:4.2f} m"
+    return f"{where}  pitch {np.degrees(s[7]):+z3.0f} deg  PWM {pwm:5.0f}"
 
 
 def ghosts_at(flight: Track) -> list[list[Ghost]]:

@@ -88,21 +88,21 @@ def design(
         )
     discrimination = discrimination_of(plan_input)
     noise_levels = plan_input.noise_levels
-    tick("pieces")
+    tick("drawing manoeuvres")
     coverage = RegressorCoverage(plan_input.vary, space, noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
     refused: list[Violation] = []
     for _ in range(ATTEMPTS):
-        tick("choice")
+        tick("choosing manoeuvres")
         chosen, far = search.best()
         path = pieces.joined_path(chosen, space, seconds)
         points = setpoints(path, vehicle)
-        tick("simulated flights")
+        tick("simulating the planned flight")
         violation, flown = safety.simulate_plan(
             points, discrimination.vehicles[:SIMULATED], space, noise_levels, seed
         )
         if violation is None:
-            tick("information")
+            tick("computing the expected information")
             logs = [one.log(noise_levels.noise) for one in flown]
             grams = discrimination.flown_grams(logs, platform=plan_input.platform)
             expected, gain = discrimination.forecast(grams), discrimination.gain(grams)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
     """Check contact against mechanics: rest, slip, drops, energy ...; writes a page of claims.
 
-    Exit code 1 if one of them does not hold.
+    Takes about a minute. The exit code is 1 if a claim does not hold.
 
     Args:
         out: new folder for contact.html, contact.json and the figures.

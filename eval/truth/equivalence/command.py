@@ -17,7 +17,7 @@ def command(
 ) -> int:
     """Check the vehicle in MuJoCo against the paper's equations; writes a page of claims.
 
-    The exit code is 1 when a claim fails.
+    Takes about two minutes. The exit code is 1 if a claim does not hold.
 
     Args:
         out: new folder for report.html, report.json and the figures.

@@ -5,9 +5,11 @@ import re
 
 import pytest
 
+from inclined_landing.envs.rendering import CAMERAS
 from inclined_landing.envs.shared import command_line
 from inclined_landing.envs.shared.command_line import bound
 from inclined_landing.eval import cli, demo
+from inclined_landing.eval.base.options import FITTED
 from inclined_landing.train.cli import main as train
 from inclined_landing.train.config import TrainConfig, flag_of
 
@@ -46,6 +48,12 @@ def test_the_first_line_is_that_of_the_table(pages):
     for name, (_, line) in cli.COMMANDS.items():
         usage, text = pages[name].split("\n\n")[:2]
         assert usage.startswith(f"usage: landing-eval {name} ") and " ".join(text.split()) == line
+
+
+def test_help_names_every_camera(pages):
+    for name in ("video", "picture", "mission"):
+        (row,) = (row for row in rows(pages[name]) if row.startswith("--camera"))
+        assert not [camera for camera in (*CAMERAS, FITTED) if not re.search(rf"\b{camera}\b", row)], row
 
 
 def test_help_of_a_training_is_one_screen(monkeypatch, capsys):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from inclined_landing.envs.shared.measures import STRICT, TOUCHED, median_of
+from inclined_landing.envs.shared.measures import STRICT, TOUCHED, alone, median_of, with_ends
 from inclined_landing.eval.base import progress
 from inclined_landing.eval.study import panels, show
 from inclined_landing.eval.study.engine import Case, Contrast, Panel, Study, View, run
@@ -87,6 +87,11 @@ def test_a_table_has_a_row_for_each_set_of_labels():
     assert table.rows[1][:3] == ("", "heavy", "4")
     assert table.rows[1][3].startswith("50.0 [") and table.rows[1][4].startswith("2.50 (")
     assert section.text == ["said"] and "Wilson" in section.remarks[0]
+
+
+@pytest.mark.parametrize("show_cell, text", [(with_ends, "0.00 (0.00 to 1,234.50)"), (alone, "0.00")])
+def test_cells_have_no_minus_before_zero(show_cell, text):
+    assert show_cell({"value": -0.004, "low": -0.0, "high": 1234.5, "statistic": "median"}, 1.0, 2) == text
 
 
 def test_the_terminal_begins_with_the_answer_and_has_the_lowest_rows_of_long_tables(capsys):
