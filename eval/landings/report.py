@@ -67,16 +67,12 @@ SENSITIVITIES = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Sensitivities:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensitivities(View):
     """How the outcomes depend on each varied parameter."""
 
     varied: tuple[str, ...]
     seed: int
-    by = ("parameter",)
-    measures = SENSITIVITIES
-    title = "sensitivities"
-    across = False
 
     def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
         """Yield a row for each parameter and measure."""
@@ -87,15 +83,11 @@ class Sensitivities:
             yield row | {"unit": "1", "flights": len(landings)}
 
 
-@dataclasses.dataclass(frozen=True)
-class Boundaries:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Boundaries(View):
     """Where half of the landings rest, on the maps of a study, in report units."""
 
     drawn: Mapping[tuple[str, str], maps.Map]
-    by = ("x", "y", "along", "place")
-    measures = ()
-    title = ""
-    across = False
 
     def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
         """Yield a row for each crossing along a row or a column of a map."""
@@ -127,9 +119,11 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
         cases=(),
         views=[
             View((), SHARES, "outcomes", across=True),
-            Sensitivities(study.varied, study.seed),
+            Sensitivities(
+                ("parameter",), SENSITIVITIES, "sensitivities", varied=study.varied, seed=study.seed
+            ),
             View((), QUANTILES, "forces, distances, times", across=True),
-            Boundaries(drawn),
+            Boundaries(("x", "y", "along", "place"), (), drawn=drawn),
         ],
         remarks=partial(_remarks, study),
         series="parameter",

@@ -68,7 +68,7 @@ def test_measures_among_some_flights():
 
 def test_differences_are_paired():
     """By flight: the vehicles' differences are -1/4 each, on the same starts."""
-    views = [View(("policy",), (STRICT,)), Contrast(STRICT, by=("vehicle",), unit="flight")]
+    views = [View(("policy",), (STRICT,)), Contrast(("vehicle",), (STRICT,), unit="flight")]
     (results,) = run([study_of(LANDED, views)])
     for vehicle in ("light", "heavy"):
         row = results.one("strict difference", policy="b", vehicle=vehicle)
