@@ -109,7 +109,9 @@ def forward(rows, network):
     """Return the actions (n, a) float32 of observations (n, o)."""
     # x_0 = clip((o - centre)/scale), x_k+1 = activation(W_k x_k + b_k), the last layer without
     centre, scale, limit, sizes, _, _, _, squashed, bound = network
-    widest, n, size = sizes.max(), len(rows), sizes[-1]
+    widest, n, size = 0, len(rows), sizes[-1]
+    for k in range(len(sizes)):
+        widest = max(widest, sizes[k])
     result = np.empty((n, size), np.float32)
     x, y = np.zeros((widest, ROWS)), np.empty((widest, ROWS))
     x1, y1 = np.empty(widest), np.empty(widest)

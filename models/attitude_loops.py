@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
-from inclined_landing.models.compiled import formula, inlined, unlocked
+from inclined_landing.models.compiled import formula, inlined, inner, unlocked
 from inclined_landing.models.perturbation import GAIN_SCALE, TIME_CONSTANT_SCALE
 
 
@@ -228,7 +228,7 @@ def integrated_steps(axis, command, twist, start, dt, vehicle):
     return out
 
 
-@unlocked
+@inner
 def _linear_step(dt, v):
     """Return the step (5, 5) by `dt` [s] of angle, rate, integral, wanted angle and twist of a loop."""
     # z' = A z, so that z <- exp(A dt) z: by its series at dt/2^n, squared n times

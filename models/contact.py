@@ -38,7 +38,7 @@ import math
 import numpy as np
 
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import kernel
+from inclined_landing.models.compiled import inner, kernel
 
 REFERENCE_SPEED = 1.0  # m/s, normal speed of the drop that the setting is about
 MOST_FRICTION = 10.0  # as the vehicle file's range says
@@ -109,7 +109,7 @@ def spring(restitution, contact_time, gravity: float) -> np.ndarray:
     return -out * _IMPEDANCE / _EFFECTIVE
 
 
-@kernel
+@inner
 def _bounce(damping, weight):
     """Restitution and end of contact of the spring r'' = -2 damping r' - r with speed 1 at r = 0.
 
@@ -130,7 +130,7 @@ def _bounce(damping, weight):
     return math.exp(-damping * high) * math.sin(w * high - turn) / w, high
 
 
-@kernel
+@inner
 def _last_bouncing(weight):
     """Damping ratio beyond which weight holds the vehicle down, from 0.5 to 1."""
     low, high = 0.5, 1.0 - 1e-6

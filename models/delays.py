@@ -130,8 +130,11 @@ def _average(commands, delays, period, start, length, out):
     n, depth, size = commands.shape
     for i in range(n):
         delay = delays[i if len(delays) > 1 else 0]
-        if not delay.any():
-            out[i] = commands[i, 0]
+        late = False
+        for column in range(size):
+            out[i, column] = commands[i, 0, column]
+            late |= delay[column] != 0.0
+        if not late:
             continue
         for column in range(size):
             begin, total = start - delay[column], 0.0

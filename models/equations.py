@@ -39,7 +39,7 @@ from inclined_landing.models.attitude_loops import (
     rate_loop_acceleration,
     saturated,
 )
-from inclined_landing.models.compiled import inlined, kernel
+from inclined_landing.models.compiled import inlined, inner, kernel
 from inclined_landing.models.forces import AMBIENT_SIZE, TIME, free_air, lag_derivative, pack, wrench
 from inclined_landing.models.load import LOAD_SIZE, UNLOADED, hanging, pull, rectify, swing
 from inclined_landing.models.perturbation import MASS_SCALE, NEUTRAL, TIME_CONSTANT_SCALE
@@ -127,7 +127,7 @@ def _swing(y, dy, mass, v):
     dy[_LOAD + 3], dy[_LOAD + 4], dy[_LOAD + 5] = swing(qx, qy, qz, vx, vy, vz, ax, ay, az, length)
 
 
-@kernel
+@inner
 def _derivative(y, s, v):
     """Write dy/dt of an integrated vector y (21,) into `s.derivative`; s: a STEP, v: the vehicle's record."""
     u, p, push, dy = s.command, s.perturbation, s.push, s.derivative
@@ -202,7 +202,7 @@ def unpack_state(y, state, i):
     state[i, WX], state[i, WY], state[i, WZ] = rates
 
 
-@kernel
+@inner
 def rk4(s, v, dt):
     """Advance a STEP, its integrated vector and its time, in place by `dt` [s]; v: the vehicle's record."""
     # k1 = f(y), k2 = f(y + dt/2 k1), k3 = f(y + dt/2 k2), k4 = f(y + dt k3)

@@ -241,7 +241,9 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
     boxes, sizes = fleet.box_centres, fleet.box_sizes
     for i in range(state.shape[0]):
         member, x, y, z = which[i], state[i, 0], state[i, 1], state[i, 2]
-        out[i, :, :] = np.inf
+        for surface in range(3):
+            for part in range(3):
+                out[i, surface, part] = math.inf
         near_floor = z < 2.0 * fleet.reach[member]
         slab = platform_turns(0.0, inclination[i], azimuth[i])
         base = slab[0], _UPRIGHT, _UPRIGHT
@@ -309,9 +311,10 @@ def hull_distance(place, axis, turns, position, fleet, member, lowered):
 @kernel
 def _platform_clearances(state, platform, present, half, thickness, fleet, out):
     n = len(state)
-    inclination, azimuth, height = platform[:, PITCH].copy(), platform[:, YAW].copy(), platform[:, 2].copy()
+    inclination, azimuth, height = np.empty(n), np.empty(n), np.empty(n)
     position, quaternion, distances = np.zeros((n, 4, 3)), np.zeros((n, 4, 4)), np.empty((n, 3, 3))
     for i in range(n):
+        inclination[i], azimuth[i], height[i] = platform[i, PITCH], platform[i, YAW], platform[i, 2]
         if platform[i, ROLL] != 0.0:
             x, y, z = normal_at_rest(platform[i, ROLL], platform[i, PITCH])
             inclination[i] = math.atan2(math.sqrt(x * x + y * y), z)
@@ -323,7 +326,10 @@ def _platform_clearances(state, platform, present, half, thickness, fleet, out):
             position[i, b, 1] += platform[i, 1]
     _clearances(state, inclination, azimuth, position, np.zeros(n, np.int64), fleet, math.inf, distances)
     for i in range(n):
-        out[i] = distances[i, :2].min()
+        out[i] = math.inf
+        for surface in range(2):
+            for part in range(3):
+                out[i] = min(out[i], distances[i, surface, part])
 
 
 def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Fleet) -> np.ndarray:

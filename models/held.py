@@ -31,7 +31,7 @@ from inclined_landing.models.attitude import (
     small_sine_cosine,
 )
 from inclined_landing.models.attitude_loops import damping_rate, held_angle, held_step
-from inclined_landing.models.compiled import inlined, kernel
+from inclined_landing.models.compiled import inlined, inner
 from inclined_landing.models.equations import OMEGA, RATES, body_torque
 from inclined_landing.models.forces import (
     TIME,
@@ -153,7 +153,7 @@ def _allowed(now, turns, rests, poles, limits, v):
     )
 
 
-@kernel
+@inner
 def fly(s, v, period, largest_angle, largest_rate):
     """Advance a STEP that is `solvable`, its integrated vector and time, by `period` [s] if it may.
 

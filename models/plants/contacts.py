@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from inclined_landing.models import geometry
-from inclined_landing.models.compiled import kernel
+from inclined_landing.models.compiled import inner, kernel
 
 
 @dataclasses.dataclass
@@ -57,7 +57,7 @@ def _met(flags, first, last):
     return out
 
 
-@kernel
+@inner
 def _meets(row, addresses):
     """Has any contact sensor in `row` (s,) found a contact?"""
     for geom in range(addresses.shape[0]):

@@ -53,7 +53,7 @@ from inclined_landing.models.attitude import (
     quaternion,
     sine_cosine,
 )
-from inclined_landing.models.compiled import inlined, kernel, unlocked
+from inclined_landing.models.compiled import inlined, inner, unlocked
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
 from inclined_landing.models.plants.platforms import MOST, STILL, Moving, follow, strays
@@ -261,7 +261,7 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
         solvable = held.solvable(s, v, record, numbers)
         if out_of_reach and solvable and (constant or _is_held(period.commands, i)):
             # All of the period at once, where there is room for that.
-            _take_command(u, period.commands, 0, i, vehicles.command_range)
+            _take_command(u, period.commands, step, i, vehicles.command_range)
             here, height = (y[X], y[Y], y[Z]), y[Z] - length * drift
             wx, wy, wz = y[VX] - px, y[VY] - py, y[VZ] - pz
             before, exact = length * _size(wx, wy, wz), False
@@ -381,7 +381,7 @@ def _turned(rate, y, dt):
     return dt * (max(before, after) + change)
 
 
-@kernel
+@inner
 def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
     """Return the distance [m] of vehicle i, at a point and with an axis, from `poses` of `_distance`."""
     d = platforms.platform[i]
@@ -389,7 +389,7 @@ def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
     return geometry.hull_distance(here, axis, turns, poses, vehicles.fleet, vehicles.size[i], lowered)
 
 
-@kernel
+@inner
 def _distance(here, i, platforms, poses, row, at, fleet):
     """Return the distance [m] of a point (x, y, z) to platform i, whose slab is at poses[0] (3,).
 

@@ -22,7 +22,7 @@ import numpy as np
 from inclined_landing.models import motion
 from inclined_landing.models.attitude import ROLL, Z, sine_cosine
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import inlined, kernel
+from inclined_landing.models.compiled import inlined, inner, kernel
 from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.vehicle import Vehicle
@@ -213,7 +213,7 @@ def _renew(ids, rest, begun, moving):
         _write_course(i, rest, begun, moving)
 
 
-@kernel
+@inner
 def _write_course(i, rest, begun, moving):
     """Write the course of platform i: all that moves it in one place, without waves of no amplitude.
 

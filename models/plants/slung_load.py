@@ -5,7 +5,7 @@ import math
 import mujoco
 import numpy as np
 
-from inclined_landing.models.compiled import kernel
+from inclined_landing.models.compiled import inner, kernel
 
 
 def load_joint(model: mujoco.MjModel) -> np.ndarray:
@@ -14,7 +14,7 @@ def load_joint(model: mujoco.MjModel) -> np.ndarray:
     return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
 
 
-@kernel
+@inner
 def write_load(load, joint, row, columns):
     """Write a slung load (6,), see `Plant.load`, into a vehicle's row (s,) of the engine; see `load_joint`.
 

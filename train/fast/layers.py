@@ -26,11 +26,11 @@ _Q = tuple(map(np.float32, (1.0, 0.4677786566, 2.616462504e-2, 3.411370214e-4, 8
 
 # Sums may be reordered (no `nnan`: what is not finite stays so); division by zero is IEEE's.
 _OPTIONS = {"cache": True, "fastmath": {"reassoc", "contract", "nsz"}, "error_model": "numpy", "nogil": True}
-compiled = numba.njit(**_OPTIONS)
+compiled = numba.njit(**_OPTIONS, no_cfunc_wrapper=True)
 # Everything that Python does not call is inlined. Else the process that compiles and one that loads from
 # numba's cache link different copies of it, whose sums are in another order: other bits, another training.
 # That cache does not notice a change of this file alone: save kernels.py too.
-inlined = numba.njit(**_OPTIONS, forceinline=True)
+inlined = numba.njit(**_OPTIONS, forceinline=True, no_cfunc_wrapper=True)
 
 
 class Scaling(NamedTuple):
