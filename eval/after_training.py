@@ -41,8 +41,9 @@ def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) ->
 
     vehicle: the run's vehicle file, if it has one. stages: those of its curriculum.
 
-    The table is flown in the plain MuJoCo plant, for landings from the frozen grid, which training never
-    saw; one number for each condition is added to metrics.json. All flights use the run's vehicle.
+    The table is flown without training aids, for landings in the hybrid plant from the frozen grid, which
+    training never saw; one number for each condition is added to metrics.json. All flights use the run's
+    vehicle.
     """
 
     def load(policy: str | Path) -> Policy:
@@ -87,7 +88,7 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
     task = final.task
     if task.evaluated_by == "success":
         scales = _LANDING_SCALES if task.cut_at_success else (1.0,)
-        return groups.study({"final": final}, thrust_scales=scales)
+        return groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
     if task.evaluated_by == "touchdown":
         return motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
     controller = controllers.of_policy(final)

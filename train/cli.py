@@ -59,15 +59,18 @@ def _train(arguments: list[str]) -> int:
     if run.metrics is not None:
         print(f"the run in {shown(run.folder)} is finished{'; its report is missing' if due else ''}")
     metrics = run.execute()
+    reached = metrics.get("reached")
+    if reached is not False:
+        word = "Training succeeded" if reached else "Training"
+        print(
+            f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.", flush=True
+        )
+    else:
+        more = "" if metrics["finished"] else "; add --resume with the same --out to continue"
+        print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
     if due:
         _report(run, metrics)
-    if metrics.get("reached") is not False:
-        word = "Training succeeded" if metrics.get("reached") else "Training"
-        print(f"{word}: {metrics['ended']}. The policy is {shown(run.folder / 'final.zip', 100)}.")
-        return 0
-    more = "" if metrics["finished"] else "; add --resume with the same --out to continue"
-    print(f"landing-train: {metrics['ended']}{more}", file=sys.stderr)
-    return NOT_REACHED
+    return NOT_REACHED if reached is False else 0
 
 
 def help_page(complete: bool) -> str:
