@@ -14,7 +14,7 @@ from msgspec import ValidationError
 
 from inclined_landing.eval.gap.answer import named as naming
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.identification import _idle_references, worse_axes
+from inclined_landing.eval.gap.answer.identification import _Fit, _idle_references, worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
 from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.columns import Candidates
@@ -263,6 +263,15 @@ def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
     assert "predicts position of its own" in doubt(along, position=(0.02, 0.06))
     assert "leave more than noise" in doubt(along, doubtful=True)
     assert "thrust over weight as modelled" in doubt(along, cancelled=True)
+
+
+def test_only_effects_whose_slopes_mislead_are_large_beyond_them():
+    """A centre of mass beyond a plausible 1 mm, where no requests of the motors show it; thrust is linear."""
+    for x, requested, large in ((1.1e-3, False, {"com_offset"}), (9e-4, False, set()), (1.1e-3, True, set())):
+        values = {"com_offset": {"x": x, "y": 0.0, "hold": 1.5}, "thrust_scale": {"scale": 0.5}}
+        problem = SimpleNamespace(requested=requested, library={n: LIBRARY[n] for n in values})
+        fit = SimpleNamespace(problem=problem, values=values)
+        assert _Fit.large_beyond_slopes(fit) == large
 
 
 def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
