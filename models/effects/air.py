@@ -148,6 +148,6 @@ EFFECTS = (
         "surfaces distinguish it from a thrust scale.",
         channels=("translation", "attitude"),
         apply=_ground_effect,
-        says="near a surface the rotors give more thrust (strength {strength}, fading {fading})",
+        says="near a surface the rotors give more thrust (strength {strength})",
     ),
 )

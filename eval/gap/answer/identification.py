@@ -155,16 +155,15 @@ def identify(
     )
     identifiable = _identifiability(around, reference)
     sized = fitted.local.estimates(values)
-    notes = [
-        *map(summary_line, inconsistent),
-        *use.notes,
-        *unidentifiable,
-        *(
-            f"these flights do not excite {one.effect.replace('_', ' ')} enough to identify it"
-            for one in identifiable
-            if one.share > thresholds.UNIDENTIFIABLE
-        ),
+    notes = [*map(summary_line, inconsistent), *use.notes, *unidentifiable]
+    unseen = [
+        one.effect
+        for one in identifiable
+        if one.share > thresholds.UNIDENTIFIABLE
+        and not (one.effect in values and _is_there(problem, one.effect, values, sized))
     ]
+    if unseen:
+        notes.append(f"these flights contain too little excitation to identify {', '.join(unseen)}")
     if landings:
         notes.append(
             f"contact was identified from {sum(landings.count)} landings, with their common residual"
@@ -403,12 +402,21 @@ def _half_width(problem: Problem, known: ParameterEstimate) -> float:
     return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
 
 
+def _is_there(problem: Problem, name: str, values: Values, sized) -> bool:
+    """Return whether the interval of one of an effect's sizes excludes its neutral value."""
+    return any(
+        abs(values[name][p.name] - p.neutral) > _half_width(problem, sized[name, p.name])
+        for p in problem.library[name].parameters
+        if not p.is_reference and (name, p.name) in sized
+    )
+
+
 def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tuple[Identified, ...]:
-    """Return the identified constants, effects of the place left out."""
+    """Return the identified constants, without effects of the place and references of effects not seen."""
     result = []
     for (effect, parameter), known in sized.items():
         p, value = problem.library[effect].parameter(parameter), values[effect][parameter]
-        if LIBRARY[effect].of_the_place or (p.is_reference and _is_idle(problem, effect, values)):
+        if LIBRARY[effect].of_the_place or (p.is_reference and not _is_there(problem, effect, values, sized)):
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
         c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)

@@ -61,7 +61,7 @@ def command(
         plan = design(plan_input, seconds=seconds, seed=seed, tick=tick)
     found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
     beyond = doubt.measured_otherwise(found)
-    if plan.gain < thresholds.LEAST_GAIN and not plan_input.vary:
+    if not (plan_input.vary or doubt.is_worth_flying(found, plan.gain)):
         say(doubt.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
@@ -78,7 +78,9 @@ def command(
         save_figure(picture(plan, found, plan_input.platform), folder / "plan.png")
     flight = out / "flight.csv"
     say(*doubt.flight(plan), *lines)
-    print(f"To fly it: {doubt.fly_command(flight, plan_input.platform, arena)}")
+    command = doubt.fly_command(flight, plan_input.platform, arena)
+    print(f"To simulate it: {command} --simulated")
+    print(f"To fly it: {command} --uri URI --mocap TYPE:HOST:BODY")
     say(f"The most informative flight is {flight}.", style="bold")
 
 

@@ -68,14 +68,21 @@ def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
     space = Space.of(plan_input.vehicle, plan_input.platform)
     piece, gain, expected = most_informative_piece(discrimination, space)
     found = effects_in_doubt(plan_input, discrimination, expected)
-    lines, worth = [in_doubt(found)] if found else [], gain >= thresholds.LEAST_GAIN
-    least = max(thresholds.LEFT_IN_DOUBT, min((one.left for one in found), default=0.0) + 0.01)
-    shown = listed([label(one.name) for one in found if one.left < least], "or")
+    beyond = _beyond_flights(found)
+    flown = [one for one in found if one.name not in beyond]
+    lines, worth = [in_doubt(found)] if found else [], is_worth_flying(found, gain)
+    least = max(thresholds.LEFT_IN_DOUBT, min((one.left for one in flown), default=0.0) + 0.01)
+    shown = listed([label(one.name) for one in flown if one.left < least], "or")
     if shown and worth:
         lines.append(
             f"A flight would help to show whether the model lacks {shown}: {piece.text}, repeatedly."
         )
     return " ".join([*lines, *measured_otherwise(found)]), worth or bool(plan_input.vary)
+
+
+def is_worth_flying(found: Sequence[InDoubt], gain: float) -> bool:
+    """Return whether a flight with this gain is expected to show which of the effects in doubt is missing."""
+    return gain >= thresholds.LEAST_GAIN and (not found or len(_beyond_flights(found)) < len(found))
 
 
 def set_label(one: ScoredSet) -> str:
@@ -148,4 +155,4 @@ def why_near(plan: Plan) -> list[str]:
 def fly_command(flight: Path, platform: bool, arena: Path | None) -> str:
     """Return the command that flies a plan; arena: vehicle file of a room that is not the shipped one."""
     options = ["" if platform else " --no-platform", f" --arena {arena}" if arena else ""]
-    return f"landing-eval fly --plan {flight}{''.join(options)} --uri URI --mocap TYPE:HOST:BODY"
+    return f"landing-eval fly --plan {flight}{''.join(options)}"

@@ -27,7 +27,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-_HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights", "the paper")
+_HEADS = ("constant", "nominal", "identified", "95 % interval", "between flights")
 
 
 def headline(found: Identification) -> str:
@@ -56,7 +56,8 @@ def sentences(found: Identification) -> list[str]:
         f"{channel} {_percent(fit['after'])} (nominal {_percent(fit['before'])})"
         for channel, fit in found.fit.items()
     ]
-    lines = [f"{'They are' if len(values) > 1 else 'It is'} {words.listed(values)}."] if values else []
+    those = "These constants differ" if len(values) > 1 else "This constant differs"
+    lines = [f"{those}: {words.listed(values)}."] if values else []
     paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
     lines.append(f"Fit on held-out flights: {', '.join(fits)}. {paper}")
     if found.ahead:
@@ -178,7 +179,6 @@ def rows(parameters: Sequence[Identified]) -> list[tuple[str, ...]]:
             numbers.rounded(p.value, p.ci95, p.unit),
             numbers.interval(p.ci95, p.unit),
             numbers.quantity(p.spread, p.unit) if math.isfinite(p.spread) else "",
-            numbers.exact(PAPER[p.field], p.unit) if p.field in PAPER else "",
         )
         for p in parameters
     ]

@@ -375,7 +375,10 @@ def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
 def test_every_effect_is_said_in_words_with_its_numbers():
     for name, effect in LIBRARY.items():
         text = words.sentence(named(name, effect.plausible))
-        assert len(re.findall(r"-?\d[\d.]*", text)) == len(effect.parameters) and "_" not in text
+        told = set(re.findall(r"\{(\w+)", effect.says))
+        assert told >= {p.name for p in effect.parameters if not p.is_reference} or len(told) == 0
+        numbers = len(re.findall(r"-?\d[\d.]*", text))
+        assert numbers == max(1, len(told)) and "_" not in text, name
     assert words.sentence(named("thrust_delay", {"delay": 0.012})) == (
         "Thrust commands act 12.0 ms after they were sent."
     )
