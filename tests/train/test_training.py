@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -524,7 +525,7 @@ def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
 
 
 def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, scores, capsys, monkeypatch):
-    monkeypatch.setattr("inclined_landing.train.cli._report", lambda run, metrics: None)
+    monkeypatch.setattr("inclined_landing.train.cli._report", lambda *_: print("report", file=sys.stderr))
     tiny = "--environments 4 --rollout 16 --batch-size 64 --epochs 1 --threads 1".split()
     out = ["--out", str(tmp_path / "a")]
     assert (
@@ -533,12 +534,16 @@ def test_its_exit_code_and_its_sentence_say_that_a_run_ended_without(tmp_path, s
         )
         == 3
     )
-    *_, said = capsys.readouterr().err.splitlines()  # after the progress
-    assert "after 128 steps of at most" not in said and "--resume with the same --out to continue" in said
+    *_, said, last = capsys.readouterr().err.splitlines()  # after the progress, before the report
+    assert (
+        last == "report"
+        and "after 128 steps of at most" not in said
+        and "--resume with the same --out to continue" in said
+    )
     for _ in range(2):  # to its end, and once more
         assert cli.main(["--resume", *out]) == 3
-        *_, said = capsys.readouterr().err.splitlines()
-        assert said.startswith(
+        *_, said, last = capsys.readouterr().err.splitlines()
+        assert last == "report" and said.startswith(
             "landing-train: ended without two evaluations in a row at 99 %: after 128 steps"
         )
     metrics = json.loads((tmp_path / "a" / "metrics.json").read_text("utf-8"))
