@@ -104,6 +104,11 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
     if slow and problem.library[name].is_lag:
         which = f"Flights logged below {LEAST_RATE:g} Hz ({first_of(slow)})"
         return f"{which} cannot separate lags: log at 50 Hz or more."
+    if "requests" in problem.library[name].channels and not problem.requested:
+        return (
+            "In doubt, because without the requests of the motors flights show a moment only while it is "
+            "taken over: log them (m1req to m4req)."
+        )
     if doubtful:
         return "In doubt, because the named effects leave more than noise and disturbances would."
     if cancelled:

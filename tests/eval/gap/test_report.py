@@ -249,12 +249,12 @@ def test_an_axis_is_worse_where_every_flight_says_so():
 
 
 def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
-    def doubt(along, doubtful=False, cancelled=False, **worse):
+    def doubt(along, doubtful=False, cancelled=False, name="wind", requested=False, **worse):
         flights = [SimpleNamespace(shows_lags=True)]
         errors = dataclasses.replace(ALIKE, worse=worse)
         reference = SimpleNamespace(errors=errors)
-        problem = SimpleNamespace(flights=flights, reference=reference)
-        return _doubt(problem, "wind", along, doubtful, cancelled)
+        problem = SimpleNamespace(flights=flights, reference=reference, library=LIBRARY, requested=requested)
+        return _doubt(problem, name, along, doubtful, cancelled)
 
     along = {"x": 0.05, "y": 0.01, "z": 0.0}
     assert not doubt(along) and not doubt(along, y=(0.01, 0.03)) and not doubt(along, x=(0.01, 0.03))
@@ -263,6 +263,9 @@ def test_a_name_is_doubted_where_the_reference_is_wrong_by_more_than_it_moves():
     assert "predicts position of its own" in doubt(along, position=(0.02, 0.06))
     assert "leave more than noise" in doubt(along, doubtful=True)
     assert "thrust over weight as modelled" in doubt(along, cancelled=True)
+    for moment in ("com_offset", "weak_rotor_1"):
+        assert "the requests of the motors" in doubt(along, name=moment)
+        assert not doubt(along, name=moment, requested=True)
 
 
 def test_only_effects_whose_slopes_mislead_are_large_beyond_them():
