@@ -43,10 +43,12 @@ def mean(values: np.ndarray) -> dict[str, Any]:
 
 
 def with_ends(row: Row, factor: float, digits: int) -> str:
-    """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`."""
+    """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`, that of one value alone."""
     # z: no minus sign before zero
     value, low, high = (f"{factor * row[key]:z,.{digits}f}" for key in ("value", "low", "high"))
-    return f"{value} [{low}, {high}]" if row["statistic"] == "share" else f"{value} ({low} to {high})"
+    if row["statistic"] == "share":
+        return f"{value} [{low}, {high}]"
+    return value if row["count"] == 1 else f"{value} ({low} to {high})"
 
 
 def alone(row: Row, factor: float, digits: int) -> str:

@@ -41,7 +41,7 @@ def stages(total: float | None = None, what: str = "", done: float = 0) -> Itera
         if not (total and what and count > before):
             return words
         if count >= total:
-            return f"{count:g} of {total:g} {what}, {words}"
+            return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", words)))
         left = spent / (count - before) * (total - count)
         about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
         return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))

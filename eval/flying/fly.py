@@ -256,7 +256,7 @@ def command(
             heading = math.radians(real.heading or 0.0)
             plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand or 0.0, heading)
             what = "landing" if flight.plan is None else "plan"
-            print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:g}, z {plan.start[1]:g} m")
+            print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:z.4g}, z {plan.start[1]:.4g} m")
             log = None if dry_run else FlightLogWriter(folder / f"flight_{k + 1:02d}.csv")
             with log or contextlib.nullcontext(), checked_pilot(connection, k, plan, dry_run) as pilot:
                 report = pilot.fly(log)

@@ -80,7 +80,7 @@ def study(
             for controller in controllers
         ],
         views=[
-            View(("scenario", "policy"), MEASURES, "all"),
+            View(("scenario", "policy"), MEASURES, "scenarios"),
             View(("speed", "policy"), (AT_REST,)),
             View(("together", "policy"), (AT_REST,)),
         ],

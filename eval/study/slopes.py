@@ -40,10 +40,10 @@ def study(policies: Mapping[str, Policy], *, plant: str, every: int = 1) -> Stud
     measures = next(iter(policies.values())).task.measures
     return Study(
         name="slopes",
-        title=f"Over slopes, {plant} plant",
+        title=f"Other slopes, {plant} plant",
         cases=[case for name, policy in policies.items() for case in _cases(name, policy, plant, every)],
         views=[
-            View(("policy", "slopes"), measures, "all"),
+            View(("policy", "slopes"), measures, "slopes"),
             View(("policy", "inclination"), (STRICT,)),
             View(("policy", "azimuth"), (STRICT,)),
         ],

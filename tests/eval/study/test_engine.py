@@ -91,7 +91,9 @@ def test_a_table_has_a_row_for_each_set_of_labels():
 
 @pytest.mark.parametrize("show_cell, text", [(with_ends, "0.00 (0.00 to 1,234.50)"), (alone, "0.00")])
 def test_cells_have_no_minus_before_zero(show_cell, text):
-    assert show_cell({"value": -0.004, "low": -0.0, "high": 1234.5, "statistic": "median"}, 1.0, 2) == text
+    row = {"value": -0.004, "low": -0.0, "high": 1234.5, "statistic": "median", "count": 3}
+    assert show_cell(row, 1.0, 2) == text
+    assert show_cell(row | {"count": 1}, 1.0, 2) == "0.00"
 
 
 def test_the_terminal_begins_with_the_answer_and_has_the_lowest_rows_of_long_tables(capsys):
