@@ -1,6 +1,5 @@
 """What is done as other packages are imported: OpenGL that does not load, a place for compiled functions."""
 
-import ast
 import os
 import sys
 import tempfile
@@ -11,7 +10,6 @@ import pytest
 
 from inclined_landing.models.base import imports
 from inclined_landing.models.base.errors import UserError
-from tests import ROOT
 
 
 @pytest.fixture
@@ -82,33 +80,3 @@ def test_no_place_at_all_is_one_sentence(temporary, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", "/proc")
     with pytest.raises(UserError, match="set NUMBA_CACHE_DIR to a writable folder"):
         imports.private_folder()
-
-
-COMPILED = "inlined", "kernel", "unlocked", "formula", "compiled", "numba.njit"
-
-
-def test_only_kernels_call_what_has_no_entry_for_python():
-    """In the source: such a function, called from Python, ends the process."""
-    files = [file for name in ("models", "envs", "eval", "train") for file in (ROOT / name).rglob("*.py")]
-    trees = {
-        ".".join(file.relative_to(ROOT).with_suffix("").parts): ast.parse(file.read_text()) for file in files
-    }
-
-    def functions(tree, *kinds):
-        for one in ast.walk(tree):
-            if isinstance(one, ast.FunctionDef):
-                if any(ast.unparse(mark).partition("(")[0] in kinds for mark in one.decorator_list):
-                    yield one
-
-    inner = {(name, f.name) for name, tree in trees.items() for f in functions(tree, "inlined")}
-    assert len(inner) > 50
-    for name, tree in trees.items():
-        imports = [one for one in ast.walk(tree) if isinstance(one, ast.ImportFrom) and one.module]
-        known = {one for module, one in inner if module == name}
-        for one in imports:
-            module = one.module.removeprefix("inclined_landing.")
-            known |= {alias.name for alias in one.names if (module, alias.name) in inner}
-        compiled = {node for f in functions(tree, *COMPILED) for node in ast.walk(f)}
-        calls = [one for one in ast.walk(tree) if isinstance(one, ast.Call) and one not in compiled]
-        called = [one.func.id for one in calls if isinstance(one.func, ast.Name)]
-        assert not known & set(called), name
