@@ -3,6 +3,7 @@
 # ruff: noqa: E402
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -31,7 +32,8 @@ def pytest_configure():
         return
     root, newest = Path(__file__).parents[1], {}
     for folder in ("models", "envs", "train", "eval"):
-        sources = (path for path in (root / folder).rglob("*.py") if b"import numba" in path.read_bytes())
+        texts = {path: path.read_text("utf-8") for path in (root / folder).rglob("*.py")}
+        sources = (path for path, text in texts.items() if re.search("compiled import|import numba", text))
         newest[folder] = max((path.stat().st_mtime for path in sources), default=0.0)
         used = max(newest[name] for name in {"models", "envs", folder} & set(newest))
         for index in (root / folder).rglob("__pycache__/*.nbi"):
