@@ -222,9 +222,9 @@ def read_metadata(path: str | Path) -> dict:
 
 
 def action_map(options: dict) -> tuple[float | str, float]:
-    """Return PWM at action 0 and span of the options of a training. Names refer to the shipped vehicle.
+    """Return the PWM at action 0 and the PWM span that the options of a training state.
 
-    "own" stays as it is for every vehicle.
+    Names such as "hover" are resolved with the shipped vehicle; "own" is returned unchanged.
     """
     shipped, centre = load_vehicle(), options.get("pwm_centre", "hover")
     if centre != OWN:

@@ -14,6 +14,8 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train.curriculum import Curriculum
 
+EVERY = 20.0  # s between two lines on the progress of a training, at least, where there is no terminal
+
 
 class TimeSpent:
     """Seconds of training, evaluation and video apart, continued after a resume.
@@ -157,22 +159,25 @@ class Every(BaseCallback):
 
 
 class ProgressCallback(BaseCallback):
-    """A rich progress bar over environment steps with the curriculum's level after it."""
+    """A bar over environment steps with the curriculum's level; without a terminal, a line now and then."""
 
     def __init__(self, total_steps: int, curriculum: Curriculum):
         super().__init__()
         self.total, self.curriculum = total_steps, curriculum
         self.notice = ""
         self.bar: Progress | None = None
+        self.began = self.printed = time.monotonic()
 
     def _on_training_start(self) -> None:
+        console = Console(stderr=True, soft_wrap=True, highlight=False)
         self.bar = Progress(
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.fields[notice]}"),
-            console=Console(stderr=True),
+            console=console,
+            disable=not console.is_terminal,
         )
         self.bar.start()
         self.item = self.bar.add_task("", total=self.total, notice="", completed=self.num_timesteps)
@@ -181,10 +186,16 @@ class ProgressCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
+        if self.bar is None:
+            return
         notice = f"level {self.curriculum.level:.2f}{self.notice}"
-        done = min(self.num_timesteps, self.total)
-        if self.bar is not None:
-            self.bar.update(self.item, completed=done, notice=notice)
+        done, now = min(self.num_timesteps, self.total), time.monotonic()
+        self.bar.update(self.item, completed=done, notice=notice)
+        if not self.bar.console.is_terminal and now - self.printed >= EVERY:
+            self.printed = now
+            self.bar.console.print(
+                f"{now - self.began:.0f} s: {done} of at most {self.total} steps, {notice}"
+            )
 
     def close(self, at_end: bool = False) -> None:
         """Stop drawing; at_end: success ended the run before its maximum number of steps."""

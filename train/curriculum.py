@@ -103,7 +103,7 @@ class Curriculum:
         self._without = [name for part in parts for name in PARTS[part]]
 
     def but_for_parts(self, stage: Any) -> Any:
-        """Return conditions in which the parts that are left out are the task's."""
+        """Return conditions in which the parts that the curriculum leaves out have the task's own values."""
         if not self._without:
             return stage
         task = type(stage)()

@@ -50,7 +50,8 @@ class Ending:
         """Return in one sentence how the run ended after these steps; last: its last evaluation in words."""
         config = self.config
         if config.success is None:
-            return f"{'ended' if self.is_over(steps) else 'stopped'} after {steps} of {config.steps} steps"
+            over = self.is_over(steps)  # whole iterations: a few steps more than those asked for
+            return f"ended after {steps} steps" if over else f"stopped after {steps} of {config.steps} steps"
         twice = f"two evaluations in a row at {100 * config.success:g} %"
         asked = twice if config.randomise is None else f"{twice} with the nominal and with varied vehicles"
         if self.reached(steps) and self._succeeds(VEHICLE_KINDS):
@@ -59,7 +60,7 @@ class Ending:
             varied = f"no further rise with varied ones ({100 * self.evaluations[-1]['score_varied']:.0f} %)"
             return f"{twice} with the nominal vehicle and {varied} after {steps} steps"
         most = f" of at most {config.max_steps}" if not self.is_over(steps) else ""
-        level = f"the curriculum stood at level {self.curriculum.level:.2f}"
+        level = f"the curriculum was at level {self.curriculum.level:.2f}"
         return f"ended without {asked}: after {steps} steps{most} the last one gave {last}, and {level}"
 
     def _succeeds(self, kinds: Iterable[str]) -> bool:

@@ -356,7 +356,7 @@ class Run:
         return Policy(task=task, metadata={}, path=path, **actor_of(self.model))
 
     def _as_recorded(self) -> dict:
-        """Return the configuration as run.json has it; only the limits of time may be others."""
+        """Return the configuration that run.json records, with the time limits of this command."""
         limits = ("max_seconds", "max_cpu_seconds")
         return self.record["config"] | {name: getattr(self.config, name) for name in limits}
 

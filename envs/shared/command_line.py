@@ -148,7 +148,7 @@ def given(arguments: Sequence[str]) -> set[str]:
 
 
 def _config() -> tuple:
-    """Return the look of options: no prefix for groups, no literal None for omitted values."""
+    """Return tyro's settings: groups add no prefix to their options, and None cannot be typed."""
     import tyro
 
     return tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone

@@ -51,7 +51,7 @@ def mean(values: npt.ArrayLike) -> dict[str, Any]:
 def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
     """Return the mean with its 95 % bootstrap interval, percentiles of 10 000 draws, for more than one value.
 
-    It never exceeds the range of the values, and for three or four values it is rather narrow.
+    The interval never exceeds the range of the values; for three or four values it is too narrow.
     """
     values = np.asarray(values, float)
     result: dict[str, Any] = {"mean": float(values.mean()), "interval": None}

@@ -109,5 +109,5 @@ class PolicyLanding:
         return command
 
     def heading_error(self, since: float, yaw: float) -> float:
-        """Return by how much the heading [rad] is off."""
+        """Return the heading error [rad]."""
         return yaw

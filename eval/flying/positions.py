@@ -33,9 +33,9 @@ UNSURE = 0.2  # m/s: a filter that knows its velocity no better has lost what it
 
 
 def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionCapture:
-    """Return the body TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1.
+    """Return the motion capture of the body TYPE:HOST:BODY, such as vicon:192.168.1.10:cf1.
 
-    latency [s]: of the system, from exposure to arrival. Raises UserError where nothing is seen.
+    latency [s]: of the system, from exposure to arrival. Raises UserError if the body is not seen.
     """
     kind, *rest = name.split(":")
     if len(rest) != 2 or not all((kind, *rest)):

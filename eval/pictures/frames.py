@@ -175,11 +175,10 @@ def strobe(
     backend: str = "auto",
     renderer: Any = None,
 ) -> np.ndarray:
-    """Return a stroboscopic picture of the whole flight: copies of the vehicle along its path, the last one
-    solid.
+    """Return one picture of a whole flight, with copies of the vehicle along its path and a solid last one.
 
-    At most `copies` before the last, coloured from early (violet) to late (orange), a mission's by leg.
-    renderer: as in `render_flight`.
+    At most `copies` precede the last; their colours run from violet (early) to orange (late), or show the
+    legs of a mission. renderer: as in `render_flight`.
     """
     if camera == FITTED:
         camera = flight_view([flight], width, height)

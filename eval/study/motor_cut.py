@@ -143,7 +143,7 @@ def _check(policy: Policy, baseline: Policy) -> None:
 
 
 def _remarks(cannot_hold: Sequence[float], angle: float, results: Results) -> list[str]:
-    """Return how often vehicles came to rest, and what is not counted."""
+    """Return sentences on how often vehicles came to rest, and on frictions that are not counted."""
     said = []
     for motors in (OWN, CUT):
         rows = results.all(AT_REST, motors=motors, contact="all") or results.all(AT_REST, motors=motors)

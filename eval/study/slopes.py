@@ -1,8 +1,8 @@
 """Landing policies over all slopes they know: shares of the flights by angle, and on single slopes.
 
-A policy that observes the slope flies from the frozen set (`over_slopes`), which training never sees;
-in space once more with random headings. Every policy also flies from the frozen grid of the plane over single
-slopes: the steepest that it knows, the paper's, or the one that it was trained for.
+A policy that observes the slope flies from the frozen set (`over_slopes`), which training never sees. In
+space it flies from this set once more, with random headings. Every policy also flies from the frozen grid of
+the plane over single slopes: the steepest that it knows, the paper's, or the one that it was trained for.
 """
 
 from __future__ import annotations

@@ -4,11 +4,13 @@ import dataclasses
 import itertools
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 
 from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.train import callbacks
 from inclined_landing.train.curriculum import (
     PARTS,
     AdaptiveCurriculum,
@@ -304,3 +306,15 @@ def test_state_survives_json_and_continues_equally(name, task):
         assert other.level == c.level and other.gamma(9) == c.gamma(9) and other.log() == c.log()
         shares = [x.learning_rate_share(1_100_000, 1_500_000) for x in (c, other)]
         assert shares[0] == shares[1]
+
+
+def test_without_a_terminal_progress_is_a_line_now_and_then(monkeypatch, capsys):
+    clock = iter(range(0, 1000, 15))
+    monkeypatch.setattr(callbacks, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    progress = callbacks.ProgressCallback(4000, make_curriculum("none", "landing", 0.98))
+    progress._on_training_start()
+    for done in (1000, 2000, 3000):
+        progress.num_timesteps = done
+        progress._on_rollout_end()
+    progress.close()
+    assert capsys.readouterr().err.splitlines() == ["30 s: 2000 of at most 4000 steps, level 1.00"]

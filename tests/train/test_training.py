@@ -519,7 +519,7 @@ def test_a_run_does_not_end_before_its_curriculum(tmp_path, scores):
     assert metrics["steps"] == 384 and metrics["finished"] and metrics["reached"] is False
     assert metrics["ended"] == (
         "ended without two evaluations in a row at 99 %: after 384 steps the last one gave 100 %, "
-        "and the curriculum stood at level 0.00"
+        "and the curriculum was at level 0.00"
     )
     assert (folder / "final.zip").exists() and (folder / "best.zip").exists()
 

@@ -264,9 +264,10 @@ class _Fit:
 def worse_axes(
     starts: rollout.RolloutWindows, before: Vehicle, after: Vehicle
 ) -> dict[str, tuple[float, float]]:
-    """Return the axes of the position one second ahead that `after` predicts worse: errors [m] of both.
+    """Return the axes along which `after` predicts the position one second ahead worse, with both errors [m].
 
-    The squared error grows by a share MATERIAL of that of the position, and by more than flights scatter.
+    Along such an axis the squared error grows by more than a share MATERIAL of that of the position, and by
+    more than the scatter between flights.
     """
     # Paired by flight: mean growth over its standard error above the quantile of t, one-sided.
     error = [(rollout.simulate(starts, v) - starts.measured())[:, -1, :3] for v in (before, after)]

@@ -1,9 +1,9 @@
 """The swing of a slung load along a measured flight, from a start that the flight itself shows.
 
-Nothing damps the swing, so that the load's unknown state at a flight's beginning moves the vehicle to its
-end, by as much as what the flight excites later. It is estimated for every stretch of a flight by least
-squares of the measured positions in the windows, each up to a line, with a normal prior about hanging at
-rest. In the limit of no mass nothing is estimated.
+Nothing damps the swing. The load's unknown state at the beginning of a flight therefore moves the vehicle
+until its end, by as much as what the flight excites later. This state is estimated for every stretch of a
+flight by least squares of the measured positions in the windows, each up to a line, with a normal prior about
+hanging at rest. In the limit of no mass nothing is estimated.
 """
 
 from __future__ import annotations

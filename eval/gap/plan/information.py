@@ -152,7 +152,7 @@ class ModelDiscrimination:
         return float(min(max(known, SPIKE * p.negligible), 0.25 * (high - low)))
 
     def flight(self, points: Setpoints, *, platform: bool = False) -> MeasuredFlight:
-        """Return set-points as a measured flight of the vehicle, tracked perfectly."""
+        """Return the measured flight of a vehicle that tracks the set-points perfectly."""
         return prepare(points.log("planned", self.noise_levels.noise), self.vehicle, platform=platform)
 
     def flown_grams(self, logs: Sequence[FlightLog], *, platform: bool = False) -> np.ndarray:
