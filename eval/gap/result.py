@@ -303,9 +303,9 @@ class PlantGap:
 
 
 def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
-    """Return whether the named effects leave too much for one of them to be sure.
+    """Return whether the named effects leave too much error for any of them to be sure.
 
-    Most of it repeats from flight to flight, or they leave much more than the reference's flights.
+    Most of that error repeats from flight to flight, or it is much larger than that of the reference flights.
     """
     if gap is None:
         return residual.unexplained

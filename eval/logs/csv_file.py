@@ -323,7 +323,7 @@ def _line(data: bytes, layout: _Layout, row: int) -> int:
 
 
 def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
-    """Return a column by its name; one of lists, as `[0.1, 0.2]`, as NAME.0, NAME.1 and so on."""
+    """Return a column by its name; of lists such as `[0.1, 0.2]`, the elements as NAME.0, NAME.1 ..."""
     name = str(column.name)
     if pandas.api.types.is_numeric_dtype(column) or not str(column.head(1).squeeze()).startswith("["):
         return {name: column}
