@@ -30,7 +30,7 @@ from inclined_landing.eval.gap.model.columns import (
     FormColumn,
     ParameterColumn,
 )
-from inclined_landing.eval.gap.model.fitting import FITTING
+from inclined_landing.eval.gap.model.fitting import FITTING, fitting
 from inclined_landing.eval.gap.model.prediction import predict
 from inclined_landing.eval.gap.model.reference import (
     Basis,
@@ -417,8 +417,8 @@ def test_errors_of_a_contribution_are_of_its_own_size():
         second = [np.diff(x[:, :3], 2, axis=0) for x in (column, contribution)]
         np.testing.assert_allclose(*second, atol=1e-12)
         assert not column[:, 3:].any()
-    for effect in LIBRARY.values():
-        for name in effect.forms:
+    for effect in LIBRARY:
+        for name in fitting(effect).forms:
             column = FormColumn("", name).along(contribution, flight)
             assert column.any() and np.isfinite(column).all()
 
