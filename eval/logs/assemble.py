@@ -203,7 +203,7 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
     if span > len(inside):
         yield f"{span - len(inside)} rows inside the flight lack part of the pose and were dropped"
     if len(t) > span:
-        rows = len(t) - span
+        rows = int(len(t) - span)
         yield f"{rows} row{'s' * (rows > 1)} at the ends lack{'s' * (rows == 1)} pose or commands"
     clocks = [channels[key] for key in (*_POSITION, *COMMANDS) if key in channels]
     if any(len(c.t) != len(t) or not np.array_equal(c.t, t) for c in clocks):
