@@ -79,11 +79,11 @@ def policy_facts(policies: Mapping[str, Policy]) -> list[Row]:
 
 
 def slope_words(task: Task) -> str:
-    """Return the slopes of a task: "-25.7 deg", "up to +-25.7 deg" or "up to 30 deg, any heading"."""
+    """Return the slopes of a task: "-25.7 deg", "up to +-25.7 deg" or "up to 30 deg, facing any way"."""
     if task.steepest is None:
         return f"{math.degrees(task.inclination):.1f} deg" if task.has_platform else ""
     steepest = f"{math.degrees(task.steepest):.3g} deg"
-    return f"up to +-{steepest}" if task.is_planar else f"up to {steepest}, any heading"
+    return f"up to +-{steepest}" if task.is_planar else f"up to {steepest}, facing any way"
 
 
 def fly(

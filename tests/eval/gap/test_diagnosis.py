@@ -329,7 +329,7 @@ def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
     assert steady_force(candidates, windy) == pytest.approx(drag, rel=1e-3)  # 0.14; hover PWM to 0.1 %
     assert steady_force(candidates, {"mass": {"scale": 1.1}}) == 0.0
     d = quick(flights({**hidden, "attitude_gain": {"scale": 1.3}}, count=4))
-    assert any("attitude loops too" in note for note in d.notes)
+    assert any("attitude loops" in note for note in d.notes)
     (wind,) = (e for e in d.effects if e.name == "wind")
     assert wind.sure and wind.parameters["x"].value == pytest.approx(-6.0, rel=0.25)
     assert not any(LIBRARY[e.name].channels == ("attitude",) for e in d.effects)
