@@ -60,7 +60,7 @@ DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
     ),
     # Vehicles differ in more than in the plane: with its rates one of three seeds learned the landing.
     ({"drawn": True, "dimensions": 3, "law": False}, {"rollout": 128, "learning_rate": 1e-3}),
-    # Touchdown over moving platforms: one vehicle, and a motion to be told by its history.
+    # Touchdown over moving platforms: one vehicle, whose platform's motion shows in the history.
     ({"law": True, "dimensions": 3, "nominal": False}, {"history": 3, "all_commands": True}),
     # Touchdown in the plane begins with a landing policy, and explores more.
     (

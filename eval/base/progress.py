@@ -18,7 +18,7 @@ _WORDS = Column(no_wrap=True, overflow="ellipsis", ratio=1)
 
 
 class Tick(Protocol):
-    """What a command calls as a stage begins or ends."""
+    """The function that a command calls as a stage begins or ends."""
 
     def __call__(self, words: str = "", done: float | None = None) -> None:
         """Show the words; done: how many are done, if it is not one more."""

@@ -46,7 +46,7 @@ def _reject(why: str, **options: object) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class FlightOptions:
-    """What is flown, and in which arena.
+    """The flights of a command and their arena.
 
     Args:
         policy: policy for landing (motors are cut in the goal box) or touchdown (the policy itself comes to

@@ -366,7 +366,7 @@ def summary(results: Sequence[dict]) -> dict[str, dict]:
 
 
 def _holds(r: dict) -> bool:
-    """Return whether interval and told size, with what it is uncertain by, overlap."""
+    """Return whether interval and recorded size, with what it is uncertain by, overlap."""
     if r["found"] is None:
         return False
     low, high = r["found"]["ci95"]
@@ -384,7 +384,7 @@ def errors(results: Sequence[dict]) -> str:
 def cells(r: dict) -> dict[str, str]:
     """Return a row as a line of the table."""
     line = dict.fromkeys(("set", "told", "flights", "verdict", "sure", "possible"), "")
-    line |= dict.fromkeys(("told size", "found", "error after 1 s [cm]", "tuning"), "")
+    line |= dict.fromkeys(("recorded size", "found", "error after 1 s [cm]", "tuning"), "")
     line |= {"set": r["set"], "told": r["name"]}
     if "error" in r:
         return line | {"verdict": f"not read: {r['error']}"}
@@ -392,14 +392,14 @@ def cells(r: dict) -> dict[str, str]:
     if r["found"]:
         line["found"] = _sized(r["found"]["value"], *r["found"]["ci95"])
     if r["kind"] == "dose":
-        return line | {"told size": f"{r['parameter']} at {r['dose']:g}"}
+        return line | {"recorded size": f"{r['parameter']} at {r['dose']:g}"}
     odd = f"; inconsistent: {', '.join(r['inconsistent'])}" if r["inconsistent"] else ""
     tuning = r["tuning"]
     return line | {
         "verdict": r["verdict"] + odd,
         "sure": "; ".join(_names(r, True)),
         "possible": ", ".join([*_names(r, False), *r["possible"]]),
-        "told size": f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else "",
+        "recorded size": f"{r['told']['of']} {r['told']['value']:g}" if r["told"] else "",
         "error after 1 s [cm]": f"{100 * r['before']:.0f} to {100 * r['after']:.0f}" if r["before"] else "",
         "tuning": f"{'right' if tuning['right'] else 'missed'}, {tuning['wrong']} wrong" if tuning else "",
     }

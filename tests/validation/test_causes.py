@@ -147,7 +147,7 @@ def test_summary_counts_by_hand():
     ]
     assert "61 to 15 cm" in causes.errors(results)
     lines = [causes.cells(r) for r in (RESULT | {"flights": [3, 2], "named": [], "possible": {}}, ERROR)]
-    assert lines[0]["told size"] == "thrust 0.9" and lines[0]["found"] == "0.893 [0.87, 0.917]"
+    assert lines[0]["recorded size"] == "thrust 0.9" and lines[0]["found"] == "0.893 [0.87, 0.917]"
     assert lines[0].keys() == lines[1].keys() and lines[1]["verdict"].startswith("not read")
 
 

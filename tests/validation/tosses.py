@@ -287,7 +287,7 @@ def command(
 
     Args:
         chosen: tosses that the grid of the engine's settings is chosen on.
-        held_out: tosses whose errors are told as well.
+        held_out: tosses whose errors are reported as well.
     """
     tosses, *others = (read(path) for path in (chosen, held_out) if path is not None)
     interval, windows = interval_of(tosses), windows_of(tosses)

@@ -113,7 +113,7 @@ class Evaluation:
 
 @dataclasses.dataclass(frozen=True)
 class Displacement:
-    """What a named effect does to the position one second ahead."""
+    """The change of the position one second ahead by a named effect."""
 
     cost: float = math.nan  # m, the error that it accounts for; NaN: not known
     along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square

@@ -28,9 +28,9 @@ from inclined_landing.models.base.errors import UserError, first_of, shown
 from inclined_landing.models.vehicle import Vehicle
 
 MOMENT = 0.1  # s: a vehicle that hits something stops within
-DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been written anew with fewer digits
+DIGIT = 1e-4  # m or rad, to which poses are compared: a file may have been written again with fewer digits
 SAMPLED = 16  # of so many rows, one is kept to recognise a flight by
-SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written anew
+SAME = 0.5  # share of its poses that a flight has in common with itself, cut out and written again
 DIFFERENT = "fitting and evaluation need different flights"
 AFTER_THRUST = 1.0  # s after the last commanded thrust in which a vehicle may still fall over
 

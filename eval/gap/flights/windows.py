@@ -169,7 +169,7 @@ class MotorRequests:
 
     differences: np.ndarray  # (m, 3) in roll, pitch and yaw, over the sum of all four: see `REQUEST_SIGNS`
     torques: np.ndarray  # (m, 3) about body x and y over arm and weight, for the smoothed motion; z: 0
-    # By what power of its request a rotor's thrust goes in hover; None: as of the vehicle that is predicted.
+    # The exponent of a rotor's thrust over its request in hover; None: that of the vehicle that is predicted.
     slope: float | None = None
 
     @staticmethod

@@ -34,7 +34,7 @@ from inclined_landing.eval.gap.result import ScoredSet, marginal
 REDUNDANT = (  # of these one is a combination of the others
     frozenset(("mass", "thrust_scale")),  # free flight shows the ratio of thrust to mass alone
     frozenset(("thrust_delay", "attitude_delay", "mocap_delay")),  # poses are late, or all commands
-    # What a rotor has lost of its torque is its own.
+    # The lost torque of a rotor belongs to that rotor alone.
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),
 )
 LEFT_OUT = 30.0  # nat, for each of a redundant set

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 @dataclasses.dataclass(frozen=True)
 class Variation:
-    """By how much [unit] what fits a parameter best varies, for the shipped vehicle."""
+    """The variation [unit] of a parameter's best fit, for the shipped vehicle."""
 
     manoeuvre: float = 0.0  # with how one vehicle is flown: no loop is quite of its form
     # Between flights of one vehicle, where the motors' requests show it: these move by 3 to 4 % each from day
