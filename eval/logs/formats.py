@@ -59,6 +59,7 @@ _KINDS = (
         "a ROS 1 bag: give it a name that ends in .bag, after `rosbag reindex` if it is open",
     ),
     ("", rb"\x89MCAP|SQLite format 3\0", "a ROS 2 bag: give it a name that ends in .mcap or .db3"),
+    ("", rb".tick\(I\),", "a micro-SD log in the format before 2020: its firmware's tools/usdlog decodes it"),
     ("", rb"version https://git-lfs", "a pointer of Git LFS, not the log: `git lfs pull` fetches that"),
     ("", rb"<", "a web page or XML, not a log: download the file itself, or save it as CSV"),
 )

@@ -6,12 +6,7 @@ uint16 id, name, uint16 number of variables, and each variable's name with its t
 Then events, in order of time: uint16 id, the time (version 1: uint32 in ms, version 2: uint64 in µs) and
 the values. The last four bytes are the CRC-32 of everything before.
 
-The format before 2020 begins with one byte with the number of variables, their names with types as above,
-each ended by a comma, and a checksum; the first variable is `tick(I)` in ms or us. Blocks follow, each of one
-byte with the number of rows, the rows, and a checksum, which is the complement of the CRC-32 of the block.
-
-Source: Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog/cfusdlog.py; compressed
-quaternions: src/utils/interface/quatcompress.h.
+Source: Bitcraze, crazyflie-firmware, src/deck/drivers/src/usddeck.c and tools/usdlog/cfusdlog.py.
 """
 
 from __future__ import annotations
@@ -30,17 +25,13 @@ MAGIC = 0xBC
 _TIME = {1: ("<u4", 1e-3), 2: ("<u8", 1e-6)}  # version -> type, seconds
 _TYPES = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "e": "<f2"}
 _FIXED_FREQUENCY = "fixedFrequency"
-_OLD = b"tick(I),"
-_COARSEST_TICK = 500  # between rows: more are microseconds, as firmware of 2020 and 2019 has them, not ms
 _LONGEST_PAUSE = 60.0  # s that a recording in which the checksum is wrong may pause
-_COMPRESSED = ".quat"  # how the names of quaternions in 32 bits end
 
 
 def is_sd_card_log(path: Path) -> bool:
     """Return whether the file begins like a micro-SD log."""
     with path.open("rb") as file:
-        start = file.read(1 + len(_OLD))
-    return start[:1] == bytes([MAGIC]) or start[1:] == _OLD
+        return file.read(1) == bytes([MAGIC])
 
 
 def read(path: Path) -> Record:
@@ -53,8 +44,6 @@ def read(path: Path) -> Record:
     Raises UserError for anything else.
     """
     data = path.read_bytes()
-    if data[1 : 1 + len(_OLD)] == _OLD:
-        return _read_old(path, data)
     notes = []
     version, events, start = _header(path, data)
     sizes = {key: dtype.itemsize for key, (_, dtype) in events.items()}
@@ -89,7 +78,6 @@ def read(path: Path) -> Record:
             times[column] = table["time"] * _TIME[version][1]
     if not columns:
         raise UserError(f"{path}: this micro-SD log contains no events")
-    _decompress(columns, times)
     return Record(str(path), columns, times=times, notes=tuple(notes))
 
 
@@ -138,65 +126,12 @@ def _header(path: Path, data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype
     return version, events, position
 
 
-def _read_old(path: Path, data: bytes) -> Record:
-    """Return the columns of a log in the format before 2020, all dated by its tick."""
-    position, names = 1, []
-    for _ in range(data[0]):
-        end = data.find(b",", position)
-        if end < 0:
-            raise UserError(f"{path}: the header of the micro-SD log is damaged")
-        names.append(data[position:end].decode("ascii", "replace"))
-        position = end + 1
-    row = np.dtype([_field(path, name) for name in names])
-    position, blocks, notes = position + 4, [], []
-    while position + 5 <= len(data):
-        size = data[position] * row.itemsize
-        block = data[position + 1 : position + 1 + size]
-        (checksum,) = struct.unpack_from("<I", data, min(position + 1 + size, len(data) - 4))
-        if len(block) < size or zlib.crc32(data[position : position + 1 + size]) != ~checksum & 0xFFFFFFFF:
-            notes.append("the recording was cut short or the file is damaged: the rest was left out")
-            break
-        blocks.append(np.frombuffer(block, row))
-        position += size + 5
-    if not blocks:
-        raise UserError(f"{path}: this micro-SD log contains no complete block")
-    table = np.concatenate(blocks)
-    columns = {name: table[name].astype(float) for name in row.names[1:]}
-    tick = table["tick"].astype(np.int64)
-    unit = 1e-6 if np.median(np.diff(tick)) > _COARSEST_TICK else 1e-3
-    times = dict.fromkeys(columns, tick * unit)
-    _decompress(columns, times)
-    return Record(str(path), columns, times=times, notes=tuple(notes))
-
-
 def _field(path: Path, name: str) -> tuple[str, str]:
     """Return name and type of a variable whose name ends with its type in parentheses."""
     name, kind = name[:-3], name[-3:]
     if kind[:1] + kind[2:] != "()" or kind[1] not in _TYPES:
         raise UserError(f"{path}: variable {name + kind} has an unknown type")
     return name, _TYPES[kind[1]]
-
-
-def _decompress(columns: dict[str, np.ndarray], times: dict[str, np.ndarray]) -> None:
-    """Add the four numbers of every quaternion that was logged in 32 bits, as NAME.qx to NAME.qw."""
-    # Two bits: index of the largest component, which is positive. Then the other three in order, each a sign
-    # and nine bits of its size in units of 1/(511 sqrt 2).
-    for name in [name for name in columns if name.endswith(_COMPRESSED)]:
-        bits = columns[name].astype(np.uint64)
-        largest, shift = bits >> np.uint64(30), np.zeros(len(bits), np.uint64)
-        q = np.zeros((len(bits), 4))
-        for k in (3, 2, 1, 0):
-            other = largest != k
-            part = bits >> shift
-            size = (part & np.uint64(511)).astype(float) / (511.0 * np.sqrt(2.0))
-            q[:, k] = np.where(other, np.where(part & np.uint64(512), -size, size), 0.0)
-            shift += np.where(other, np.uint64(10), np.uint64(0))
-        rest = np.sqrt(np.maximum(0.0, 1.0 - (q**2).sum(axis=1)))
-        q[np.arange(len(q)), largest.astype(int)] = rest
-        for k, part in enumerate("xyzw"):
-            key = f"{name.removesuffix(_COMPRESSED)}.q{part}"
-            if key not in columns:
-                columns[key], times[key] = q[:, k], times[name]
 
 
 def _name(data: bytes, position: int) -> tuple[str, int]:

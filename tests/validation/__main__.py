@@ -17,8 +17,8 @@ from inclined_landing.models.base.errors import UserError
 
 PROGRAM = "python -m tests.validation"
 COMMANDS = (
-    *("flights", "gap-blind", "gap-agreement", "causes", "trust", "identified"),
-    *("gap-example", "plan-loop", "flight-table", "tosses", "landings", "peers"),
+    *("gap-blind", "gap-agreement", "gap-example", "plan-loop", "causes", "identified"),
+    *("flight-table", "tosses", "landings"),
 )
 
 

@@ -59,7 +59,7 @@ def command(
     """Known causes in real flights of five laboratories: is the right one named, and how large (minutes)?
 
     Args:
-        data: folder with the clones of the five repositories (`python -m tests.validation flights` says).
+        data: folder with the clones of the five repositories (docs/evidence/known_causes.md says which).
         out: folder for table.md and causes.json; rows that are in it are kept.
         half: flights that the workflow was looked at with, those that were held out, or those that came last.
         only: names of repositories.

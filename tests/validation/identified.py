@@ -22,7 +22,6 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.validation.flights import public_sets
 
 from .causes import paths_of, read
 from .shared import check_folder, table_of
@@ -40,7 +39,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
     """Vehicles identified from public flights, and how far they predict flights left out (a minute).
 
     Args:
-        data: folder with the clones of the repositories (`python -m tests.validation flights` says which).
+        data: folder with the clones of the repositories (docs/evidence/known_causes.md says which).
         out: folder for NAME.toml and NAME.posterior.json, as they stand in models/vehicles, and table.md.
         only: names of vehicles.
     """
@@ -69,7 +68,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
 
 def _flights(data: Path, entry: Mapping, patterns: Sequence[str]) -> list[FlightLog]:
     """Return the flights of some patterns. Raises UserError where none can be used."""
-    logs, refused = read(paths_of(data / public_sets()[entry["set"]].folder, patterns), None)
+    logs, refused = read(paths_of(data / entry["repository"].rpartition("/")[2], patterns), None)
     if not logs:
         raise UserError(refused[0])
     return logs
@@ -143,10 +142,9 @@ def write(path: Path, name: str, entry: Mapping, found: Identification, judged: 
 
 def heading(name: str, entry: Mapping, found: Identification, judged: Sequence[Mapping]) -> str:
     """Return the comment on top of a file: where it comes from, what it reaches, what it does not know."""
-    public = public_sets()[entry["set"]]
     paragraphs = [
         f"{entry['what']}. Identified from {len(found.flights)} flights of others; not flown by us.",
-        f"Flights: {public.repository}, commit {public.commit[:7]}, licence: {public.licence}. "
+        f"Flights: {entry['repository']}, commit {entry['commit']}, licence: {entry['licence']}. "
         f"{', '.join(found.flights)}; {entry['command']}.",
         f"Made by `python -m tests.validation identified DATA --only {name}` (landing-eval identify from "
         f"{entry['base']} with a mass of {entry['mass']:g} kg), version {version('inclined-landing')}, "

@@ -8,7 +8,7 @@ import pytest
 
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
-from tests.validation import causes, trust
+from tests.validation import causes
 
 ROW = causes.Row(
     *("lab", "a weight", "cause", "development", ("before/*.csv",), ("after/*.csv",), "crazyflie-2.1"),
@@ -149,10 +149,3 @@ def test_summary_counts_by_hand():
     lines = [causes.cells(r) for r in (RESULT | {"flights": [3, 2], "named": [], "possible": {}}, ERROR)]
     assert lines[0]["recorded size"] == "thrust 0.9" and lines[0]["found"] == "0.893 [0.87, 0.917]"
     assert lines[0].keys() == lines[1].keys() and lines[1]["verdict"].startswith("not read")
-
-
-def test_the_figure_has_the_groups_of_the_page():
-    groups, counts = trust.recorded(trust.PAGE.read_text("utf-8"))
-    assert {len(found) for found in counts.values()} == {len(groups)}
-    (axes,) = trust.draw(groups, counts).axes
-    assert len(axes.patches) == len(groups) * len(trust.BARS)

@@ -6,8 +6,6 @@ import pytest
 
 from inclined_landing.eval.logs import mapping, read_log
 from tests import ROOT
-from tests.validation.__main__ import main
-from tests.validation.flights import public_sets
 
 MOTORS = ROOT / "tests/validation/nanobench_motors.toml"
 
@@ -62,8 +60,10 @@ def test_motion_capture_of_utias_is_taken_not_the_estimate(tmp_path, name):
     assert any("marker" in note for note in log.notes)
 
 
-def test_it_says_where_the_sets_are(capsys):
-    assert main(["flights"]) == 0
-    text = capsys.readouterr().out
-    for known in public_sets().values():
-        assert known.repository in text and known.licence in text
+def test_neural_swarm_has_microseconds_and_grams(tmp_path):
+    given = {"time[ms]": 1e4 * np.arange(300), "z[m]": 1.0 + wave(0.1), "qw": np.ones(300)}
+    given |= {"thrust_des[g]": 31.7421 + wave(1.0), "torquex[Nm]": wave(1e-3), "u1[PWM]": wave(0.1)}
+    log = read_log(published(tmp_path / "cf50_00.csv", "neural_swarm", **given), check=False)
+    np.testing.assert_allclose(log.t, 0.01 * np.arange(300), atol=1e-12)
+    # 0.311 N (31.7 g) is half of what the shipped vehicle gives at full command.
+    np.testing.assert_allclose(log.command[:, 0], 65535 * (0.5 + wave(1.0) / 63.4842), rtol=1e-6)

@@ -1,7 +1,5 @@
-"""Logs of others: the older micro-SD format, rotor speeds, requests of the motors, lists."""
+"""Logs of others: rotor speeds, requests of the motors, lists."""
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -9,64 +7,11 @@ import pandas
 import pytest
 
 from inclined_landing.eval import logs
-from inclined_landing.eval.logs import read_log, sd_card
+from inclined_landing.eval.logs import read_log
 from inclined_landing.eval.logs.read import write_log
 from inclined_landing.models.base.errors import UserError
 from tests.log_files import a_log
 from tests.log_files import sd_card as sd_card_log
-
-
-def old_log(rows: list[tuple], names: str) -> bytes:
-    """A log of the micro-SD deck before 2020, in blocks of at most three rows."""
-    listed = names.split()
-    data = bytes([len(listed)]) + "".join(f"{name}," for name in listed).encode() + b"\0\0\0\0"
-    row = "<" + "".join(name[-2] for name in listed)
-    for k in range(0, len(rows), 3):
-        block = bytes([len(rows[k : k + 3])]) + b"".join(struct.pack(row, *r) for r in rows[k : k + 3])
-        data += block + struct.pack("<I", ~zlib.crc32(block) & 0xFFFFFFFF)
-    return data
-
-
-NAMES = "tick(I) stateEstimateZ.x(h) stateEstimateZ.quat(I) motor.f1(f)"
-
-
-def compressed(q: np.ndarray) -> int:
-    """A quaternion x, y, z, w in 32 bits: index of the largest, then sign and nine bits of the others."""
-    largest = int(np.argmax(np.abs(q)))
-    q = q * np.sign(q[largest])
-    bits = largest
-    for k in range(4):
-        if k != largest:
-            bits = bits << 10 | (q[k] < 0) << 9 | round(abs(q[k]) * 511 * np.sqrt(2))
-    return bits
-
-
-def test_the_older_micro_sd_format_is_read(tmp_path):
-    q = np.array([0.1, -0.2, 0.05, 0.0])
-    q[3] = np.sqrt(1 - q @ q)
-    path = tmp_path / "cf50_04"
-    rows = [(1_000_000 + 10_000 * k, 100 + k, compressed(q), 0.08) for k in range(7)]
-    path.write_bytes(old_log(rows, NAMES))
-    record = sd_card.read(path)
-    assert sd_card.is_sd_card_log(path) and not record.notes
-    np.testing.assert_array_equal(record.columns["stateEstimateZ.x"], 100 + np.arange(7))
-    np.testing.assert_allclose(record.times["stateEstimateZ.x"], 1.0 + 0.01 * np.arange(7))
-    # Nine bits of 1/sqrt(2): half a step is 0.7e-3, and the largest number follows from the others.
-    found = [record.columns[f"stateEstimateZ.q{k}"][0] for k in "xyzw"]
-    np.testing.assert_allclose(found, q, atol=1e-3)
-
-
-@pytest.mark.parametrize("lost", [1, 6, 60])
-def test_what_is_cut_off_costs_its_block(tmp_path, lost):
-    path = tmp_path / "cf50_04"
-    rows = [(10 * k, k, 0, 0.0) for k in range(9)]
-    path.write_bytes(old_log(rows, NAMES)[:-lost])
-    record = sd_card.read(path)
-    assert len(record.columns["motor.f1"]) == (6 if lost < 47 else 3)  # 47 bytes a block
-    assert "cut short" in record.notes[0]
-    path.write_bytes(old_log(rows[:2], NAMES)[: -min(lost, 20)])
-    with pytest.raises(UserError, match="contains no complete block"):
-        sd_card.read(path)
 
 
 def sd_log(columns: dict[str, np.ndarray], step: float = 0.004) -> bytes:
