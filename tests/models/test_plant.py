@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from inclined_landing.models import geometry, perturbation
+from inclined_landing.models import geometry, perturbation, threads
 from inclined_landing.models.attitude import LAG, PITCH, ROLL, VX, VZ, YAW, X, Y, Z, euler_angles, quaternion
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import PART_BODIES, PARTS, PLATFORM_BODIES, PLATFORM_GEOMS
@@ -505,6 +505,15 @@ def in_a_fork(work) -> int | None:
     ended = child.exitcode
     child.kill()
     return ended
+
+
+def test_a_forked_process_has_threads_of_its_own():
+    def both():
+        assert threads.two_at_a_time(max, [1, 2, 3], [3, 2, 1]) == [3, 2, 3]
+        assert threads.in_threads(abs, [-1, -2]) == [1, 2]
+
+    both()  # now the parent's pools have threads, which a child lacks
+    assert in_a_fork(both) == 0
 
 
 @pytest.mark.parametrize("kind", ["hybrid", "mujoco"])

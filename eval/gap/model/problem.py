@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
 import numpy as np
@@ -33,11 +32,11 @@ from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predic
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.model.swing import stretches
 from inclined_landing.models.effects import Effect
+from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 LEAST_GROUPS = 8  # of windows: fewer flights are split into this many in all
 _RIDGE = 1e-9  # on the unit diagonal of a scaled Gram matrix
-_POOL = ThreadPoolExecutor(2)  # flights are predicted side by side
 
 
 # Channels of effects -> channels of a flight.
@@ -201,16 +200,16 @@ class Problem(Candidates):
 
     def white_errors(self, vehicles: Sequence[Vehicle]) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight, each with its vehicle."""
-        return list(_POOL.map(lambda f, v: _whitened(f, predict(f, v)), self.flights, vehicles))
+        return two_at_a_time(lambda f, v: _whitened(f, predict(f, v)), self.flights, vehicles)
 
     def white_errors_at(self, values: Values) -> list[np.ndarray]:
         """Return the white errors (w, C, q) of every flight with effects at `values`."""
         predicted = self._prediction(values)
-        return list(_POOL.map(lambda f, j: _whitened(f, predicted(f, j)), self.flights, self.form_jacobians))
+        return two_at_a_time(lambda f, j: _whitened(f, predicted(f, j)), self.flights, self.form_jacobians)
 
     def predicted(self, values: Values) -> list[np.ndarray]:
         """Return the prediction (m, C) of every flight with effects and model errors at `values`."""
-        return list(_POOL.map(self._prediction(values), self.flights, self.form_jacobians))
+        return two_at_a_time(self._prediction(values), self.flights, self.form_jacobians)
 
     def _prediction(self, values: Values) -> Callable[[MeasuredFlight, np.ndarray], np.ndarray]:
         """Return the prediction (m, C) as a function of a flight and its Jacobian in model errors."""
@@ -295,7 +294,7 @@ class Problem(Candidates):
                     part = white[:, groups == g].reshape(len(live), -1)
                     grams[np.ix_([g], live, live)] += part @ part.T
 
-        list(_POOL.map(of, range(len(self.flights))))
+        two_at_a_time(of, range(len(self.flights)))
         at = [1 + unique.index(c) for c in columns]
         a, b, c = grams[np.ix_(range(self.groups), at, at)], grams[:, at, 0], grams[:, 0, 0]
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
@@ -314,7 +313,7 @@ def _form_jacobians(flights: Sequence[MeasuredFlight], vehicle: Vehicle) -> tupl
         gravity, predicted = vehicle.environment_gravity, predict(flight, vehicle)
         return np.stack([BaseColumn(f).along(predicted, gravity, flight) for f in BASE_DEVIATIONS])
 
-    return tuple(_POOL.map(of, flights))
+    return tuple(two_at_a_time(of, flights))
 
 
 def _with_model_errors(predicted: np.ndarray, form_jacobian: np.ndarray, values: Values) -> np.ndarray:

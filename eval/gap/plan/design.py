@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,6 +20,7 @@ from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.safety import Flown, Violation
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.threads import two_at_a_time
 
 PIECES_PER_KIND = 8  # random safe pieces of every kind
 DRAWS_PER_PIECE = 40  # at most, for one that is safe
@@ -180,8 +180,7 @@ class _Search:
     def _add_information(self, candidates: Sequence[Piece]) -> None:
         """Compute the Gram matrices of new pieces; None where they are not safe."""
         new = [p for p in dict.fromkeys(candidates) if p not in self._information]
-        with ThreadPoolExecutor(2) as pool:
-            self._information |= dict(zip(new, pool.map(self._gram, new)))
+        self._information |= dict(zip(new, two_at_a_time(self._gram, new)))
 
     def _gram(self, piece: Piece) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the Gram matrices of a piece for the sets and for unknown functions."""

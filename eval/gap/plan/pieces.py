@@ -352,7 +352,7 @@ def _slope_hover(space: Space, height: float, seconds: float, heading: float) ->
 
 _TURN = (-math.pi, math.pi)
 # Bounds are those of ordinary flights: unmodelled dynamics grow faster with the excitation than the
-# differences between the sets.
+# differences between the sets. The least heights are three to four rotor radii of the shipped vehicle.
 KINDS: dict[str, Kind] = {
     "hover": Kind("hover for {seconds} s at a heading of {heading} deg",
         {"heading": _TURN, "seconds": (1.2, 3.0)}, _hover),
@@ -373,11 +373,11 @@ KINDS: dict[str, Kind] = {
     "circle": Kind("circle with a radius of {radius} m at {speed} m/s for {seconds} s",
         {"radius": (0.3, 0.9), "speed": (0.5, 1.7), "seconds": (1.5, 4.0), "nose": (0.0, 1.0)}, _circle),
     "low_hover": Kind("hover {height} m above the floor for {seconds} s at a heading of {heading} deg",
-        {"height": (0.09, 0.25), "seconds": (1.2, 3.0), "heading": _TURN}, _low_hover, near=True),
+        {"height": (0.07, 0.25), "seconds": (1.2, 6.0), "heading": _TURN}, _low_hover, near=True),
     "low_pass": Kind("fly {distance} m towards {direction} deg, {height} m above the floor",
-        {"height": (0.09, 0.25), "distance": (0.5, 1.5), "direction": _TURN}, _low_pass, near=True),
+        {"height": (0.07, 0.25), "distance": (0.5, 1.5), "direction": _TURN}, _low_pass, near=True),
     "slope_hover": Kind("hover {height} m above the slope for {seconds} s at a heading of {heading} deg",
-        {"height": (0.12, 0.3), "seconds": (1.2, 3.0), "heading": _TURN}, _slope_hover, near=True),
+        {"height": (0.09, 0.3), "seconds": (1.2, 6.0), "heading": _TURN}, _slope_hover, near=True),
 }  # fmt: skip
 
 

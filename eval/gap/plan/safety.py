@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,6 +24,7 @@ from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, Y
 from inclined_landing.models.geometry import reach_below
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.surface import normal_of
+from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 SPEED = 3.0  # m/s, at most
@@ -110,10 +110,9 @@ def simulate_plan(
 
     Also the flights of every one. noise_levels: measurement noise of the pilot's feedback, and disturbance.
     """
-    with ThreadPoolExecutor(2) as pool:
-        flown = list(
-            pool.map(lambda k: fly(points, vehicles[k], space, noise_levels, (seed, k)), range(len(vehicles)))
-        )
+    flown = two_at_a_time(
+        lambda k: fly(points, vehicles[k], space, noise_levels, (seed, k)), range(len(vehicles))
+    )
     violations = [w for one in flown if (w := _simulation_violation(one.states, points, space)) is not None]
     return min(violations, key=lambda w: w.time, default=None), flown
 
