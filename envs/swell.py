@@ -1,7 +1,7 @@
 """Moving platforms, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
 
 Ships and cars are not included: the motions of the benchmark have their own spectra
-(`eval/study/platforms/scenarios.toml`).
+(`eval/study/scenarios.toml`).
 """
 
 from __future__ import annotations

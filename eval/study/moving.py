@@ -1,4 +1,4 @@
-"""The benchmark of moving platforms: flights of controllers through scenarios.
+"""The benchmark of moving platforms: flights of policies and a planner through scenarios.
 
 All are flown in the MuJoCo plant, RK4 in steps of 4 ms, one vehicle and one platform each, at 50 Hz, until
 rest on the platform (see `eval.study.rest`), the floor, or the end of the time.
@@ -7,20 +7,32 @@ rest on the platform (see `eval.study.rest`), the floor, or the end of the time.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 
+from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared.measures import alone, count_words, median_of, share_of
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
-from inclined_landing.eval.study.platforms.controllers import Controller
-from inclined_landing.eval.study.platforms.scenario import FLIGHTS, HOLD, RATE, SPEED, WITHIN, Scenario
-from inclined_landing.eval.study.rest import fly_to_rest
+from inclined_landing.eval.study.flights import named_policies
+from inclined_landing.eval.study.options import BASELINES, PLANNER
+from inclined_landing.eval.study.planner import Planner
+from inclined_landing.eval.study.rest import Pilot, PolicyPilot, fly_to_rest
+from inclined_landing.eval.study.scenarios import FLIGHTS, Scenario
+from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP
+from inclined_landing.models.vehicle import Vehicle
 
+ANGLE_LIMIT = math.radians(55.0)  # of attitude commands: 50 deg of slope and some to steer with
+# At rest is who stands on the feet alone, motors idle, slower than these relative to the platform, for HOLD,
+# WITHIN the start.
+SPEED, RATE, HOLD, WITHIN = 0.05, 1.0, 0.3, 10.0  # m/s, rad/s, s, s
+MakePilot: TypeAlias = Callable[[int], Pilot]  # begins n flights
 AT_REST = share_of(
     "at_rest",
     "at rest",
@@ -41,19 +53,48 @@ MEASURES = (
 PARTLY = "Not all flights of the scenarios were flown, so this is not a benchmark result."
 
 
-def fly(scenario: Scenario, controller: Controller, flights: int | None = None) -> pd.DataFrame:
+def vehicle_flown() -> Vehicle:
+    """Return the vehicle of the benchmark: the shipped one, with attitude commands up to 55 deg."""
+    return load_vehicle().changed(command_angle_limit=ANGLE_LIMIT)
+
+
+def find_pilots(names: Sequence[str]) -> dict[str, MakePilot]:
+    """Return what flies by name, of policies and the planner; the baselines if none are given.
+
+    Raises UserError for a policy that flies in a plane or does not land.
+    """
+    named = named_policies(tuple(dict.fromkeys(names)) or BASELINES)
+    return {label: pilot_of(policy) for label, policy in named.items()}
+
+
+def pilot_of(name: str) -> MakePilot:
+    """Return the planner or a policy as what flies."""
+    if name == PLANNER:
+        return lambda n: Planner(vehicle_flown())
+    policy = load_policy(name)
+    if not policy.task.has_platform:
+        raise UserError(f"policy {policy.path} is for {policy.task.name}, which has no platform to land on")
+    if "roll" not in policy.task.action_names:
+        raise UserError(
+            f"policy {policy.path} flies in a plane; the scenarios need one in three dimensions, such as "
+            "those of landing-train touchdown --dimensions 3"
+        )
+    return partial(PolicyPilot, policy)
+
+
+def fly(scenario: Scenario, make_pilot: MakePilot, flights: int | None = None) -> pd.DataFrame:
     """Return a row for each flight of a scenario, or of its first flights, as `fly_to_rest` does."""
-    vehicle = controller.vehicle
-    drawn, period = scenario.draw(vehicle, flights), vehicle.command_control_period
-    ids = np.arange(len(drawn.start))
+    vehicle = vehicle_flown()
+    start, period = scenario.draw(vehicle, flights), vehicle.command_control_period
+    ids = np.arange(len(start))
     plant = MujocoPlant(len(ids), vehicle, timestep=STEP, torque_needs_motors=True, moving=True)
-    plant.set_platform(ids, drawn.inclination, azimuth=drawn.azimuth)
-    plant.set_motion(ids, drawn.motion)
-    plant.set_contact(ids, friction=scenario.friction)
+    plant.set_platform(ids, start.inclination, azimuth=start.azimuth)
+    plant.set_motion(ids, start.motion)
+    plant.set_contact(ids, **start.contact)
     return fly_to_rest(
         plant,
-        drawn.start,
-        controller.pilot(len(ids)),
+        start.state,
+        make_pilot(len(ids)),
         steps=round(WITHIN / period),
         hold=math.ceil(HOLD / period - 1e-9),
         speed=SPEED,
@@ -62,22 +103,25 @@ def fly(scenario: Scenario, controller: Controller, flights: int | None = None) 
 
 
 def study(
-    scenarios: Sequence[Scenario], controllers: Sequence[Controller], flights: int | None = None
+    chosen: Mapping[str, Scenario], pilots: Mapping[str, MakePilot], flights: int | None = None
 ) -> Study:
-    """Return the study of controllers in scenarios; flights: of each at most, None: as many as it has."""
+    """Return the study of pilots in scenarios, by their names.
+
+    flights: of each scenario at most; None: as many as it has.
+    """
     whole = flights is None or flights >= FLIGHTS
-    level = {s.name: s.speed for s in scenarios if not (s.waves.amplitude.any() or s.inclination)}
+    level = {name: s.speed for name, s in chosen.items() if not (s.waves or s.inclination_deg)}
     return Study(
         name="moving",
         title="Moving platforms",
         cases=[
             Case(
-                {"scenario": scenario.name, "policy": controller.name, "together": "all scenarios"}
-                | ({"speed": level[scenario.name]} if scenario.name in level else {}),
-                partial(fly, scenario, controller, flights),
+                {"scenario": name, "policy": policy, "together": "all scenarios"}
+                | ({"speed": level[name]} if name in level else {}),
+                partial(fly, scenario, make_pilot, flights),
             )
-            for scenario in scenarios
-            for controller in controllers
+            for name, scenario in chosen.items()
+            for policy, make_pilot in pilots.items()
         ],
         views=[
             View(("scenario", "policy"), MEASURES, "scenarios"),
@@ -98,6 +142,6 @@ def study(
 
 
 def _remarks(whole: bool, results: Results) -> list[str]:
-    """Return whether this is a result of the benchmark, and a sentence on each controller."""
+    """Return whether this is a result of the benchmark, and a sentence on each policy."""
     rows = results.all(AT_REST, scenario=None, speed=None)
     return [f"{row['policy']} {AT_REST.said} in {count_words(row)}." for row in rows] + [PARTLY] * (not whole)

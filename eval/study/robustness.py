@@ -136,8 +136,7 @@ def command(
     from inclined_landing.eval.study import changes, moving, slopes, vehicles
     from inclined_landing.eval.study.engine import run
     from inclined_landing.eval.study.flights import named_policies
-    from inclined_landing.eval.study.platforms.controllers import find_all
-    from inclined_landing.eval.study.platforms.scenario import scenario_of, scenarios
+    from inclined_landing.eval.study.scenarios import scenarios
     from inclined_landing.eval.study.show import hand_over
     from inclined_landing.models.parameters import load_vehicle
     from inclined_landing.models.plants import check_plant
@@ -145,7 +144,7 @@ def command(
     changes.check_effects(thrust_and_effects.effect)
     check_plant(plant)
     every = every or (1 if full else QUICK_EVERY)
-    controllers = find_all(policies) if "moving" in over else []
+    pilots = moving.find_pilots(policies) if "moving" in over else {}
     found: list[Study] = []
     if {"thrust", "effects", "slopes"} & set(over):
         cases = changes.changes(
@@ -167,10 +166,8 @@ def command(
         named = vehicle or VEHICLES
         found.append(vehicles.study(named_policies(policies), named, plant=plant, every=every, **options))
     if "moving" in over:
-        names = moving_platforms.scenario or scenarios()
-        chosen = [scenario_of(name) for name in dict.fromkeys(names)]
         flights = moving_platforms.flights or (None if full else QUICK_FLIGHTS)
-        found.append(moving.study(chosen, controllers, flights))
+        found.append(moving.study(scenarios(moving_platforms.scenario), pilots, flights))
     hand_over("robustness", run(found), json=json, out=out)
 
 

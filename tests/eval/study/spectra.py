@@ -20,10 +20,10 @@ ship's centre, or to the road under the front axle.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from inclined_landing.eval.study.platforms.scenario import Waves
 from inclined_landing.models.motion import MODES
 
 GRAVITY = 9.81  # m/s2
@@ -39,6 +39,13 @@ REFERENCE = 0.1  # cycles/m
 TYRE, SPRING, AXLE, DAMPER = 653.0, 63.3, 0.15, 6.0  # 1/s2, 1/s2, 1, 1/s: over the sprung mass
 WHEELBASE = 2.7  # m
 ROAD = np.geomspace(0.15, 6.0, 13)  # Hz, bounds of the components
+
+
+class Waves(NamedTuple):
+    """W components of a motion in all six axes."""
+
+    period: np.ndarray  # (W,) s
+    waves: np.ndarray  # (6, W) m and rad, of motion.MODES: amplitude exp(i phase)
 
 
 def sea(state: int) -> tuple[np.ndarray, np.ndarray]:
@@ -73,11 +80,6 @@ def ship(state: int, knots: float, heading_deg: float) -> Waves:
     return _waves(2.0 * math.pi / met / math.sqrt(SCALE), modes)
 
 
-def ship_speed(knots: float) -> float:
-    """Speed [m/s] of the scaled ship."""
-    return knots * KNOT / math.sqrt(SCALE)
-
-
 def car(road: str, speed: float) -> Waves:
     """Motion of a car's roof on a road of a class, at a speed [m/s]."""
     f, w = np.sqrt(ROAD[1:] * ROAD[:-1]), 2.0 * math.pi * np.sqrt(ROAD[1:] * ROAD[:-1])
@@ -90,8 +92,7 @@ def car(road: str, speed: float) -> Waves:
 
 
 def _waves(period: np.ndarray, modes: dict[str, np.ndarray]) -> Waves:
-    rows = np.array([modes.get(mode, np.zeros(len(period), complex)) for mode in MODES])
-    return Waves(period, np.abs(rows), np.angle(rows))
+    return Waves(period, np.array([modes.get(mode, np.zeros(len(period), complex)) for mode in MODES]))
 
 
 def table(waves: Waves) -> str:
@@ -102,9 +103,10 @@ def table(waves: Waves) -> str:
 
     lines = [f"period = {numbers(waves.period, 4)}"]
     for k, mode in enumerate(MODES):
-        if (waves.amplitude[k] > 1e-9).any():
-            size = waves.amplitude[k] if k < 3 else np.degrees(waves.amplitude[k])
-            phase = numbers(np.degrees(waves.phase[k]), 1)
+        amplitude = np.abs(waves.waves[k])
+        if (amplitude > 1e-9).any():
+            size = amplitude if k < 3 else np.degrees(amplitude)
+            phase = numbers(np.degrees(np.angle(waves.waves[k])), 1)
             lines.append(
                 f"{mode} = {{ amplitude = {numbers(size, 5 if k < 3 else 3)}, phase_deg = {phase} }}"
             )

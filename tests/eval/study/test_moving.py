@@ -10,10 +10,8 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.study import moving
 from inclined_landing.eval.study.engine import run
-from inclined_landing.eval.study.moving import fly
-from inclined_landing.eval.study.platforms import controllers
-from inclined_landing.eval.study.platforms.controllers import vehicle_flown
-from inclined_landing.eval.study.platforms.scenario import scenarios
+from inclined_landing.eval.study.moving import fly, pilot_of, vehicle_flown
+from inclined_landing.eval.study.scenarios import scenarios
 from tests.eval.study import spectra
 
 VEHICLE = vehicle_flown()
@@ -26,7 +24,7 @@ def test_what_the_scenarios_draw_is_frozen():
     for scenario in scenarios().values():
         drawn = scenario.draw(VEHICLE)
         place, rate, _ = drawn.motion.at(1.0)
-        for array in (drawn.start[:, :3], drawn.azimuth[:, None], place, rate):
+        for array in (drawn.state[:, :3], drawn.azimuth[:, None], place, rate):
             digest.update((np.rint(1e6 * array).astype(np.int64) + 0).tobytes())
     assert digest.hexdigest()[:16] == DRAWN
 
@@ -34,18 +32,18 @@ def test_what_the_scenarios_draw_is_frozen():
 @pytest.mark.parametrize("name", spectra.MADE)
 def test_ship_and_car_move_as_their_spectra_say(name):
     scenario, made = scenarios()[name], spectra.MADE[name]()
-    found = scenario.waves.amplitude * np.exp(1j * scenario.waves.phase)
+    amplitude, phase = scenario.components()
+    found = amplitude * np.exp(1j * phase)
     # Of the files' digits: 5e-6 m or 5e-4 deg, and 0.05 deg of phase of the largest.
-    wanted = made.amplitude * np.exp(1j * made.phase)
-    for got, want, digits in zip(found, wanted, [5e-6] * 3 + [math.radians(5e-4)] * 3):
+    for got, want, digits in zip(found, made.waves, [5e-6] * 3 + [math.radians(5e-4)] * 3):
         bound = digits + math.radians(0.05) * np.abs(want).max()
         np.testing.assert_allclose(got, want, rtol=0, atol=1.5 * bound + 1e-12)
-    np.testing.assert_allclose(scenario.waves.period, made.period, atol=5.1e-5)
+    np.testing.assert_allclose(scenario.period, made.period, atol=5.1e-5)
 
 
 def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     """On a ship at sea; fewer flights are the first ones, with the same numbers."""
-    scenario, planner = scenarios()["ship_5_bow"], controllers.find("planner")
+    scenario, planner = scenarios()["ship_5_bow"], pilot_of("planner")
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
@@ -63,10 +61,13 @@ def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
 
 def test_who_does_nothing_does_not_land():
     """A vehicle whose motors are off falls to the floor, or onto the platform it started over."""
-    off = controllers.Controller(*("off", VEHICLE), lambda n: lambda t, context: np.zeros((n, 4)))
-    travel = scenarios()["travel_200_cm_s"]
-    assert not fly(travel, off, 4)["at_rest"].any()
-    (results,) = run([moving.study([travel], [off], 1)])
+
+    def off(n):
+        return lambda t, context: np.zeros((n, 4))
+
+    travel = scenarios(("travel_200_cm_s",))
+    assert not fly(travel["travel_200_cm_s"], off, 4)["at_rest"].any()
+    (results,) = run([moving.study(travel, {"off": off}, 1)])
     assert results.one("at_rest", together="all scenarios")["count"] == 0
 
 

@@ -6,9 +6,8 @@ from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.envs.policy import load_policy, trained_task
 from inclined_landing.eval.study.engine import run
 from inclined_landing.eval.study.groups import study
-from inclined_landing.eval.study.moving import fly
-from inclined_landing.eval.study.platforms import controllers
-from inclined_landing.eval.study.platforms.scenario import scenarios
+from inclined_landing.eval.study.moving import fly, pilot_of
+from inclined_landing.eval.study.scenarios import scenarios
 
 FIRST_SEED = {"landing": 0, "setpoint": 0, "touchdown": 9100, "touchdown-nominal": 10}
 MOVING = [name for name in SHIPPED if name.endswith("-moving")]
@@ -64,5 +63,4 @@ def test_setpoint_is_reached(name, plant):
 @pytest.mark.parametrize("name", MOVING)
 def test_it_lands_on_platforms_that_travel(name):
     """The first 16 flights of a frozen scenario, always the same; all land where it was made."""
-    found = controllers.find(name)
-    assert fly(scenarios()["travel_050_cm_s"], found, 16)["at_rest"].sum() >= 14
+    assert fly(scenarios()["travel_050_cm_s"], pilot_of(name), 16)["at_rest"].sum() >= 14

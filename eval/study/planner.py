@@ -16,10 +16,9 @@ of least jerk.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from inclined_landing.envs.tasks import StepContext
 from inclined_landing.models import geometry, surface
 from inclined_landing.models.attitude import VX, VZ, YAW, Z
 from inclined_landing.models.forces import settled_hover
@@ -41,12 +40,13 @@ _FILTER = 0.3  # of the platform's differenced acceleration, per period
 
 
 class Planner:
-    """Called once per control period with t [s], the states (n, 13) of vehicles and platforms (n, 12)."""
+    """A pilot (see `rest.Pilot`) of vehicles of one kind."""
 
     def __init__(self, vehicle: Vehicle):
         self._period, self._gravity = vehicle.command_control_period, vehicle.environment_gravity
         self._hover, self._gain = settled_hover(vehicle), vehicle.attitude_gain
-        self._lead, self._limit = vehicle.attitude_time_constant, vehicle.command_angle_limit
+        self._lead, self._angle = vehicle.attitude_time_constant, vehicle.command_angle_limit
+        self._pwm, self._yaw_rate = vehicle.command_pwm_range, vehicle.command_yaw_rate_limit
         self._rest = float(geometry.reach_below(geometry.shapes_of(compile_scene(vehicle)), part="feet"))
         self._remaining = np.empty(0)
 
@@ -60,8 +60,9 @@ class Planner:
         self._platform_push = np.zeros((n, 3))
         self._thrust = np.tile([0.0, 0.0, self._gravity], (n, 1))
 
-    def __call__(self, t: float, state: np.ndarray, platform: np.ndarray) -> np.ndarray:
-        """Commands (n, 4)."""
+    def __call__(self, t: float, context: StepContext) -> np.ndarray:
+        """Return commands (n, 4) that the vehicle takes."""
+        state, platform = context.state, context.platform
         if len(self._remaining) != len(state):
             self._begin(platform)
         speed = platform[:, VX : VZ + 1]
@@ -97,14 +98,13 @@ class Planner:
         return commands
 
     def _end(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Place, velocity and acceleration (n, 3) at the end of the way, from the platform's centre."""
+        """Return place, velocity and acceleration (n, 3), from the platform's centre, at the end."""
         down = np.array([0.0, 0.0, -self._gravity])
         along = down - (normal @ down)[:, None] * normal  # of gravity, under thrust that bears the rest
         return self._rest * normal, -SINK * normal, along
 
     def _entry(self, normal: np.ndarray) -> np.ndarray:
-        """Where the last way begins (n, 3): over the platform, and downhill of it, from where it is flown
-        uphill."""
+        """Return where the last way begins (n, 3), over the platform and downhill of it."""
         end, _, along = self._end(normal)
         return end + ABOVE * normal + 0.1 * WAY**2 * along
 
@@ -138,7 +138,7 @@ class Planner:
         self._remaining[on] -= h
 
     def _commands(self, wanted: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Commands (n, 4) for accelerations (n, 3) [m/s2]; attitudes lead by the loop's time constant."""
+        """Return commands (n, 4) for accelerations (n, 3) [m/s2]."""
         thrust = wanted + [0.0, 0.0, self._gravity]
         thrust[:, Z] = np.maximum(thrust[:, Z], 0.3 * self._gravity)
         rate = (thrust - self._thrust) / self._period
@@ -149,5 +149,6 @@ class Planner:
         pitch = np.arcsin(x / np.linalg.norm(ahead, axis=1)) / self._gain
         roll = np.arctan2(-y, z) / self._gain
         pwm = self._hover * np.linalg.norm(thrust, axis=1) / self._gravity
-        angles = np.clip(np.column_stack([roll, pitch]), -self._limit, self._limit)
-        return np.column_stack([np.clip(pwm, 1.0, math.inf), angles, -yaw])
+        angles = np.clip(np.column_stack([roll, pitch]), -self._angle, self._angle)
+        turn = np.clip(-yaw, -self._yaw_rate, self._yaw_rate)
+        return np.column_stack([np.clip(pwm, *self._pwm), angles, turn])
