@@ -201,10 +201,6 @@ class GLRenderer(SceneRenderer):
             self._add_ghost(ghost)
         if drawing.trail is not None:
             self._add_trail(drawing.trail, drawing.trail_colour)
-        for point, vector in drawing.forces:
-            arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            tip, width = point + vector, 0.003 * self.scale
-            self._connect(arrow, width, point, tip, (*overlay.FORCE, 1))
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         frame = np.empty((self.height, self.width, 3), np.uint8)
         mujoco.mjr_render(rect, self._scene, self._mjr)
@@ -251,14 +247,8 @@ class GLRenderer(SceneRenderer):
     def _add_trail(self, trail: np.ndarray, colour) -> None:
         colours = np.broadcast_to(overlay.TRAIL if colour is None else colour, (len(trail), 3))
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-        for k in range(len(trail) - 1):
-            self._connect(capsule, 0.0013 * self.scale, trail[k], trail[k + 1], (*colours[k], 0.9))
-
-    def _connect(self, kind, width: float, start, end, rgba) -> None:
-        if self._scene.ngeom >= self._scene.maxgeom:
-            return
-        geom = self._scene.geoms[self._scene.ngeom]
-        colour = np.array(rgba, np.float32)
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-        mujoco.mjv_connector(geom, kind, width, np.asarray(start, float), np.asarray(end, float))
-        self._scene.ngeom += 1
+        for k in range(min(len(trail) - 1, self._scene.maxgeom - self._scene.ngeom)):
+            geom, rgba = self._scene.geoms[self._scene.ngeom], np.float32([*colours[k], 0.9])
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            mujoco.mjv_connector(geom, capsule, 0.0013 * self.scale, trail[k], trail[k + 1])
+            self._scene.ngeom += 1

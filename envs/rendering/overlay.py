@@ -1,4 +1,4 @@
-"""Overlays of a picture: polylines and arrows with depth test, and the caption bar."""
+"""Overlays of a picture: polylines with depth test, and the caption bar."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from inclined_landing.envs.rendering.camera import View
 from inclined_landing.models.base.errors import optional
 
 _BIAS = 0.004  # m; a line this much behind a surface still shows
-_FINE = 4  # arrows are drawn this much larger and averaged
-TRAIL, FORCE = np.array([0.88, 0.16, 0.11]), np.array([0.93, 0.17, 0.10])
+TRAIL = np.array([0.88, 0.16, 0.11])
 _SMALLEST = 7  # pixels, of letters
 _TEXT = np.array([0.08, 0.12, 0.22], np.float32)
 _BAR, _BAR_COLOUR = 0.78, np.float32([0.97, 0.98, 1.0])  # opacity and colour of the caption bar
@@ -85,57 +84,6 @@ def draw_polyline(canvas: Canvas, view: View, points, *, width, colour, alpha=1.
     touched = np.flatnonzero(best)
     chosen = samples[owner[touched]]
     canvas.blend(touched, chosen[:, 4:7], best[touched] * chosen[:, 7])
-
-
-def arrow_width(height: int) -> float:
-    """Return the width of an arrow's shaft in a picture of `height` rows [pixels]."""
-    return float(np.clip(height / 110, 2.0, 8.0))
-
-
-def arrow_outline(start, end, width: float) -> np.ndarray:
-    """Return the corners (7, 2) of a flat arrow from point to point (2,), its shaft `width` wide, slimmer if
-    short.
-    """
-    start, end = np.asarray(start, float), np.asarray(end, float)
-    length = float(np.hypot(*(end - start)))
-    ahead = (end - start) / max(length, 1e-9)
-    aside = np.array([-ahead[1], ahead[0]])
-    width = min(width, 0.28 * length)
-    neck = end - min(2.9 * width, 0.7 * length) * ahead
-    shaft, head = 0.5 * width * aside, 1.4 * width * aside
-    return np.array([start + shaft, neck + shaft, neck + head, end, neck - head, neck - shaft, start - shaft])
-
-
-def draw_arrow(canvas: Canvas, view: View, start, vector, *, colour) -> None:
-    """Draw a flat arrow from `start` (3,) along `vector` (3,) [m] over everything, with a light rim."""
-    with optional():
-        from PIL import Image, ImageDraw
-
-    start = np.asarray(start, float)
-    ends, depth = view.project(np.stack([start, start + np.asarray(vector, float)]))
-    if depth.min() < 1e-3 or np.hypot(*(ends[1] - ends[0])) < 1.0:
-        return
-    width, corner = arrow_width(view.height), [canvas.column, canvas.row]
-    corners = arrow_outline(ends[0] - corner, ends[1] - corner, width)
-    rim = max(1.0, 0.3 * width)
-    rows, columns = canvas.depth.shape
-    low = np.maximum(np.floor(corners.min(axis=0) - rim - 1).astype(int), 0)
-    high = np.minimum(np.ceil(corners.max(axis=0) + rim + 1).astype(int), [columns, rows])
-    if (high <= low).any():
-        return
-    size = tuple(int(n) for n in high - low)
-    fine = [tuple(corner) for corner in _FINE * (corners - low)]
-    masks = []
-    for thickness in (2.0 * rim, 0.0):
-        mask = Image.new("L", (_FINE * size[0], _FINE * size[1]))
-        pen = ImageDraw.Draw(mask)
-        pen.polygon(fine, fill=255)
-        if thickness:
-            pen.line([*fine, *fine[:2]], fill=255, width=round(_FINE * thickness), joint="curve")
-        masks.append(np.asarray(mask.resize(size, Image.Resampling.BOX), float) / 255.0)
-    part = canvas.colour[low[1] : high[1], low[0] : high[0]]
-    for mask, tone in zip(masks, (np.ones(3), np.asarray(colour, float))):
-        part[:] = part + mask[:, :, None] * (tone - part)
 
 
 @functools.lru_cache(maxsize=8)

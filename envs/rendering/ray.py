@@ -170,10 +170,8 @@ class RayRenderer(SceneRenderer):
                 if shadow is not None:
                     shadows.append((shadow, 1.0 if ghost is None else min(1.0, 1.3 * ghost.alpha)))
                     boxes.append(shadow[0])
-        lines = [] if trail is None else [(trail, 3)]
-        lines += [(np.stack([p, np.add(p, f)]), 24) for p, f in drawing.forces]
-        for points, margin in lines:
-            box = clip_box(bounding_box(view, points, margin), self.width, self.height)
+        if trail is not None:
+            box = clip_box(bounding_box(view, trail, 3), self.width, self.height)
             if box is not None:
                 boxes.append(box)
         if not boxes:
@@ -197,8 +195,6 @@ class RayRenderer(SceneRenderer):
             width = max(1.6, self.height / 260)
             fade = 0.95 if trail_colour is not None else np.linspace(0.45, 0.95, len(trail))
             overlay.draw_polyline(canvas, view, trail, width=width, colour=colour, alpha=fade)
-        for point, vector in drawing.forces:
-            overlay.draw_arrow(canvas, view, point, vector, colour=overlay.FORCE)
         return canvas
 
     def _bounds(self, view: View):

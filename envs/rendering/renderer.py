@@ -24,7 +24,6 @@ class Drawing:
     trail: np.ndarray | None  # (k, 3) m, k > 1
     trail_colour: np.ndarray | None  # (3,) or (k, 3)
     ghosts: Sequence[Ghost]
-    forces: Sequence[tuple[np.ndarray, np.ndarray]]  # point (3,) and arrow (3,) in the picture, m
     show_vehicle: bool
 
 
@@ -60,7 +59,6 @@ class SceneRenderer(abc.ABC):
         trail=None,
         trail_colour=None,
         ghosts=(),
-        forces=(),
         caption: str = "",
         show_vehicle: bool = True,
     ) -> np.ndarray:
@@ -68,20 +66,14 @@ class SceneRenderer(abc.ABC):
 
         scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the
         platform where `scene` does not say. trail: states (k, 13), through the centre of the drawn vehicle,
-        or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,). forces: pairs of
-        point (3,) [m] on the real vehicle, moved to the same point of the drawn one, and arrow (3,) [m],
-        which keeps its length and is drawn over everything.
+        or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,).
         """
         pose = self._pose(scene, inclination)
         if trail is not None and np.shape(trail)[1:] == (13,):
             trail = scenery.scaled_centres(self.model, trail, self.scale)
-        forces = [
-            (scenery.scaled_points(self.model, pose.qpos, point, self.scale), arrow)
-            for point, arrow in forces
-        ]
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
-        frame = self._draw(pose, Drawing(trail, trail_colour, ghosts, forces, show_vehicle))
+        frame = self._draw(pose, Drawing(trail, trail_colour, ghosts, show_vehicle))
         if caption:
             overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
         return frame

@@ -98,17 +98,14 @@ def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
 def scaled_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
     """Return where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
     qpos = qpos_of_state(states)
-    return np.array([scaled_points(model, row, row[:3], factor) for row in qpos])
-
-
-def scaled_points(model: mujoco.MjModel, qpos, points, factor: float) -> np.ndarray:
-    """Return where `scale_vehicle` puts points (..., 3) [m] of the vehicle at qpos (7,)."""
     feet = [k for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
     low = (model.geom_pos[feet, 2] - model.geom_size[feet, 0]).min()
-    frame = np.zeros(9)
-    mujoco.mju_quat2Mat(frame, np.asarray(qpos[3:7], float))
-    anchor = qpos[:3] + low * frame.reshape(3, 3)[:, 2]
-    return anchor + factor * (np.asarray(points, float) - anchor)
+    frame, points = np.zeros(9), []
+    for row in qpos:
+        mujoco.mju_quat2Mat(frame, row[3:7])
+        anchor = row[:3] + low * frame.reshape(3, 3)[:, 2]
+        points.append(anchor + factor * (row[:3] - anchor))
+    return np.array(points)
 
 
 def add_prism(spec: mujoco.MjSpec, position, quaternion) -> None:

@@ -94,8 +94,7 @@ class Look:
     """Camera, size and renderer of a picture.
 
     Args:
-        camera: viewpoint. video and picture also know flight, which frames the entire flight, and video
-            --forces knows touch, a fixed close view of the touchdown.
+        camera: viewpoint. video and picture also know flight, which frames the entire flight.
         width: width of the picture in pixels.
         height: height of the picture in pixels.
         backend: gl is OpenGL, ray is ray casting, auto is OpenGL if it runs on hardware.

@@ -1,4 +1,4 @@
-"""Films of flights, one after the other or side by side, and of touchdowns at the engine's steps."""
+"""Films of flights, one after the other or side by side."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
 from inclined_landing.eval.base.options import FITTED
 from inclined_landing.eval.base.progress import Tick, stages
-from inclined_landing.eval.pictures.frames import FPS, flight_view, render_flight, write_videos
-from inclined_landing.eval.pictures.touchdown import STEP, Touchdown
-from inclined_landing.eval.pictures.touchdown_video import render_touchdowns
+from inclined_landing.eval.pictures.frames import flight_view, render_flight, write_videos
 from inclined_landing.models.base.errors import UserError
 
 _REST = 1.0  # s that the last frame of a flight stays
@@ -71,21 +69,6 @@ def film_side_by_side(
             yield from itertools.repeat(picture, rest)
 
     return frames(), sum(lengths) + rest * len(lengths), sampled / slow
-
-
-def film_touchdowns(
-    touchdowns: Sequence[Touchdown], slow: float, **look: Any
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the same for touchdowns, whose frames are engine steps."""
-    every = math.ceil(1.0 / (STEP * FPS * slow) - 1e-9)  # engine steps from frame to frame
-    rate = 1.0 / (every * STEP * slow)
-    rest = round(_REST * rate)
-
-    def frames():
-        for frame, last in render_touchdowns(touchdowns, every=every, slow=slow, **look):
-            yield from itertools.repeat(frame, 1 + rest if last else 1)
-
-    return frames(), sum(len(range(0, len(x.t), every)) + rest for x in touchdowns), rate
 
 
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:

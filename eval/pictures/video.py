@@ -1,4 +1,4 @@
-"""`landing-eval video`: flights, or their touchdowns with the contact forces, as .mp4 or .gif."""
+"""`landing-eval video`: flights as .mp4 or .gif."""
 
 from __future__ import annotations
 
@@ -46,8 +46,7 @@ def command(
     look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
     gif: Annotated[Flag, _GIF] = False,
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
-    forces: Flag = False,
-    until: Annotated[Until, only_without("forces")] = "rest",
+    until: Until = "rest",
     compare: Compare = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
@@ -61,9 +60,6 @@ def command(
         seed: seed for the random starts.
         gif: also write a .gif.
         slow: slow-down factor; 2 plays at half speed, as a label in the picture states.
-        forces: film only the touchdowns, at the engine's steps, with the contact forces as arrows. The motors
-            of a landing policy are cut in the goal box. Best with --slow 16 and --camera touch, a fixed
-            close view of the touchdown.
         until: end of a landing; goal stops with the policy's flight, rest continues with the motors cut,
             simulated in MuJoCo, until the vehicle is at rest.
         compare: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
@@ -77,61 +73,36 @@ def command(
         say_outcomes,
         start_points,
     )
-    from inclined_landing.eval.pictures.frames import FPS
-    from inclined_landing.eval.pictures.touchdown import record_touchdown
+    from inclined_landing.eval.pictures.frames import FPS, checked_look
 
     storage.check_file(out)
-    look = _checked(out, look, forces, flown)
-    if compare and (forces or flown.vehicle is not None):
-        raise UserError("--compare cannot be combined with --forces or --vehicle")
+    if out.suffix.lower() not in (".mp4", ".gif"):
+        raise UserError(f"--out must be an .mp4 or .gif file, not {out.name!r}")
+    if look.width % 2 or look.height % 2:
+        raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
+    look = checked_look(look)
+    if compare and flown.vehicle is not None:
+        raise UserError("--compare cannot be combined with --vehicle")
     loaded = flown.load(policy)
-    if forces and not loaded.task.has_platform:
-        raise UserError(f"--forces is for tasks with a platform: a {loaded.task.name} flight has no contact")
     others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in compare}
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
     flights = [] if compare else record_flights(loaded, flown.plant, where)
     shown = dataclasses.asdict(look)
-    if forces:
-        frames, total, rate = film.film_touchdowns(
-            [record_touchdown(flight) for flight in flights], slow, **shown
-        )
+    most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
+    sampled = min(FPS, most * slow)  # there are no more states
+    if compare:
+        rows = [
+            continue_flights(fly_from(other, start_points(start, other.task), flown.plant), until)
+            for other in others.values()
+        ]
+        flights = list(itertools.chain(*rows))
+        frames, total, rate = film.film_side_by_side(list(zip(*rows)), tuple(others), sampled, slow, **shown)
     else:
-        most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
-        sampled = min(FPS, most * slow)  # there are no more states
-        if compare:
-            each = {
-                name: fly_from(other, start_points(start, other.task), flown.plant)
-                for name, other in others.items()
-            }
-            rows = [continue_flights(flights, until) for flights in each.values()]
-            flights = list(itertools.chain(*rows))
-            frames, total, rate = film.film_side_by_side(
-                list(zip(*rows)), tuple(each), sampled, slow, **shown
-            )
-        else:
-            flights = continue_flights(flights, until)
-            frames, total, rate = film.film(flights, sampled, slow, **shown)
+        flights = continue_flights(flights, until)
+        frames, total, rate = film.film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)
     film.write(files, frames, total, rate)
     named = {f"flight {k + 1}": flight for k, flight in enumerate(flights)}
     say_outcomes(named, f"the video is {' and '.join(map(str, files))}")
-
-
-def _checked(out: Path, look: Look, forces: bool, flown: Flown) -> Look:
-    """Return the look to film with; raise UserError for options that cannot be combined."""
-    if out.suffix.lower() not in (".mp4", ".gif"):
-        raise UserError(f"--out must be an .mp4 or .gif file, not {out.name!r}")
-    if look.width % 2 or look.height % 2:
-        raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
-    if forces and flown.plant == "analytic":
-        raise UserError("--forces needs --plant mujoco; the analytic plant does not simulate contact")
-    if look.camera != "touch":
-        from inclined_landing.eval.pictures.frames import checked_look
-
-        near = dataclasses.replace(look, camera="hero") if forces and look.camera == FITTED else look
-        return checked_look(near)
-    if not forces or look.backend == "gl":
-        raise UserError("--camera touch looks at a touchdown and needs --forces")
-    return look

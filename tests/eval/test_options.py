@@ -35,7 +35,6 @@ REFUSED = [
     "video landing --out a.mp4 --seed 3",
     "video landing --out a.mp4 --compare a --drawn 3",
     "video landing --out a.mp4 --start 0,2 --drawn 3",
-    "video landing --out a.mp4 --forces --until goal",
 ]  # fmt: skip
 
 

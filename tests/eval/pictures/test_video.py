@@ -139,10 +139,6 @@ def test_what_slides_off_is_said(landed):
     assert whole.t[-1] <= flight.duration + 2.0 + 1e-9
 
 
-@pytest.mark.parametrize("words, sentence", [
-    (["--until", "noon"], "invalid choice 'noon'"),
-    (["--until", "goal", "--forces"], "--until has no effect with --forces"),
-])  # fmt: skip
-def test_wrong_ends_are_sentences(words, sentence, tmp_path, capsys):
-    assert main(["video", "landing", *words, "--out", str(tmp_path / "x.mp4")]) == 2
-    assert sentence in capsys.readouterr().err and not list(tmp_path.iterdir())
+def test_a_wrong_end_is_a_sentence(tmp_path, capsys):
+    assert main(["video", "landing", "--until", "noon", "--out", str(tmp_path / "x.mp4")]) == 2
+    assert "invalid choice 'noon'" in capsys.readouterr().err and not list(tmp_path.iterdir())
