@@ -206,13 +206,12 @@ def place_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
     plant.set_motion([0], flight.motion, time)
 
 
-def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
+def resimulate(flight: Flight) -> Steps:
     """Return a flight simulated again in the MuJoCo plant from its commands, at engine steps with all
     contacts.
 
     For flights of that plant in still air: the states of a flight come out the same, bit for bit, over a
-    moving platform to the micrometre that it is off within a control period. cut: seconds to continue with
-    the motors cut.
+    moving platform to the micrometre that it is off within a control period.
     """
     vehicle = flight.task.vehicle
     substeps = round(vehicle.command_control_period / STEP)
@@ -232,8 +231,7 @@ def resimulate(flight: Flight, cut: float = 0.0) -> Steps:
         met = (_NONE, _NONE) if free else present_forces(plant, 0)
         return plant.state[0].copy(), plant.platform[0].copy(), *met
 
-    off = np.zeros((round(cut / STEP), 4))
-    commands = np.concatenate([np.repeat(flight.commands[:-1], substeps, axis=0), off])
+    commands = np.repeat(flight.commands[:-1], substeps, axis=0)
     rows = [seen()]
     for command in commands:
         plant.step(command[None])
