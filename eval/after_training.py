@@ -24,8 +24,7 @@ from inclined_landing.eval.pictures.to_rest import to_rest
 from inclined_landing.eval.study import groups, motor_cut, moving
 from inclined_landing.eval.study.engine import Study, run
 from inclined_landing.eval.study.options import NOMINAL
-from inclined_landing.eval.study.platforms import controllers
-from inclined_landing.eval.study.platforms.scenario import scenarios
+from inclined_landing.eval.study.scenarios import scenarios
 from inclined_landing.eval.study.show import document, show
 from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
@@ -91,8 +90,7 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
         return groups.study({"final": final}, plant="hybrid", thrust_scales=scales)
     if task.evaluated_by == "touchdown":
         return motor_cut.study(final, _origin(task, metrics["config"]["start_from"], load))
-    controller = controllers.of_policy(final)
-    return moving.study([*scenarios().values()], [controller])
+    return moving.study(scenarios(), {final.name: moving.pilot_of(final)})
 
 
 def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
-from inclined_landing.envs.policy import load_policy
+from inclined_landing.envs.policy import Policy, load_policy
 from inclined_landing.envs.shared.measures import alone, count_words, median_of, share_of
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
 from inclined_landing.eval.study.flights import named_policies
@@ -59,19 +59,20 @@ def vehicle_flown() -> Vehicle:
 
 
 def find_pilots(names: Sequence[str]) -> dict[str, MakePilot]:
-    """Return what flies by name, of policies and the planner; the baselines if none are given.
-
-    Raises UserError for a policy that flies in a plane or does not land.
-    """
+    """Return what flies by name, of policies and the planner; the baselines if none are given."""
     named = named_policies(tuple(dict.fromkeys(names)) or BASELINES)
-    return {label: pilot_of(policy) for label, policy in named.items()}
+    return {
+        label: planner if name == PLANNER else pilot_of(load_policy(name)) for label, name in named.items()
+    }
 
 
-def pilot_of(name: str) -> MakePilot:
-    """Return the planner or a policy as what flies."""
-    if name == PLANNER:
-        return lambda n: Planner(vehicle_flown())
-    policy = load_policy(name)
+def planner(n: int) -> Pilot:
+    """Return the planner for n flights."""
+    return Planner(vehicle_flown())
+
+
+def pilot_of(policy: Policy) -> MakePilot:
+    """Return a policy as what flies; raises UserError for one that flies in a plane or does not land."""
     if not policy.task.has_platform:
         raise UserError(f"policy {policy.path} is for {policy.task.name}, which has no platform to land on")
     if "roll" not in policy.task.action_names:
@@ -89,6 +90,7 @@ def fly(scenario: Scenario, make_pilot: MakePilot, flights: int | None = None) -
     ids = np.arange(len(start))
     plant = MujocoPlant(len(ids), vehicle, timestep=STEP, torque_needs_motors=True, moving=True)
     plant.set_platform(ids, start.inclination, azimuth=start.azimuth)
+    assert start.motion is not None and start.contact is not None
     plant.set_motion(ids, start.motion)
     plant.set_contact(ids, **start.contact)
     return fly_to_rest(

@@ -10,7 +10,7 @@ import pytest
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.study import moving
 from inclined_landing.eval.study.engine import run
-from inclined_landing.eval.study.moving import fly, pilot_of, vehicle_flown
+from inclined_landing.eval.study.moving import fly, planner, vehicle_flown
 from inclined_landing.eval.study.scenarios import scenarios
 from tests.eval.study import spectra
 
@@ -43,7 +43,7 @@ def test_ship_and_car_move_as_their_spectra_say(name):
 
 def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
     """On a ship at sea; fewer flights are the first ones, with the same numbers."""
-    scenario, planner = scenarios()["ship_5_bow"], pilot_of("planner")
+    scenario = scenarios()["ship_5_bow"]
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])

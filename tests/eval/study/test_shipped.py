@@ -63,4 +63,4 @@ def test_setpoint_is_reached(name, plant):
 @pytest.mark.parametrize("name", MOVING)
 def test_it_lands_on_platforms_that_travel(name):
     """The first 16 flights of a frozen scenario, always the same; all land where it was made."""
-    assert fly(scenarios()["travel_050_cm_s"], pilot_of(name), 16)["at_rest"].sum() >= 14
+    assert fly(scenarios()["travel_050_cm_s"], pilot_of(load_policy(name)), 16)["at_rest"].sum() >= 14
