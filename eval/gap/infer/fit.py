@@ -150,7 +150,7 @@ def estimate_noise(problem: Problem) -> tuple[Problem, FittedValues]:
         problem = dataclasses.replace(problem, weight=model_error_weights(problem, predicted, errors))
         if np.allclose(noise_model.size, before.size, rtol=0.15, atol=1e-3):
             break
-    return dataclasses.replace(problem, inflation=autocorrelation_inflation(problem, values)), values
+    return dataclasses.replace(problem, inflation=variance_inflation(problem, values)), values
 
 
 def _joint_fit_prior(problem: Problem, columns: Sequence[Column]) -> np.ndarray:
@@ -189,12 +189,20 @@ def model_error_weights(
     return weights
 
 
-def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
-    """Return the variance inflation (C,) by the autocorrelation of successive windows."""
+def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
+    """Return the variance inflation (C,): the dispersion of the joint fit times the windows' autocorrelation.
+
+    Errors may exceed what the noise model says, whose grid ends and which winsorises outlying windows. The
+    evidence of a set and the errors of its sizes must then allow for errors as large as those that are left.
+    """
     # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
-    # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x.
+    # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x, and
+    # the dispersion phi = chi^2 / n of a quasi-likelihood, at least 1 (McCullagh and Nelder, 9.2.4).
     white = problem.white_errors_at(values)
-    inflation = np.ones(problem.channels)
+    squares = problem.weight * np.concatenate([(x**2).sum(axis=2) for x in white])
+    count = (problem.rows[:, None] * problem.logged).sum(axis=0)
+    dispersion = np.maximum(1.0, squares.sum(axis=0) / np.maximum(count, 1.0))
+    correlation = np.ones(problem.channels)
     for channel in range(problem.channels):
         total, lagged = 0.0, np.zeros(LAGS)
         for flight, errors in zip(problem.flights, white):
@@ -202,8 +210,8 @@ def autocorrelation_inflation(problem: Problem, values: Values) -> np.ndarray:
             total += float(x @ x)
             lagged += [float(x[k:] @ x[:-k]) if len(x) > k else 0.0 for k in range(1, LAGS + 1)]
         if total > 0.0:
-            inflation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
-    return inflation
+            correlation[channel] = np.clip(1.0 + 2.0 * (lagged / total).sum(), 1.0, 10.0)
+    return dispersion * correlation
 
 
 def fit_vehicle(

@@ -60,7 +60,7 @@ class Problem(Candidates):
     model_errors: float  # standard deviation of model errors without a reference, over the full one
     noise_model: NoiseModel
     weight: np.ndarray  # (w, C) inverse variance by model errors; 0 in channels that were not logged
-    inflation: np.ndarray  # (C,) variance inflation by the autocorrelation of windows
+    inflation: np.ndarray  # (C,) variance inflation, by dispersion and the autocorrelation of windows
     form_jacobians: tuple[np.ndarray, ...]  # (F, m, C) of every flight, in the base model's errors
 
     @staticmethod

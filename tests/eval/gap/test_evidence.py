@@ -16,7 +16,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise import estimate
 from inclined_landing.eval.gap.flights.windows import prepare, remove_tilt
 from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mode
-from inclined_landing.eval.gap.infer.fit import model_error_weights
+from inclined_landing.eval.gap.infer.fit import model_error_weights, variance_inflation
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
 from inclined_landing.eval.gap.infer.sets import _relevant_subsets, confounded_with, equivalence_class
@@ -32,6 +32,7 @@ from inclined_landing.eval.gap.model.columns import (
 )
 from inclined_landing.eval.gap.model.fitting import FITTING, fitting
 from inclined_landing.eval.gap.model.prediction import predict
+from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import (
     Basis,
     ReferenceResidual,
@@ -83,6 +84,21 @@ def test_disturbance_is_recovered_from_what_it_moved():
     assert found.time_ci95[0, 0] <= 0.25 <= found.time_ci95[1, 0]
     assert found.size[1] < 0.05 and found.size_ci95[0, 1] < 0.02
     assert found.noise == pytest.approx(1.0, abs=0.3)
+
+
+def test_errors_larger_than_the_noise_model_says_count_as_what_they_are():
+    """Errors that are twice as large cost as much as before; smaller ones no more than the noise says."""
+    rng = np.random.default_rng(3)
+    problem = Problem.of([prepare(still(rng), VEHICLE) for _ in range(2)], VEHICLE, {})
+
+    def judged(times):  # as if the noise model's variance were smaller by so much
+        known = dataclasses.replace(problem, weight=times * problem.weight)
+        return dataclasses.replace(known, inflation=variance_inflation(known, {}))
+
+    costs = [judged(times).squares_by_channel({}) for times in (9.0, 36.0)]
+    assert costs[1] == pytest.approx(costs[0])
+    assert (costs[0] <= problem.rows.sum() + 1e-6).all()  # a mean square of 1
+    assert judged(0.01).inflation == pytest.approx(judged(0.04).inflation)
 
 
 UNBOUNDED = Bounds(np.full(8, -np.inf), np.full(8, np.inf), np.zeros((0, 6)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.infer.fit import autocorrelation_inflation, fit_least_squares
+from inclined_landing.eval.gap.infer.fit import fit_least_squares, variance_inflation
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights
 from inclined_landing.eval.gap.model.columns import BASE, Candidates, ParameterColumn, slab_deviations
 from inclined_landing.eval.gap.model.problem import Linearisation, Problem
@@ -43,7 +43,7 @@ def found(flown, kinds):
     fit = fit_least_squares(
         problem, {name: {} for name in names}, iterations=3, tolerance=5.0, prior=slab_deviations
     )
-    inflation = autocorrelation_inflation(problem, fit.values)
+    inflation = variance_inflation(problem, fit.values)
     problem = dataclasses.replace(problem, inflation=inflation)
     return inconsistent_flights(problem, problem.linearise(fit.values, problem.columns(names)))
 
