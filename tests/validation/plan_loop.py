@@ -126,8 +126,8 @@ def answer(case: cases.Case, d: Diagnosis) -> dict:
     wrong = not all(score.score_case(case.label(), report)["sure"])
     right = any(option <= set(sure) for option in accepted(case.causes[0]))
     found = "wrong" if wrong else "right" if right else "in doubt"
-    belief = score.belief(case.label(), report)
-    return {"answer": found, "verdict": d.verdict, "sure": sure, "truth": belief and belief["truth"]}
+    truth = score.belief(case.label(), report)
+    return {"answer": found, "verdict": d.verdict, "sure": sure, "truth": truth}
 
 
 def markdown(rows: Sequence[Mapping]) -> str:

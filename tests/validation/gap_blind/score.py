@@ -25,22 +25,16 @@ from tests.validation.simulator import constants
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
 from .causes import DISTURBANCE, SIZES, UNKNOWN
 
-OUTCOMES = (
-    *("named", "tie", "spurious", "half", "misnamed", "missed"),
-    *("right", "false alarm", "false unknown", "flagged", "undecided", "failed"),
-)
-GOOD = ("named", "tie", "right", "flagged")
 _WEIGHT = constants().mass * constants().gravity  # N
-_NEAR_GROUND = (
-    1.0 / 256.0
-)  # (radius/(4 h))^2 four radii above the ground, where the library reads the strength
+# (radius/(4 h))^2 four radii above the ground, where the library reads the strength
+_NEAR_GROUND = 1.0 / 256.0
 
 
 def score_case(label: Mapping, report: Mapping) -> dict:
     """Return the judgement of one report against its label, a flat row.
 
     label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `members`,
-    `parameters`, optionally `sure`, `sets`, `possible`, `gap` and `seconds`.
+    `parameters`, optionally `sure`, `sets` and `possible`.
     """
     effects = report["effects"]
     found = [effect["name"] for effect in effects]
@@ -51,18 +45,13 @@ def score_case(label: Mapping, report: Mapping) -> dict:
         **{key: label[key] for key in ("family", "stratum", "causes", "size")},
         "verdict": report["verdict"],
         "effects": found,
-        "classes": [sorted(members) for members in classes],
         "spurious": spurious,
         "outcome": _outcome(label, report, spurious, found, classes),
         "sure": [bool(members & welcome) for e, members in zip(effects, classes) if e.get("sure")],
         "among": _among(label, classes, report.get("possible", ())),
         **_answers(label, report, spurious),
-        "flagged": report["verdict"] == "unknown",
         "belief": belief(label, report),
-        "errors": {c: e for c in label["causes"] if (e := parameter_error(c, label, effects)) is not None},
         "covered": {c: x for c in label["causes"] if (x := covered(c, label, effects))},
-        "closed": {plant: closed_share(gap) for plant, gap in report.get("gap", {}).items()},
-        "seconds": sum(report["seconds"].values()) if "seconds" in report else None,
     }
 
 
@@ -138,13 +127,11 @@ def _outcome(label, report, spurious, found, classes) -> str:
     return "named" if all(state == "named" for state in states) else "tie"
 
 
-def belief(label: Mapping, report: Mapping) -> dict | None:
-    """Return the probabilities that the report gives its answer and the truth.
+def belief(label: Mapping, report: Mapping) -> float | None:
+    """Return the probability that the report gives the truth: all sets that are right.
 
-    None where it has no probabilities, or no set of the library is true.
-
-    Returns `probability` of the likeliest set, whether that set is `right`, and the probability of the
-    `truth`: of all sets that are right. Names that free flight cannot tell apart count as one.
+    None where it has no probabilities, or no set of the library is true. Names that free flight cannot tell
+    apart count as one.
     """
     if not report.get("sets") or set(label["causes"]) & set(UNKNOWN):
         return None
@@ -160,37 +147,7 @@ def belief(label: Mapping, report: Mapping) -> dict | None:
     def right(names: frozenset[str]) -> bool:
         return names <= welcome and all(_found(cause, names, []) for cause in causes)
 
-    likeliest = max(believed, key=believed.get)
-    return {
-        "probability": min(1.0, believed[likeliest]),
-        "right": right(likeliest),
-        "truth": min(1.0, math.fsum(p for names, p in believed.items() if right(names))),
-    }
-
-
-def closed_share(gap: Mapping) -> float | None:
-    """Return the share of the closable gap that is closed, (before - after)/(before - floor).
-
-    None where `before` is less than 1.5 times the floor: too little to close for a share to tell.
-    """
-    before, after, floor = (gap.get(key) for key in ("before", "after", "floor"))
-    if None in (before, after, floor) or not before > 1.5 * floor:
-        return None
-    return (before - after) / (before - floor)
-
-
-def parameter_error(cause: str, label: Mapping, effects: Iterable[Mapping]) -> float | None:
-    """Return the estimate's error over the distance of the truth from neutral; None without an estimate."""
-    truth = label["parameters"][cause]
-    effect = _estimate(cause, effects)
-    wanted = comparable(cause, truth)
-    if effect is None or wanted is None:
-        return None
-    given = comparable(effect["name"], {n: p["value"] for n, p in effect["parameters"].items()}, at=truth)
-    if given is None or not set(wanted) <= set(given):
-        return None
-    size = math.hypot(*wanted.values())
-    return math.hypot(*(given[key] - value for key, value in wanted.items())) / size if size > 0 else None
+    return min(1.0, math.fsum(p for names, p in believed.items() if right(names)))
 
 
 def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str, bool]:
