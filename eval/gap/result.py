@@ -305,12 +305,17 @@ class PlantGap:
 def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
     """Return whether the named effects leave too much error for any of them to be sure.
 
-    Most of that error repeats from flight to flight, or it is much larger than that of the reference flights.
+    It is much larger than that of the reference flights, or most of it repeats from flight to flight. With no
+    larger an error than the reference's, what repeats may be the identified vehicle's own: it casts no doubt
+    where that is small compared with the error before.
     """
     if gap is None:
         return residual.unexplained
-    much = reference is not None and gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
-    return much or residual.repeats**2 > thresholds.MOSTLY * gap.after**2
+    much = own = False
+    if reference is not None:
+        much = gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
+        own = gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before
+    return much or (not own and residual.repeats**2 > thresholds.MOSTLY * gap.after**2)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -110,7 +110,8 @@ MATERIAL = 0.05  # share of the squared one-second error from which such a funct
 # effect of the library, is hidden; fresh, as RESIDUAL
 LANDING_RESIDUAL = 0.05  # rate of the chi-squared test: landings have a common residual
 # larger: more found, more false ones. measured: fresh, false in 1 of 3 sets of landings
-MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name is sure
+MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name is sure, unless the
+# error left is within that of the reference, and this is below MATERIAL of the error before
 # larger: fewer names doubted, more wrong ones sure. measured: recorded, sure with two propellers cut: 0 of 5
 # conditions; six, 1 of 24 answers with right names doubted
 MUCH_LARGER = 1.75  # error that names leave over that of the reference's flights, above: none of them is sure

@@ -286,7 +286,9 @@ def _standard_errors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _inconsistent(d: Diagnosis) -> list[str]:
-    return [name for one in d.inconsistent_flights for name in one.flights]
+    """Return the flights that contradict the others, or themselves: these are set aside."""
+    others = [name for one in d.inconsistent_flights for name in one.flights]
+    return [*others, *(one.flight for one in d.set_aside)]
 
 
 def judged(row: Row, d: Diagnosis) -> dict:

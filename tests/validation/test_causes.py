@@ -72,10 +72,15 @@ def effect(name, members, sure=True, **parameters):
     return SimpleNamespace(name=name, members=members, sure=sure, parameters=estimates, fitted={name: values})
 
 
-def diagnosis(*effects, possible=(), verdict="effects", inconsistent=()):
+def diagnosis(*effects, possible=(), verdict="effects", inconsistent=(), set_aside=()):
     one = [SimpleNamespace(flights=inconsistent)] if inconsistent else []
+    aside = [SimpleNamespace(flight=name) for name in set_aside]
     return SimpleNamespace(
-        effects=effects, possible=dict.fromkeys(possible, 0.3), verdict=verdict, inconsistent_flights=one
+        effects=effects,
+        possible=dict.fromkeys(possible, 0.3),
+        verdict=verdict,
+        inconsistent_flights=one,
+        set_aside=aside,
     )
 
 
@@ -105,6 +110,7 @@ def test_flagged_is_unknown_or_flights_that_must_be_inconsistent():
     assert not causes.judged(ROW, diagnosis())["flagged"]
     assert causes.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
     assert causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
+    assert causes.judged(sensor, diagnosis(inconsistent=("data/b",), set_aside=("data/c",)))["flagged"]
     assert not causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
     assert not causes.judged(sensor, diagnosis())["flagged"]
     assert not causes.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
