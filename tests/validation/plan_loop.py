@@ -1,9 +1,9 @@
 """`plan-loop`: one planned flight, or one ordinary flight more, where a first flight leaves a cause in doubt.
 
 A cause of the library is hidden in a reality of the development families (`gap_blind.cases`). The vehicle is
-identified from flights without it, and diagnosed from one with it. Where the cause is not sure, the same
-reality flies what `plan` designs, and both flights are diagnosed; beside it, after the same first flight,
-with an ordinary flight of as many seconds in the place of the planned one.
+identified from flights without it, and diagnosed from a short one with it. Where the cause is not sure, the
+same reality flies what `plan` designs, and both flights are diagnosed; beside it, after the same first
+flight, with an ordinary flight of as many seconds in the place of the planned one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder
+from inclined_landing.eval.base.tracking import thrust_and_angles
 from inclined_landing.eval.gap import diagnose, thresholds
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.plan import SECONDS, design, pieces
 from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -34,6 +36,7 @@ from .gap_blind.causes import FREE_FLIGHT, SIZES
 from .shared import answered, table_of
 
 HEALTHY = 6  # flights that identify the vehicle
+FIRST = 8.0  # s, of the first flight with the cause
 ANSWERS = ("right", "wrong", "in doubt")  # sure and right; a sure name is wrong; neither
 ROUNDS = {"first": "one flight", "planned": "and a planned one", "ordinary": "and an ordinary one"}
 
@@ -41,7 +44,7 @@ ROUNDS = {"first": "one flight", "planned": "and a planned one", "ordinary": "an
 def command(
     out: Folder,
     first: Annotated[int, Meta(ge=1)] = 1,
-    last: Annotated[int, Meta(ge=1)] = 60,
+    last: Annotated[int, Meta(ge=1)] = 84,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
     """What a planned flight settles that a first flight leaves in doubt, beside an ordinary one (minutes).
@@ -60,10 +63,10 @@ def command(
 
 
 def drawn(seed: int) -> cases.Case:
-    """Return the case of a seed: the causes take turns, of weak size, then medium, and so on."""
+    """Return the case of a seed: the causes take turns, of weak size, then medium, then strong."""
     turn, number = divmod(seed - 1, len(FREE_FLIGHT))
     cause = list(FREE_FLIGHT)[number]
-    return cases.draw("dev", "single", cause=cause, size=SIZES[turn % 2], seed=(9053, seed))
+    return cases.draw("dev", "single", cause=cause, size=SIZES[turn % len(SIZES)], seed=(9053, seed))
 
 
 def two_rounds(seed: int) -> dict:
@@ -72,7 +75,8 @@ def two_rounds(seed: int) -> dict:
     rng = np.random.default_rng(case.entropy)
     usual, hidden = case.worlds()
     healthy = generate.fly_all(usual, rng, case.reality, count=HEALTHY)
-    first, ordinary = generate.fly_all(hidden, rng, case.reality, count=2, seconds=SECONDS)
+    (first,) = generate.fly_all(hidden, rng, case.reality, count=1, seconds=FIRST)
+    (ordinary,) = generate.fly_all(hidden, rng, case.reality, count=1, seconds=SECONDS)
     known = identify(generate.logs(healthy, voltage=case.voltage), load_vehicle())
     d = _diagnosis(case, [first], known)
     row = {"seed": seed, "family": case.reality.family, "cause": case.causes[0], "size": case.size}
@@ -81,10 +85,15 @@ def two_rounds(seed: int) -> dict:
         return row
     row["ordinary"] = answer(case, _diagnosis(case, [first, ordinary], known))
     if plan := planned(d, known):
-        flight = simulator.fly(path_of(plan), hidden.world_of(rng), rng, case.reality)
+        rng = np.random.default_rng((*case.entropy, 2))
+        way = path_of(plan.points, case.reality.constants)
+        flight = simulator.fly(way, hidden.world_of(rng), rng, case.reality)
         row["planned"] = answer(case, _diagnosis(case, [first, flight], known))
         row["pieces"] = [span.piece.text for span in plan.path.spans]
+        row["gain"] = plan.gain
         row["lowest"] = float(flight.truth[:, 2].min())
+        rows = np.minimum(np.rint(flight.t * pieces.RATE).astype(int), len(plan.path.position) - 1)
+        row["astray"] = float(np.linalg.norm(flight.truth[:, :3] - plan.path.position[rows], axis=1).max())
     return row
 
 
@@ -105,17 +114,25 @@ def planned(d: Diagnosis, known: Identification) -> design.Plan | None:
     return plan if given.vary or plan.gain >= thresholds.LEAST_GAIN else None
 
 
-def path_of(plan: design.Plan) -> np.ndarray:
-    """Return a plan as the reference (k, REF_SIZE) of the simulator's pilot."""
-    rows = np.zeros((len(plan.path.yaw), control.REF_SIZE))
+def path_of(points: Setpoints, c: simulator.Constants) -> np.ndarray:
+    """Return set-points as the reference (k, REF_SIZE) of the simulator's pilot, who knows the constants c.
+
+    As `landing-eval fly --plan` does, he adds to the plan's commands what his controller asks for beyond the
+    plan's acceleration.
+    """
+    path = points.path
+    size, angles = thrust_and_angles(points.acceleration, path.yaw, c.gravity)
+    rows = np.zeros((len(path.yaw), control.REF_SIZE))
     for column, values in (
-        (control.REF_POSITION, plan.path.position),
-        (control.REF_VELOCITY, plan.points.velocity),
-        (control.REF_ACCELERATION, plan.points.acceleration),
+        (control.REF_POSITION, path.position),
+        (control.REF_VELOCITY, points.velocity),
+        (control.REF_ACCELERATION, points.acceleration),
+        (control.REF_ROLL, points.command[:, 1:3] * c.attitude_gain - angles),
+        (control.REF_PWM, points.command[:, :1] - c.mass * size[:, None] / c.thrust_per_pwm),
     ):
-        rows[:, column : column + 3] = values
-    rows[:, control.REF_YAW] = plan.path.yaw
-    rows[:, control.REF_YAW_RATE] = np.gradient(plan.path.yaw, 1.0 / pieces.RATE)
+        rows[:, column : column + values.shape[1]] = values
+    rows[:, control.REF_YAW] = path.yaw
+    rows[:, control.REF_YAW_RATE] = points.command[:, 3]
     return rows[:: round(pieces.RATE / PILOT_RATE)]
 
 

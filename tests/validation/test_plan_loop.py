@@ -1,37 +1,36 @@
 """The planned loop: its cases, the plan as the simulator flies it, and its counts."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
+from inclined_landing.eval.gap.plan import pieces
+from inclined_landing.eval.gap.plan.setpoints import setpoints
+from inclined_landing.models.parameters import load_vehicle
 from tests.validation import plan_loop, simulator
 from tests.validation.gap_blind.causes import FREE_FLIGHT
 from tests.validation.simulator import control
 
 
 def test_causes_take_turns_and_sizes_with_them():
-    some = [plan_loop.drawn(seed) for seed in (1, 2, len(FREE_FLIGHT) + 1)]
-    assert [case.causes[0] for case in some] == [*list(FREE_FLIGHT)[:2], next(iter(FREE_FLIGHT))]
-    assert [case.size for case in some] == ["weak", "weak", "medium"]
+    turn = len(FREE_FLIGHT)
+    some = [plan_loop.drawn(seed) for seed in (1, 2, turn + 1, 2 * turn + 1)]
+    first, second = list(FREE_FLIGHT)[:2]
+    assert [case.causes[0] for case in some] == [first, second, first, first]
+    assert [case.size for case in some] == ["weak", "weak", "medium", "strong"]
 
 
 def test_the_simulator_flies_a_plan_where_it_leads():
-    t = np.arange(0.0, 6.0, 0.01)
-    # A quintic from rest to rest along x, then a hover; the yaw turns by 0.5 rad meanwhile.
-    u = np.clip((t - 1.0) / 3.0, 0.0, 1.0)
-    way = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    position = np.column_stack([0.8 * way, np.zeros_like(t), np.ones_like(t)])
-    velocity = np.gradient(position, 0.01, axis=0)
-    points = SimpleNamespace(velocity=velocity, acceleration=np.gradient(velocity, 0.01, axis=0))
-    rows = plan_loop.path_of(
-        SimpleNamespace(path=SimpleNamespace(position=position, yaw=0.5 * way), points=points)
-    )
-    assert rows.shape == (len(t) // 2, control.REF_SIZE)
-    flown = simulator.fly(rows, simulator.World(), np.random.default_rng(0), simulator.reference())
-    # Half a metre per second and its pilot's lag: within centimetres along the way, closer at its end.
-    at = np.interp(flown.t, t, position[:, 0])
-    assert np.abs(flown.truth[:, 0] - at).max() < 0.1 and abs(flown.truth[-1, 0] - 0.8) < 0.03
-    assert abs(flown.truth[-1, 8] - 0.5) < 0.05
+    vehicle, reality = load_vehicle(), simulator.reference()
+    manoeuvres = [pieces.midpoint(kind) for kind in ("circle", "heave", "thrusts", "low_hover")]
+    path = pieces.joined_path(manoeuvres, pieces.Space.of(vehicle, platform=False))
+    rows = plan_loop.path_of(setpoints(path, vehicle), reality.constants)
+    assert rows.shape == (-(-len(path.yaw) // 2), control.REF_SIZE)
+    flown = simulator.fly(rows, simulator.World(), np.random.default_rng(0), reality)
+    planned = np.column_stack([np.interp(flown.t, path.t, x) for x in path.position.T])
+    off = np.linalg.norm(flown.truth[:, :3] - planned, axis=1)
+    # A circle at 1.1 m/s; a pilot without the plan's commands lags it by a loop of 0.18 s, which is 0.2 m.
+    assert off.max() < 0.12
+    turned = flown.truth[:, 8] - np.interp(flown.t, path.t, path.yaw)
+    assert np.abs(np.angle(np.exp(1j * turned))).max() < 0.1
 
 
 def test_no_planned_flight_leaves_the_first_answer():
