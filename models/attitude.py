@@ -35,7 +35,7 @@ _SINGULAR = 1e-6  # smallest |cos(roll)| used in divisions: the ZXY chart ends a
 
 @inlined
 def small_sine_cosine(angle):
-    """Return sine and cosine of an angle [rad] of at most pi/4, to rounding: Taylor's series."""
+    """Return sine and cosine of an angle [rad] of at most pi/4 by a Taylor series, exact to rounding."""
     x, s, c = angle * angle, _SINE, _COSINE
     odd = s[4] + x * (s[5] + x * (s[6] + x * s[7]))
     odd = s[0] + x * (s[1] + x * (s[2] + x * (s[3] + x * odd)))
@@ -46,7 +46,7 @@ def small_sine_cosine(angle):
 
 @kernel
 def sine_cosine(angle):
-    """Return sine and cosine of an angle [rad] up to 1e5, to rounding; quicker than `math`'s two calls."""
+    """Return sine and cosine of an angle [rad] up to 1e5, exact to rounding; faster than `math`."""
     # angle = k pi/2 + x, |x| <= pi/4, with pi/2 in two parts
     k = math.floor(angle * (2.0 / math.pi) + 0.5)
     s, c = small_sine_cosine((angle - k * _QUARTER_HIGH) - k * _QUARTER_LOW)
@@ -65,13 +65,13 @@ def away_from_zero(cosine):
 
 @formula
 def euler_rates(roll, pitch, wx, wy, wz):
-    """Rates (roll, pitch, yaw) [rad/s] from body rates [rad/s]."""
+    """Return the Euler rates (roll, pitch, yaw) [rad/s] from body rates [rad/s]."""
     return euler_rates_at(sine_cosine(roll), sine_cosine(pitch), wx, wy, wz)
 
 
 @inlined
 def euler_rates_at(roll, pitch, wx, wy, wz):
-    """Return what `euler_rates` does, given (sine, cosine) of roll and pitch."""
+    """Return the same as `euler_rates`, from (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     yaw_rate = (cp * wz - sp * wx) / away_from_zero(cr)
     return cp * wx + sp * wz, wy - sr * yaw_rate, yaw_rate
@@ -79,13 +79,13 @@ def euler_rates_at(roll, pitch, wx, wy, wz):
 
 @formula
 def body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
-    """Body rates [rad/s] from Euler rates [rad/s]; the inverse of `euler_rates`."""
+    """Return body rates [rad/s] from Euler rates [rad/s]; the inverse of `euler_rates`."""
     return body_rates_at(sine_cosine(roll), sine_cosine(pitch), roll_rate, pitch_rate, yaw_rate)
 
 
 @formula
 def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
-    """Return what `body_rates` does, given (sine, cosine) of roll and pitch."""
+    """Return the same as `body_rates`, from (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     return (
         roll_rate * cp - yaw_rate * cr * sp,
@@ -96,13 +96,13 @@ def body_rates_at(roll, pitch, roll_rate, pitch_rate, yaw_rate):
 
 @formula
 def body_accelerations(roll, pitch, rates, accelerations):
-    """Time derivative [rad/s2] of `body_rates` at Euler rates and accelerations (3,) each [rad/s, rad/s2]."""
+    """Return the body accelerations [rad/s2] from Euler rates and accelerations (3,) [rad/s, rad/s2]."""
     return body_accelerations_at(sine_cosine(roll), sine_cosine(pitch), rates, accelerations)
 
 
 @inlined
 def body_accelerations_at(roll, pitch, rates, accelerations):
-    """Return what `body_accelerations` does, given (sine, cosine) of roll and pitch."""
+    """Return the same as `body_accelerations`, from (sine, cosine) of roll and pitch."""
     (sr, cr), (sp, cp) = roll, pitch
     roll_rate, pitch_rate, yaw_rate = rates
     roll_acc, pitch_acc, yaw_acc = accelerations
@@ -118,7 +118,7 @@ def body_accelerations_at(roll, pitch, rates, accelerations):
 
 @formula
 def quaternion(roll, pitch, yaw):
-    """Unit quaternion (w, x, y, z) of Rz(yaw) Rx(roll) Ry(pitch)."""
+    """Return the unit quaternion (w, x, y, z) of Rz(yaw) Rx(roll) Ry(pitch)."""
     (sr, cr), (sp, cp), (sy, cy) = sine_cosine(0.5 * roll), sine_cosine(0.5 * pitch), sine_cosine(0.5 * yaw)
     w, x, y, z = cr * cp, sr * cp, cr * sp, sr * sp  # Rx Ry
     return cy * w - sy * z, cy * x - sy * y, cy * y + sy * x, cy * z + sy * w
@@ -126,7 +126,7 @@ def quaternion(roll, pitch, yaw):
 
 @formula
 def euler_angles(w, x, y, z):
-    """(roll, pitch, yaw) [rad] of a unit quaternion, roll in [-pi/2, pi/2]."""
+    """Return (roll, pitch, yaw) [rad] of a unit quaternion, roll in [-pi/2, pi/2]."""
     sin_roll = min(1.0, max(-1.0, 2.0 * (y * z + w * x)))
     pitch = math.atan2(-2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
     yaw = math.atan2(-2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z))
@@ -135,7 +135,7 @@ def euler_angles(w, x, y, z):
 
 @unlocked
 def tilted(attitudes, roll, pitch, out):
-    """Attitudes (n, 3) turned in their own frame by Rx(roll) Ry(pitch), into `out` (n, 3)."""
+    """Write attitudes (n, 3), rotated in the body frame by Rx(roll) Ry(pitch), to `out` (n, 3)."""
     t = rotation(roll, pitch, 0.0)
     for i in range(attitudes.shape[0]):
         (sr, cr), (sp, cp) = sine_cosine(attitudes[i, 0]), sine_cosine(attitudes[i, 1])
@@ -168,7 +168,7 @@ def entries(r):
 
 @kernel
 def rotation(roll, pitch, yaw):
-    """Rotation matrix (3, 3), body to world."""
+    """Return the rotation matrix (3, 3) from body to world."""
     of = rotation_entries(sine_cosine(roll), sine_cosine(pitch), sine_cosine(yaw))
     r = np.empty((3, 3))
     for k in range(9):
@@ -178,7 +178,7 @@ def rotation(roll, pitch, yaw):
 
 @unlocked
 def rotations(attitude):
-    """Rotation matrices (m, 3, 3) of attitudes (m, 3)."""
+    """Return the rotation matrices (m, 3, 3) of attitudes (m, 3)."""
     r = np.empty((attitude.shape[0], 3, 3))
     for k in range(attitude.shape[0]):
         r[k] = rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2])

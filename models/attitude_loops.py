@@ -3,16 +3,16 @@
 Two models, after Kooi and Babuska (IROS 2021):
 
 - ``kinematic``: the paper's first-order loops, d(angle)/dt = (k command - angle)/tau;
-- ``rate_loop``: the same loops with a rate loop of bandwidth B under them, as the MuJoCo vehicle has:
+- ``rate_loop``: the same loops around a rate loop of bandwidth B, as in the MuJoCo vehicle:
   d2(angle)/dt2 = B (rate_wanted - rate) + d(rate_wanted)/dt, the latter at a held command, -rate/tau: poles
   exactly -1/tau and -B; with a damping other than 1 the rate terms are that many times as large.
 
-With integral gains both want the rate (k command - angle + integral I)/tau + hold (I/tau - angle) for roll
-and pitch, dI/dt = k command - angle. `integral` is of the angle, k_i = integral/tau: a step overshoots, and a
-steady moment leaves no tilt. `hold` is of the rate loop: I/tau - angle sums up what the rate has fallen short
-of error/tau, which is for moments and hardly for commands. A moment then tilts the vehicle as without
-integrals, times s/(s + hold). I is held where it would grow beyond +-integral_limit (anti-windup). With a
-saturation no larger rate is wanted than 1/saturation.
+With integral gains, both command the rate (k command - angle + integral I)/tau + hold (I/tau - angle) for
+roll and pitch, with dI/dt = k command - angle. `integral` acts on the angle, k_i = integral/tau: a step
+overshoots, and a steady moment causes no steady tilt. `hold` acts on the rate: I/tau - angle is the integral
+of the difference between error/tau and the rate, which moments cause but commands hardly do. The tilt caused
+by a moment is then that without integrals, times s/(s + hold). I is held where it would grow beyond
++-integral_limit (anti-windup). With a saturation no larger rate is wanted than 1/saturation.
 
 Symbols of the comments: phi, theta, psi roll, pitch and yaw.
 """
@@ -54,7 +54,7 @@ def angle_errors(roll, pitch, u, v, p):
 
 @inlined
 def loop_rates(angles, errors, integrals, u, v, p):
-    """Return the Euler rates [rad/s] that the paper's first-order loops want without saturation.
+    """Return the Euler rates [rad/s] that the paper's first-order loops command without saturation.
 
     angles: roll and pitch of the onboard estimate; errors: see `angle_errors`; integrals: their integrals
     over time [rad s]; u: command (4,).
@@ -76,7 +76,7 @@ def integrates(v):
 
 
 def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
-    """Return the integrals (k, 2) [rad s] that hold no moment at roll and pitch (k, 2) without an error.
+    """Return the steady integrals (k, 2) [rad s] without a moment, at roll and pitch (k, 2) without an error.
 
     vehicles (k,) or (1,): from `forces.pack`.
     """
@@ -90,19 +90,19 @@ def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
 
 @inlined
 def excess(rate, v):
-    """Return a wanted rate [rad/s] of roll or pitch over the largest that the loops ask for, at least 1."""
+    """Return the ratio of a desired rate [rad/s] of roll or pitch to the rate limit, at least 1."""
     return max(1.0, abs(rate) * v.effects.attitude_saturation)
 
 
 @inlined
 def saturated(rates, v):
-    """Return wanted Euler rates [rad/s] with those of roll and pitch up to the largest."""
+    """Return desired Euler rates [rad/s], with those of roll and pitch limited."""
     return rates[0] / excess(rates[0], v), rates[1] / excess(rates[1], v), rates[2]
 
 
 @inlined
 def integral_rate(integral, error, v):
-    """Return dI/dt [rad] of an angle error's integral I [rad s]."""
+    """Return the derivative dI/dt [rad] of the integral I [rad s] of an angle error."""
     if abs(integral) >= v.attitude.integral_limit and integral * error > 0.0:
         return 0.0
     return error
@@ -112,8 +112,8 @@ def integral_rate(integral, error, v):
 def rate_loop_acceleration(wanted, rate, integrated, tau, v):
     """Return the angular acceleration [rad/s2] of the loop whose poles are -1/tau and -B with damping 1.
 
-    wanted: rate [rad/s] of `loop_rates`; integrated: its dI/dt [rad], with which the poles of the first-order
-    loop stay too.
+    wanted: rate [rad/s] from `loop_rates`; integrated: the dI/dt [rad] of that axis, which preserves the
+    poles of the first-order loop.
     """
     # d2phi/dt2 = B (rate_w - rate) + d(rate_w)/dt - (damping - 1) (B + 1/tau) rate
     # d(rate_w)/dt = ((integral + hold) dI/dt - rate)/tau - hold rate, 0 where saturated
@@ -126,8 +126,8 @@ def rate_loop_acceleration(wanted, rate, integrated, tau, v):
 
 @unlocked
 def angle_steps(axis, command, twist, start, dt, vehicle):
-    """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly
-    where it neither integrates nor saturates.
+    """Return the angle (m + 1,) [rad] of the roll (axis 0) or pitch (1) loop, solved exactly if it neither
+    integrates nor saturates.
 
     The loop starts at rest at `start` [rad]. command (m,) [rad] and twist (m,) further angular accelerations
     [rad/s2] are held for `dt` [s] each.
@@ -149,13 +149,13 @@ def angle_steps(axis, command, twist, start, dt, vehicle):
 
 @inlined
 def damping_rate(tau, v):
-    """Return the coefficient [1/s] of the rate in a loop of the time constant tau [s]: sum of its poles."""
+    """Return the coefficient [1/s] of the rate in a loop of time constant tau [s], the sum of its poles."""
     return v.attitude.damping * (1.0 / tau + v.attitude.bandwidth)
 
 
 @inlined
 def held_step(tau, dt, v):
-    """Return what `held_angle` needs for steps of `dt` [s] of a loop with the time constant tau [s]."""
+    """Return the coefficients of `held_angle` for steps of `dt` [s] of a loop with time constant tau [s]."""
     # a = 1/tau, b = B: x'' = a b (rest - x) - damping (a + b) x', rest = k (command + trim) + twist/(a b).
     # Poles -mean +- half. Off the rest, e = x - rest, over one step:
     #   e   <- stay e + drive x',          stay = exp(-mean dt) cosh(half dt) + mean drive
@@ -177,7 +177,7 @@ def held_step(tau, dt, v):
 
 @inlined
 def held_angle(off, rate, step):
-    """Return an angle's distance from its rest [rad] and its rate [rad/s] after a step of `held_step`."""
+    """Return an angle's distance from its steady value [rad] and its rate [rad/s] after a `held_step`."""
     stay, drive, keep, back = step
     return stay * off + drive * rate, keep * rate - back * off
 
@@ -186,8 +186,9 @@ def held_angle(off, rate, step):
 def integrated_steps(axis, command, twist, start, dt, vehicle):
     """Return the angle [rad] and the integral of its error [rad s] (m + 1, 2) of any loop.
 
-    Arguments as of `angle_steps`. The integral starts where it holds the first twist. Exact without
-    saturation while the integral is within its limit; integrated by RK4 with one.
+    The arguments are those of `angle_steps`. The integral starts at the value that compensates the first
+    twist. The solution is exact without saturation while the integral is within its limit, and otherwise
+    integrated by RK4.
     """
     v = vehicle[0]
     tau, limit, hold = v.attitude.time_constant, v.attitude.integral_limit, v.effects.attitude_hold
@@ -258,7 +259,7 @@ def _loop_derivative(angle, rate, integral, wanted, twist, v):
 
 @unlocked
 def yaw_steps(command, dt, vehicle):
-    """Return yaw (m + 1,) [rad] from 0, first at the first of the commanded rates (m,) [rad/s]; exact.
+    """Return yaw (m + 1,) [rad], starting from 0 at the first of the commanded rates (m,) [rad/s]; exact.
 
     Each rate is held for `dt` [s].
     """

@@ -1,9 +1,9 @@
-"""How functions are compiled: with numba, once, cached, and without a check of divisors.
+"""Decorators that compile functions with numba: once, cached, and without checks for division by zero.
 
-Most of the compilation is numba's own work on every statement, and some 10 ms for every way to call a
-function. So what kernels call is compiled once and inlined by LLVM, where numba's own inlining would compile
-it again at every call; and what only kernels call has no compiled entry for Python, which runs it as it
-stands.
+Most of the compilation time is numba's own work on every statement, plus some 10 ms for every way to call a
+function. Functions that kernels call are therefore compiled once and inlined by LLVM, whereas numba's own
+inlining would compile them again at every call. Functions that only kernels call have no compiled entry point
+for Python, which runs the uncompiled source.
 """
 
 import numba

@@ -1,11 +1,11 @@
-"""Restitution and contact time, and the parameters of MuJoCo's contact spring that give them.
+"""Parameters of MuJoCo's contact spring for a given restitution and contact time.
 
 MuJoCo's contact is a damped spring on accelerations that pushes and never pulls. While the vehicle
 overlaps a surface, its height over the first touch follows
 
     r'' = -2 beta r' - omega^2 r,   r(0) = 0, r'(0) = -speed,
 
-until r = 0 or the surface would have to hold it down, r'' < -g. `solref` finds the spring that throws a
+until r = 0 or until the surface would have to pull it down, r'' < -g. `solref` finds the spring that throws a
 drop at REFERENCE_SPEED back with the wanted share of its speed after the wanted time, and writes it in
 the engine's direct format, (-stiffness, -damping).
 
@@ -76,7 +76,7 @@ def check_friction(friction) -> np.ndarray:
 
 
 def check_foot_height(height, nominal: float) -> np.ndarray:
-    """Return the feet's reach below the centre of mass [m] as an array, else raise UserError.
+    """Return the reach of the feet below the centre of mass [m] as an array, or raise UserError.
 
     At least 60 % of the nominal reach, so that the feet stay below the body's collision box, and at most
     three times it.
@@ -85,14 +85,14 @@ def check_foot_height(height, nominal: float) -> np.ndarray:
 
 
 def solref(restitution, contact_time, gravity: float) -> np.ndarray:
-    """MuJoCo's solref (..., 2) for restitution and contact time [s], broadcast against each other.
+    """Return MuJoCo's solref (..., 2) for restitution and contact time [s], broadcast against each other.
 
     restitution: speed after a drop at REFERENCE_SPEED on four feet over the speed before it.
-    contact_time: how long the surface pushes in that drop; without rebound, how long it takes until the
-    vehicle is hardly moving.
+    contact_time: time for which the surface pushes in that drop; without rebound, the time until the vehicle
+    hardly moves.
     gravity: m/s2, positive.
 
-    Raises UserError outside of the supported ranges.
+    Raises UserError outside the supported ranges.
     """
     return spring(
         check_restitution(restitution), _within(contact_time, *CONTACT_TIME, "contact time", " s"), gravity
@@ -100,7 +100,7 @@ def solref(restitution, contact_time, gravity: float) -> np.ndarray:
 
 
 def spring(restitution, contact_time, gravity: float) -> np.ndarray:
-    """`solref` without its ranges, for fits: restitution up to 0.95 and any contact time [s]."""
+    """Return `solref` without its limits, for fits: restitution up to 0.95 and any contact time [s]."""
     e, time = np.broadcast_arrays(np.asarray(restitution, float), np.asarray(contact_time, float))
     out = np.empty((*e.shape, 2))
     of_spring = np.interp(e.ravel(), _MEASURED, _OF_SPRING)
@@ -111,7 +111,7 @@ def spring(restitution, contact_time, gravity: float) -> np.ndarray:
 
 @inner
 def _bounce(damping, weight):
-    """Restitution and end of contact of the spring r'' = -2 damping r' - r with speed 1 at r = 0.
+    """Return restitution and end of contact of the spring r'' = -2 damping r' - r with speed 1 at r = 0.
 
     damping: ratio, 0 <= damping < 1; weight: gravity over (speed times natural frequency).
     Time in units of 1 / natural frequency. Each derivative of r turns the phase by arccos(damping).
@@ -132,7 +132,7 @@ def _bounce(damping, weight):
 
 @inner
 def _last_bouncing(weight):
-    """Damping ratio beyond which weight holds the vehicle down, from 0.5 to 1."""
+    """Return the damping ratio, from 0.5 to 1, above which the weight keeps the vehicle down."""
     low, high = 0.5, 1.0 - 1e-6
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -146,7 +146,7 @@ def _last_bouncing(weight):
 
 @kernel
 def _spring(e, time, gravity):
-    """Damping ratio and natural frequency [rad/s] for restitution e and contact time [s]."""
+    """Return damping ratio and natural frequency [rad/s] for restitution e and contact time [s]."""
     frequency, damping = math.pi / time, 0.5
     for _ in range(30):
         weight = gravity / (REFERENCE_SPEED * frequency)

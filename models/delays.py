@@ -1,7 +1,7 @@
 """Delayed commands, and delayed or tilted measurements, of n vehicles, saved with the plant's state.
 
-A command is held for one control period. What acts during a substep is its exact average over the
-substep, shifted by the delay: it changes smoothly with the delay.
+A command is held for one control period. During a substep its exact average over the substep, shifted by the
+delay, is applied, which changes smoothly with the delay.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 
 class Delays:
-    """The histories that the vehicles' delays need; none for delays of 0.
+    """Histories for the delays of the vehicles; none are kept for delays of 0.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
     period: that of the commands [s].
@@ -49,7 +49,7 @@ class Delays:
         self._out = np.zeros((n, 4))
 
     def assign(self, ids, choice: np.ndarray) -> None:
-        """Give the vehicles `ids` the delays of other ones of `vehicles`, by their numbers (k,)."""
+        """Copy the delays of the vehicles numbered `vehicles` (k,) to the vehicles `ids`."""
         for name, values in self._of_each.items():
             getattr(self, name)[ids] = values[choice]
 
@@ -78,12 +78,12 @@ class Delays:
             self.states[ids, 0] = state[ids]
 
     def acting(self, start: float, length: float) -> np.ndarray:
-        """Delayed commands (n, 4), averaged over `length` [s] from `start` [s] after the last push."""
+        """Return the delayed commands (n, 4), averaged over `length` [s], `start` [s] after the last push."""
         _average(self.commands, self._command, self.period, start, length, self._out)
         return self._out
 
     def measurement(self, state: np.ndarray) -> np.ndarray:
-        """`state` (n, 13) as it was before the delay, interpolated linearly between control steps, tilted."""
+        """Return `state` (n, 13) delayed, with linear interpolation between control steps, and tilted."""
         if self.of_measurement:
             state = _late(self.states, self._measured, self.period, state)
         if self._tilts:
@@ -99,7 +99,8 @@ def attitude_age(vehicle: Vehicle) -> float:
 
 @kernel
 def _late(states, delays, period, state):
-    """State (n, 13) before delays [s] (n, 2) or (1, 2), between past ones (n, depth, 13), newest first.
+    """Return the state (n, 13) `delays` [s] (n, 2) or (1, 2) ago, from past ones (n, depth, 13), newest
+    first.
 
     The second delay is that of the attitude and its rates.
     """
@@ -149,7 +150,7 @@ def _average(commands, delays, period, start, length, out):
 
 @unlocked
 def averages(command, dt, delay):
-    """Mean of a held command (m,) over each of the m - 1 steps, `delay` seconds late; (m - 1,)."""
+    """Return the mean (m - 1,) of a held command (m,) over each of the m - 1 steps, `delay` seconds late."""
     m = command.shape[0]
     mean = np.empty(m - 1)
     shift = delay / dt

@@ -1,4 +1,4 @@
-"""The disturbance of the air that does not repeat, of n vehicles.
+"""Random disturbance of the air for n vehicles.
 
 Each world axis has an acceleration and each body axis an angular acceleration that is an
 Ornstein-Uhlenbeck process: Gaussian, of a standard deviation and a correlation time, both entries of the
@@ -24,7 +24,7 @@ Seed: TypeAlias = int | np.random.Generator
 
 
 class Disturbance:
-    """The processes (n, 6) of n vehicles: accelerations along x, y, z of the world, angular ones of the body.
+    """Random accelerations of n vehicles (n, 6): linear along the world axes, angular about the body axes.
 
     vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
     period: the control period [s]. seed: for all random numbers.
@@ -83,7 +83,8 @@ class Disturbance:
         self.now[ids] = self._own(self._size, ids) * self._random.standard_normal(self.now[ids].shape)
 
     def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
-        """Return the push held from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's axes.
+        """Return the push applied from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's
+        axes.
 
         state (n, 13); torque: whether it has an effect, else it is 0.
         """

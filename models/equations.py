@@ -1,8 +1,8 @@
 """The paper's equations of motion, integrated with RK4, compiled and batched.
 
-Those of Kooi and Babuska (IROS 2021) with the attitude matrix corrected (see `attitude.py`): translation
-under the forces of `forces.py`, the thrust's lag, and the loops of `attitude_loops.py`. Delays are not
-equations: the plant shifts the commands.
+The equations are those of Kooi and Babuska (IROS 2021) with the attitude matrix corrected (see
+`attitude.py`): translation under the forces of `forces.py`, the thrust's lag, and the loops of
+`attitude_loops.py`. Delays are not part of them: the plant shifts the commands.
 
 Symbols of the comments: position x, velocity v, attitude matrix R (body to world), f and tau force and torque
 in the body frame, Omega state of the thrust lag, phi, theta, psi roll, pitch and yaw.
@@ -93,7 +93,7 @@ STEP = np.dtype((np.record, _STEP))
 
 @inlined
 def _saturation(torque, limit):
-    """Return what must be added to a torque so that it is within +-limit."""
+    """Return the torque that must be added to keep a torque within +-limit."""
     return min(limit, max(-limit, torque)) - torque
 
 
@@ -116,7 +116,7 @@ def body_torque(roll, pitch, rates, accelerations, v):
 
 @inlined
 def _swing(y, dy, mass, v):
-    """Write the slung load's motion into dy, its pull added to the acceleration there, without gravity's."""
+    """Write the slung load's motion to dy and add its pull to the acceleration there, without gravity."""
     qx, qy, qz, vx, vy, vz = y[_LOAD], y[_LOAD + 1], y[_LOAD + 2], y[_LOAD + 3], y[_LOAD + 4], y[_LOAD + 5]
     ax, ay, az = dy[VX], dy[VX + 1], dy[VZ]
     share, length = v.effects.load_mass / (mass + v.effects.load_mass), v.effects.load_length
@@ -243,7 +243,7 @@ def disturb(s, perturbation, push, i):
 
 @inlined
 def take_states(s, load, integral, i, v):
-    """Write slung load and integrals of vehicle i, with the record v, into a STEP; as of `Conditions`."""
+    """Copy slung load and integrals of vehicle i, with the record v, from `Conditions` into a STEP."""
     s.integrated = len(integral) > 0 and integrates(v)
     for k in range(2):
         s.y[_INTEGRAL + k] = integral[i, k] if s.integrated else 0.0
@@ -254,7 +254,7 @@ def take_states(s, load, integral, i, v):
 
 @inlined
 def give_states(s, load, integral, i):
-    """Write slung load and integrals of a STEP, if it has some, as those of vehicle i."""
+    """Copy slung load and integrals of a STEP, if there are any, to those of vehicle i."""
     for k in range(2 if s.integrated else 0):
         integral[i, k] = s.y[_INTEGRAL + k]
     for k in range(LOAD_SIZE if s.loaded else 0):
@@ -282,8 +282,8 @@ def advance(state, commands, conditions, rate_loop, dt, substeps):
     """Advance every vehicle, and its time, in place by substeps * dt with RK4.
 
     state (n, 13) with the columns of `attitude.py`, commands (n, 4) held constant, conditions: `Conditions`,
-    rate_loop: which attitude model. With the kinematic model the body rates in the state are those of the
-    first-order loops at the end of the step, and torques have no effect.
+    rate_loop: the attitude model, True for the rate loop. With the kinematic model the body rates in the
+    state are those of the first-order loops at the end of the step, and torques have no effect.
     """
     steps = np.zeros(1, STEP)
     for i in range(state.shape[0]):
@@ -316,7 +316,7 @@ def _derivatives(state, commands, conditions, rate_loop):
 def derivative(
     state: np.ndarray, command: np.ndarray, vehicle: Vehicle, rate_loop: bool = False
 ) -> dict[str, Any]:
-    """Return the time derivative of one state, for model comparison; a slung load hangs straight down.
+    """Return the time derivative of one state, for comparing models; a slung load hangs straight down.
 
     state (13,), command (4,). The dict has `acceleration` (3,) [m/s2], `euler_rates` (3,) [rad/s],
     `lag_rate` [PWM] and, for the rate loop, `euler_accelerations` (3,) [rad/s2].

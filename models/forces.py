@@ -1,7 +1,7 @@
 """Force and torque of the rotors and the air on a vehicle, compiled.
 
-Every effect of the vehicle (`effects_...`; see `effects/`) is a factor of 1 or a summand of 0 while it is
-neutral, and so changes no bit. The thrust's lag is here too.
+Every neutral effect of the vehicle (`effects_...`; see `effects/`) is a factor of 1 or a summand of 0, so
+that it does not change a single bit. The thrust's lag is here too.
 
 Symbols of the comments: F_t total thrust, Omega state of the thrust lag, f and tau force and torque in the
 body frame, v velocity, R attitude matrix (body to world).
@@ -35,7 +35,7 @@ _DERIVED = ("slab_half_length", "thrust_centre")  # properties of a vehicle that
 
 @functools.cache
 def _layout() -> tuple[Callable, np.dtype]:
-    """Return a getter of all values of a vehicle, and the type of `pack`'s array."""
+    """Return a getter of all values of a vehicle, and the type of the array from `pack`."""
     shipped = load_vehicle()
     tables: dict[str, list[tuple]] = {}
     for field in dataclasses.fields(Vehicle):
@@ -47,7 +47,7 @@ def _layout() -> tuple[Callable, np.dtype]:
 
 
 def pack(vehicle: Vehicle) -> np.ndarray:
-    """Return the vehicle as the kernels take it: (1,), a record `v` whose entry `b` of table `a` is `v.a.b`.
+    """Return the vehicle for the kernels: (1,), a record `v` in which entry `b` of table `a` is `v.a.b`.
 
     The names are part of the array's type, and so of a compiled kernel's signature.
     """
@@ -59,12 +59,12 @@ def pack(vehicle: Vehicle) -> np.ndarray:
 
 
 def numbers(records: np.ndarray) -> np.ndarray:
-    """Return `pack`'s records (n,) as rows of numbers (n, m), of the same memory."""
+    """Return the records (n,) from `pack` as rows of numbers (n, m) that share their memory."""
     return records.view(float).reshape(len(records), -1)
 
 
 def columns_besides(fields: Sequence[str]) -> np.ndarray:
-    """Return the columns of `numbers` of all fields of a `Vehicle` but these."""
+    """Return the columns of `numbers` for all fields of a `Vehicle` except these."""
     besides, (_, layout) = set(fields), _layout()
     columns: list[int] = []
     for field in dataclasses.fields(Vehicle):
@@ -92,8 +92,8 @@ def neutral(row, numbers, columns):
 def rotor_speed_sum(thrust, v):
     """Return the sum of the rotor speeds [rad/s] at a total thrust [N], 0 without thrust.
 
-    From the static maps of one motor, force a PWM^2 + b PWM + c and speed d PWM + e. Below the force c at
-    PWM 0 the sum goes linearly to zero.
+    It follows from the static maps of one motor, force a PWM^2 + b PWM + c and speed d PWM + e. Below the
+    force c at PWM 0 the sum decreases linearly to zero.
     """
     motors = v.motor.count
     to_force, to_speed = v.motor.pwm_to_force, v.motor.pwm_to_speed
@@ -128,7 +128,7 @@ def lag_derivative(lag, pwm, v, p):
 
 @inlined
 def lag_pole(lag, pwm, v):
-    """Return the rate [1/s] at which the lag's distance from its steady value under a held command falls."""
+    """Return the rate [1/s] at which the lag approaches its steady value under a held command."""
     if v.effects.spin_down != 0.0 and pwm < v.thrust.lag_rate * lag:
         return v.thrust.lag_rate / (1.0 + v.effects.spin_down)
     return v.thrust.lag_rate
@@ -156,7 +156,7 @@ def lags(pwm, dt, vehicle):
 
 @inlined
 def fade(time, v):
-    """Return the factor of the thrust after a flight time [s]."""
+    """Return the factor of the thrust that results from the thrust fade after a flight time [s]."""
     return 1.0 - v.effects.thrust_fade * time
 
 
@@ -170,7 +170,7 @@ def battery_voltage(lag, time, v):
 
 @inlined
 def supply(voltage, lag, time, v):
-    """Return the factor of the thrust at the battery's voltage [V]; NaN: that of the vehicle file."""
+    """Return the factor of the thrust at a battery voltage [V]; NaN selects that of the vehicle file."""
     if math.isnan(voltage):
         voltage = battery_voltage(lag, time, v)
     return 1.0 + v.effects.voltage_sensitivity * (voltage - v.effects.voltage_reference)
@@ -178,7 +178,7 @@ def supply(voltage, lag, time, v):
 
 @formula
 def powered_thrust(thrust, lag, time, voltage, v):
-    """Return the thrust [N] that sets the rotor speed: with bias, fade, sag under load, battery voltage."""
+    """Return the thrust [N] that sets the rotor speed, with bias, fade, sag and battery voltage."""
     # F = (F_t + bias) (1 - fade t) (1 - sag (load/reference - 1)) (1 + sensitivity (U - U_ref))
     load = v.thrust.lag_rate * lag
     sag = 1.0 - v.effects.battery_sag * (load / v.effects.battery_reference - 1.0)
@@ -194,9 +194,10 @@ def intact(v):
 
 @kernel
 def _hover_pwm(pwm, high, vehicle, p):
-    """Return `pwm` if no effect changes its thrust, else the PWM up to `high` whose thrust is the weight.
+    """Return `pwm` if no effect changes its thrust, else the PWM up to `high` at which the thrust is the
+    weight.
 
-    pwm: that of hover without effects; `high` where no command carries the weight.
+    pwm: the hover PWM without effects. The result is `high` if no command can carry the weight.
     """
     v, low = vehicle[0], 0.0
     weight = (v.body.mass + v.effects.load_mass) * v.environment.gravity
@@ -221,7 +222,7 @@ def _steady_thrust(pwm, v, p):
 def settled_hover(vehicle: Vehicle) -> float:
     """Return the hover PWM at time 0 with the effects on the thrust: bias, sag, voltage.
 
-    `Vehicle.hover_pwm` where there are none; the highest command where no command carries the weight.
+    It is `Vehicle.hover_pwm` without effects, and the highest command if no command can carry the weight.
     """
     high = max(vehicle.hover_pwm, vehicle.command_pwm_range[1])
     return _hover_pwm(vehicle.hover_pwm, high, pack(vehicle), NEUTRAL)
@@ -229,7 +230,7 @@ def settled_hover(vehicle: Vehicle) -> float:
 
 @inlined
 def disc_inside(distance, radius):
-    """Return the share of a disc on the inner side of a straight edge, its centre `distance` within."""
+    """Return the share of a disc inside a straight edge, with its centre `distance` inside the edge."""
     # 1/2 + (d sqrt(1 - d^2) + arcsin d)/pi, the area of a circular segment with d = distance/radius
     d = min(1.0, max(-1.0, distance / radius))
     return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
@@ -237,10 +238,11 @@ def disc_inside(distance, radius):
 
 @inlined
 def ground_gain(height, v):
-    """Return the share of thrust that a rotor gains over an endless surface, at a height h [m] of its disc.
+    """Return the share of thrust that a rotor gains over an infinite surface, at a height h [m] of its disc.
 
     gain = strength (radius/(4 h))^2 after Cheeseman and Bennett (1955) to first order, times the fading
-    exp((4 radius - h) fading), which is 1 where the strength is read; radius/(4 h) at most 1/2, the gain 1.
+    exp((4 radius - h) fading), which is 1 at the reference height of the strength; radius/(4 h) is at most
+    1/2 and the gain at most 1.
     """
     ratio = 0.5
     if height > 0.5 * v.rotor.radius:
@@ -253,9 +255,9 @@ def ground_gain(height, v):
 def ground_effect(position, r, thrust, inclination, present, azimuth, v):
     """Return the extra thrust [N] and body torque (x, y) [N m] of the rotors near a surface.
 
-    position (3,), attitude matrix r as nine entries, thrust [N] of all rotors. Each rotor sees the slab along
-    its axis with the share of its disc that is over it, and the floor with the rest; heights are along the
-    normals.
+    position (3,), attitude matrix r as nine entries, thrust [N] of all rotors. The slab acts on the share of
+    each disc that is over it along the rotor's axis, and the floor on the rest; heights are measured along
+    the normals.
     """
     extra, torque_x, torque_y = 0.0, 0.0, 0.0
     if r[8] <= 0.0:
@@ -295,7 +297,7 @@ def ground_effect(position, r, thrust, inclination, present, azimuth, v):
 
 @inlined
 def rotors(lag, pwm, time, voltage, v, p):
-    """Return the thrust [N] of intact rotors at rest in the air, and what their drag is in proportion to.
+    """Return the thrust [N] of intact rotors at rest in the air, and the rotor speed sum for the drag.
 
     lag state, PWM, flight time [s], battery voltage [V], vehicle v and perturbation p (7,).
     """
@@ -305,9 +307,7 @@ def rotors(lag, pwm, time, voltage, v, p):
 
 @inlined
 def in_the_air(thrust, speed, bx, by, bz, v):
-    """Return the drag x, y, z [N] and the thrust [N] of rotors, see `rotors`, at an airspeed b [m/s] in the
-    body frame.
-    """
+    """Return the drag x, y, z [N] and the thrust [N] of `rotors` at an airspeed b [m/s] in the body frame."""
     # Rotor and body drag: f = K (sum of rotor speeds) b - c |b| b, b = R^T (v - wind), K diagonal
     k, flat = v.drag.coefficients, bx * bx + by * by
     drag = -v.effects.body_drag * math.sqrt(flat + bz * bz)
@@ -351,7 +351,7 @@ def wrench_near(near, velocity, r, lag, pwm, ambient, v, p):
 
 
 def free_air(n: int) -> np.ndarray:
-    """Return the ambient conditions (n, AMBIENT_SIZE) at time 0, the battery the file's and no platform."""
+    """Return the ambient conditions (n, AMBIENT_SIZE) at time 0, with the file's battery and no platform."""
     ambient = np.zeros((n, AMBIENT_SIZE))
     ambient[:, VOLTAGE] = np.nan
     return ambient

@@ -1,8 +1,8 @@
-"""The vehicle's collision shapes against the platform's, without an engine.
+"""Distances between the collision shapes of vehicle and platform, without an engine.
 
 The shapes are read from the compiled MuJoCo scene, so that the analytic plant and the start filters use the
-shapes of the engine. A vehicle is a set of spheres (foot capsules as their end points, rotor
-discs and the body box as points on their outline), the platform a set of boxes.
+same shapes as the engine. A vehicle is a set of spheres (foot capsules as their end points, rotor discs and
+the body box as points on their outline), the platform a set of boxes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def shapes_of(model: mujoco.MjModel) -> Shapes:
 
 
 class Fleet(NamedTuple):
-    """The shapes of m vehicles that differ in size alone, before platforms of the same shapes."""
+    """The shapes of m vehicles that differ only in size, with platforms of the same shapes."""
 
     centres: np.ndarray  # (m, k, 3) m
     radii: np.ndarray  # (m, k) m
@@ -99,11 +99,10 @@ def _hull(shapes: Shapes, part: int) -> tuple[float, float, float]:
 
 
 def reach_below(shapes: Shapes, up=(0.0, 0.0, 1.0), *, lowered=0.0, part: str | None = None) -> np.ndarray:
-    """Return how far the vehicle's shapes reach below its centre of mass [m], (...,).
+    """Return the reach [m] of the vehicle's shapes below its centre of mass, (...,).
 
     up (..., 3): the direction that counts as up, in the vehicle's axes.
-    lowered (...): how much lower than the model's its feet stand [m].
-    part: one of PARTS alone.
+    lowered (...): additional length of its feet, compared with the model [m]. part: only this one of PARTS.
     """
     of = slice(None) if part is None else shapes.parts == PARTS.index(part)
     up = np.asarray(up, float)[..., None, :]
@@ -132,11 +131,11 @@ def _outline(kind: int, size: np.ndarray) -> tuple[np.ndarray, float]:
 def platform_poses(inclination, present, vehicle: Vehicle, surface_height=None, azimuth=0.0):
     """Return the poses of PLATFORM_BODIES for platforms of the given inclinations.
 
-    inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] where it is not the vehicle's,
-    azimuth (n,) or a number [rad] by which all of it is turned about the vertical. The result is
-    positions (n, 4, 3) [m] and quaternions (n, 4, 4). The slab's top surface passes through
-    (0, 0, surface_height); the walls stand under its two edges, the core fills the space below the lower
-    edge. Absent platforms are parked far below the floor.
+    inclination (n,) [rad], present (n,) bool, surface_height (n,) [m] if it is not the vehicle's, azimuth
+    (n,) or a number [rad] by which the whole platform is turned about the vertical. The result is positions
+    (n, 4, 3) [m] and quaternions (n, 4, 4). The slab's top surface passes through (0, 0, surface_height); the
+    walls are under its two edges, and the core fills the space below the lower edge. Absent platforms are
+    parked far below the floor.
     """
     angles = np.empty((3, len(inclination)))
     angles[0], angles[1] = inclination, azimuth
@@ -170,7 +169,7 @@ def _platform_poses(inclination, azimuth, height, present, half, thickness, posi
 
 @inlined
 def _in_body(x, y, z, turns):
-    """Return a vector along the axes of a body of the platform; turns as in `_box_distance`."""
+    """Return a vector in the axes of a body of the platform; turns as in `_box_distance`."""
     # p = Ry(-inclination) Rx(-roll) Rz(-azimuth) (x - position)
     turn, lean, tilt = turns
     x, y = turn[1] * x + turn[0] * y, turn[1] * y - turn[0] * x
@@ -183,8 +182,9 @@ def _in_body(x, y, z, turns):
 def _box_distance(dx, dy, dz, turns, centres, sizes, b):
     """Return the signed distance [m] of a point to box b of the platform, negative inside.
 
-    dx, dy, dz [m]: of the point from the origin of the box's body; turns: angles of the body, as (sine,
-    cosine) of azimuth, roll and inclination; centres and half sizes (4, 3) [m] of the boxes in their bodies.
+    dx, dy, dz [m]: position of the point relative to the origin of the box's body; turns: angles of the body,
+    as (sine, cosine) of azimuth, roll and inclination; centres and half sizes (4, 3) [m] of the boxes in
+    their bodies.
     """
     dx, dy, dz = _in_body(dx, dy, dz, turns)
     # q = |p - centre| - size; distance = |max(q, 0)| + min(max(q_x, q_y, q_z), 0)
@@ -200,7 +200,7 @@ _UPRIGHT = (0.0, 1.0)  # sine, cosine of no angle
 
 @formula
 def platform_turns(roll, inclination, azimuth):
-    """Return the angles of a platform as `platform_distance` takes them, each as (sine, cosine)."""
+    """Return the angles of a platform for `platform_distance`, each as (sine, cosine)."""
     lean = sine_cosine(roll) if roll != 0.0 else _UPRIGHT
     return sine_cosine(azimuth), lean, sine_cosine(inclination)
 
@@ -221,7 +221,7 @@ def platform_distance(x, y, z, turns, position, boxes, sizes):
 
 
 def platform_reach(vehicle: Vehicle) -> float:
-    """Return how far [m] slab and base reach beyond the vertical through their centre, and above that."""
+    """Return the horizontal reach [m] of slab and base from their centre, and their reach above it."""
     return math.hypot(vehicle.slab_half_length, 0.5 * vehicle.platform_depth, vehicle.slab_depth)
 
 
@@ -270,9 +270,9 @@ def _clearances(state, inclination, azimuth, position, which, fleet, within, out
 
 @inlined
 def reach_against(cosine, hull, lowered):
-    """Return how far [m] a vehicle reaches against a direction, by the cosine between that and its axis.
+    """Return the reach [m] of a vehicle against a direction, from the cosine between that and its axis.
 
-    hull (3, 3): of `Fleet.hulls`; lowered [m]: see `reach_below`.
+    hull (3, 3): a row of `Fleet.hulls`; lowered [m]: see `reach_below`.
     """
     sine, reach = math.sqrt(max(0.0, 1.0 - cosine * cosine)), -math.inf
     for part in range(3):
@@ -285,9 +285,9 @@ def reach_against(cosine, hull, lowered):
 def hull_distance(place, axis, turns, position, fleet, member, lowered):
     """Return a lower bound of the distance [m] of a vehicle's shapes to a platform; -inf inside of it.
 
-    place, axis (3,): of the vehicle in the world; turns, position as in `platform_distance`; member of the
-    fleet. From the nearest point of a box to the vehicle's centre leads the normal of a plane that has all of
-    the box on its other side.
+    place, axis (3,): position and thrust axis of the vehicle in the world; turns, position as in
+    `platform_distance`; member: its index in the fleet. The line from the nearest point of a box to the
+    vehicle's centre is the normal of a plane that has the whole box on its other side.
     """
     least, base = math.inf, (turns[0], _UPRIGHT, _UPRIGHT)
     for b in range(len(fleet.box_sizes)):
@@ -335,7 +335,7 @@ def _platform_clearances(state, platform, present, half, thickness, fleet, out):
 def platform_clearances(state, platform, present, vehicle: Vehicle, shapes: Fleet) -> np.ndarray:
     """Return the distance (n,) [m] of vehicles in states (n, 13) to their platforms (n, 12); inf if absent.
 
-    Under a platform stands a base as in `platform_poses`, for the slope that it has. Negative where shapes
+    Every platform has a base as in `platform_poses`, for its present slope. Distances are negative if shapes
     overlap.
     """
     size, out = (vehicle.slab_half_length, vehicle.platform_thickness), np.empty(len(state))
@@ -350,7 +350,8 @@ def clearances(
 
     state (n, 13), inclination and azimuth (n,) or a number [rad], position (n, 4, 3) from
     `platform_poses`; which (n,): index of each in the fleet. Distances are negative if shapes overlap. The
-    floor's entry is inf for vehicles well above it, and all entries may be inf where all are beyond `within`.
+    floor's entry is inf for vehicles well above it, and all entries may be inf if all distances exceed
+    `within`.
     """
     fleet = Fleet.of([shapes]) if isinstance(shapes, Shapes) else shapes
     which = np.zeros(len(state), int) if which is None else np.asarray(which)

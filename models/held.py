@@ -1,13 +1,13 @@
-"""One control period under a held command, solved as far as it can be: quicker than integrating all of it.
+"""Solution of one control period under a held command, as far as it has a closed form.
 
-Where no torque but that of the unsaturated loops turns a vehicle, roll, pitch, yaw and the thrust's lag have
-exact solutions (`attitude_loops.py`, `forces.py`). Left is the translation, whose force then depends on time
-and velocity alone. It is integrated in steps of `_STEP` of the shortest time constant, with attitude and
-thrust exact at every stage, by Kutta's third-order method, which is Simpson's rule for what depends on time.
-From states at up to 6 m/s and 6 rad/s, under commands over the full bounds, the position is within 1e-7 m
-and the velocity within 2e-6 m/s of the equations' solution after 20 ms, with strong effects of the air within
-1e-6 m and 2e-5 m/s. RK4 in steps of 4 ms is off by 1e-8 m and 4e-7 m/s, and by 8e-5 rad/s where this is
-exact.
+This is faster than numerical integration of the whole state. If only the torques of the unsaturated loops act
+on a vehicle, roll, pitch, yaw and the thrust's lag have exact solutions (`attitude_loops.py`, `forces.py`).
+The remaining translation has a force that depends only on time and velocity. It is integrated in steps of
+`_STEP` of the shortest time constant, with attitude and thrust exact at every stage, by Kutta's third-order
+method, which is Simpson's rule for terms that depend on time. From states at up to 6 m/s and 6 rad/s, under
+commands over the full bounds, the position is within 1e-7 m and the velocity within 2e-6 m/s of the
+equations' solution after 20 ms, with strong effects of the air within 1e-6 m and 2e-5 m/s. RK4 in steps of 4
+ms is off by 1e-8 m and 4e-7 m/s, and by 8e-5 rad/s where this is exact.
 """
 
 import math
@@ -80,10 +80,11 @@ _OTHERS = columns_besides(SOLVED)
 
 @inlined
 def solvable(s, v, i, numbers):
-    """Return whether `fly` knows all that moves a vehicle: no torque but that of its loops, which are linear.
+    """Return whether `fly` covers everything that acts on a vehicle: only the torques of its loops, which are
+    linear.
 
     s: its `equations.STEP`; v: its record, which is row i of `numbers`. A field that is not in SOLVED is
-    taken for something else, unless it is 0.
+    assumed to be something else, unless it is 0.
     """
     push = s.push
     centred = v.effects.com_offset[0] == v.thrust_centre[0] and v.effects.com_offset[1] == v.thrust_centre[1]
@@ -93,14 +94,14 @@ def solvable(s, v, i, numbers):
 
 @inlined
 def _turned(of, angle):
-    """Return (sine, cosine) of an angle from those of one that is less by `angle` [rad], which is small."""
+    """Return (sine, cosine) of an angle increased by a small `angle` [rad], from those of the first."""
     s, c = small_sine_cosine(angle)
     return of[0] * c + of[1] * s, of[1] * c - of[0] * s
 
 
 @inlined
 def _acceleration(vx, vy, vz, turns, thrust, speed, s, v, lightness):
-    """Return dv/dt at a velocity and (sine, cosine) of the angles; thrust, speed: of `forces.rotors`."""
+    """Return dv/dt at a velocity and (sine, cosine) of the angles; thrust, speed: from `forces.rotors`."""
     r = rotation_entries(turns[0], turns[1], turns[2])
     # dv/dt = R f/m + push - (0, 0, g)
     ax, ay = vx - v.effects.wind[0], vy - v.effects.wind[1]
@@ -157,8 +158,8 @@ def _allowed(now, turns, rests, poles, limits, v):
 def fly(s, v, period, largest_angle, largest_rate):
     """Advance a STEP that is `solvable`, its integrated vector and time, by `period` [s] if it may.
 
-    Returns whether that was so. It may not, and the STEP is as it was, where a torque comes near its limit,
-    roll or pitch is beyond `largest_angle` [rad] or the rate of an angle beyond `largest_rate` [rad/s].
+    Returns whether it was advanced. It is left unchanged if a torque comes near its limit, if roll or pitch
+    exceeds `largest_angle` [rad], or if the rate of an angle exceeds `largest_rate` [rad/s].
     """
     y, u, p, pwm = s.y, s.command, s.perturbation, s.command[PWM]
     tau, gain = v.attitude.time_constant * p[TIME_CONSTANT_SCALE], v.attitude.gain * p[GAIN_SCALE]

@@ -1,7 +1,7 @@
 """A slung load: a point mass on a massless string that hangs from the vehicle's centre of mass.
 
-The string counts as a rod that turns freely: it neither stretches nor goes slack, and the load meets nothing
-and has no drag. At the centre of mass it gives no torque.
+The string is modelled as a rod that turns freely: it neither stretches nor goes slack. The load collides with
+nothing and has no drag. The string is attached at the centre of mass and causes no torque.
 
 Symbols of the comments: q unit vector from the vehicle to the load, q' its rate [1/s], f force on the vehicle
 without its weight, a_f = f/m, m and m_l masses of vehicle and load, L the string's length, T its tension.
@@ -48,7 +48,7 @@ def swing(x, y, z, vx, vy, vz, ax, ay, az, length):
 
 @inlined
 def rectify(load):
-    """Make of a load's state (6,), rounded by integration, one with |q| = 1 and q' across q, in place."""
+    """Normalise a load's state (6,) in place after integration, so that |q| = 1 and q' is normal to q."""
     size = math.sqrt(load[0] ** 2 + load[1] ** 2 + load[2] ** 2)
     for k in range(3):
         load[k] /= size
@@ -61,10 +61,11 @@ def rectify(load):
 def advance(load, ax, ay, az, share, length, dt):
     """Advance a load's state (6,) in place by `dt` [s], and return the vehicle's mean acceleration.
 
-    (ax, ay, az): force on the vehicle without its weight over its mass, a_f [m/s2] in the world's axes, held
-    over the step. share: m_l/(m + m_l); length [m] of the string. The acceleration (x, y, z) [m/s2] is
-    without gravity's; with share 0 it is a_f. The swing takes one step of RK4, stable up to a phase
-    sqrt(|a_f|/L) dt of 2.8 (at 20 m/s2, 0.1 m and 10 ms it is 0.14); the acceleration is exact for it.
+    (ax, ay, az): a_f [m/s2] in the world's axes, the force on the vehicle without its weight divided by its
+    mass, held over the step. share: m_l/(m + m_l); length [m] of the string. The acceleration (x, y, z)
+    [m/s2] does not include gravity; with share 0 it is a_f. The swing is integrated by one step of RK4, which
+    is stable up to a phase sqrt(|a_f|/L) dt of 2.8 (at 20 m/s2, 0.1 m and 10 ms it is 0.14); the acceleration
+    is exact for it.
     """
     x, y, z, vx, vy, vz = load[0], load[1], load[2], load[3], load[4], load[5]
     h = 0.5 * dt

@@ -1,12 +1,12 @@
 """Motion of platforms: constant velocity and a sum of waves, in closed form.
 
-A platform's place is that of its platform at rest (`Plant.set_platform`) plus, at a time t [s],
+A platform's pose at a time t [s] is its pose at rest (`Plant.set_platform`) plus
 
     velocity t + sum over its waves of amplitude sin(frequency t + phase),
 
-the velocity along x, y and z, the waves in each of MODES: along the world's x, y, z [m], and as angles [rad]
-added to roll, pitch (inclination) and yaw (azimuth) of the attitude Rz(yaw) Rx(roll) Ry(pitch). Speeds and
-accelerations are its derivatives, so that nothing is integrated and any time can be asked for.
+with the velocity along x, y and z, and waves in each of MODES: along the world's x, y, z [m], and as angles
+[rad] added to roll, pitch (inclination) and yaw (azimuth) of the attitude Rz(yaw) Rx(roll) Ry(pitch).
+Velocities and accelerations are its derivatives, so that nothing is integrated and any time can be evaluated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LARGEST_ROLL = 1.2  # rad: the angles' chart ends at 90 deg
 
 
 class Waves(NamedTuple):
-    """A `Motion` as the compiled functions take it, shapes as there."""
+    """The arrays of a `Motion` for the compiled functions, with the same shapes."""
 
     velocity: np.ndarray
     amplitude: np.ndarray
@@ -70,7 +70,7 @@ class Motion:
 
     @classmethod
     def unchecked(cls, *arrays: np.ndarray) -> Motion:
-        """Return the motion of `arrays`, which are in the order of the fields, valid, and not shared."""
+        """Return the motion of valid, unshared `arrays` in the order of the fields."""
         motion = cls.__new__(cls)
         motion.velocity, motion.amplitude, motion.frequency, motion.phase = arrays
         return motion
@@ -83,7 +83,7 @@ class Motion:
         return Motion.unchecked(*(np.array(values[ids]) for values in self.arrays))
 
     def __setitem__(self, ids, motion: Motion) -> None:
-        """Give the platforms `ids` (k,) the k motions, however many waves these have."""
+        """Set the motions of the platforms `ids` (k,), with any number of waves."""
         here, there = self.amplitude.shape[2], motion.amplitude.shape[2]
         for name in ("amplitude", "frequency", "phase") if there > here else ():
             setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, 0), (0, there - here))))
@@ -91,7 +91,7 @@ class Motion:
 
     @property
     def arrays(self) -> Waves:
-        """The arrays as the compiled functions take them."""
+        """The arrays for the compiled functions."""
         return Waves(self.velocity, self.amplitude, self.frequency, self.phase)
 
     def at(self, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -121,7 +121,7 @@ def _times(times, n: int) -> np.ndarray:
 
 @kernel
 def _replace(ids, new, waves):
-    """Write the motions `new` of k platforms over those of the platforms `ids` (k,) in `waves`."""
+    """Replace the motions of the platforms `ids` (k,) in `waves` by the k motions `new`."""
     count = new.amplitude.shape[2]
     for row in range(len(ids)):
         i = ids[row]

@@ -1,8 +1,8 @@
 """Reader of `crazyflie.toml`, the only source of every physical constant.
 
-`load_vehicle()` gives the values as a frozen :class:`Vehicle`; `constants()` gives range, unit, source
-and uncertainty of each value. Vehicle files and vehicles made in Python are held to the ranges of the
-shipped file and to what values must agree on (`plausible.py`).
+`load_vehicle()` returns the values as a frozen :class:`Vehicle`; `constants()` returns range, unit, source
+and uncertainty of each value. Vehicle files and vehicles made in Python are checked against the ranges of the
+shipped file and for consistency (`plausible.py`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FOLDER = Path(str(resources.files("inclined_landing.models").joinpath("vehicles
 
 
 class Entry(schema.Table, frozen=True):
-    """One entry as a vehicle file has it."""
+    """One entry as written in a vehicle file."""
 
     value: schema.Real | tuple[schema.Real, ...]
     unit: str
@@ -57,7 +57,7 @@ class Constant:
 
     @property
     def label(self) -> str:
-        """Return the name in sentences, as in the file."""
+        """Return the name for messages, as in the file."""
         return f"{self.section}.{self.name}"
 
     @property
@@ -67,7 +67,7 @@ class Constant:
 
 
 def vehicle_names() -> list[str]:
-    """Return the names of the shipped vehicles; `crazyflie-2.1` is the one of `crazyflie.toml`."""
+    """Return the names of the shipped vehicles; `crazyflie-2.1` is that of `crazyflie.toml`."""
     return sorted([_BASE, *(path.stem for path in _FOLDER.glob("*.toml"))])
 
 
@@ -81,12 +81,10 @@ def locate_vehicle(name: str | Path) -> Path:
 def constants(path: str | Path | None = None) -> list[Constant]:
     """Return every entry of a vehicle file, or of a shipped one by name, in the order of `crazyflie.toml`.
 
-    Where another file lacks what `_LATER` names, the shipped entries stand in, so that files older than
-    these tables and entries stay what they were; one that begins with `based_on`, a shipped name, may lack
-    any.
-    Its ranges and units are the shipped ones; an entry may repeat its range.
-    Raises UserError, naming file and entry, when the file is unreadable or an entry is missing, unknown
-    or not what it should be.
+    If another file lacks entries listed in `_LATER`, the shipped ones are used, so that files older than
+    these tables and entries keep their meaning; a file that begins with `based_on`, a shipped name, may lack
+    any entry. Ranges and units are the shipped ones; an entry may repeat its range. Raises UserError, naming
+    file and entry, when the file is unreadable or an entry is missing, unknown or not what it should be.
     """
     if path is None:
         return list(_shipped().values())
@@ -174,7 +172,7 @@ def load_vehicle(path: str | Path | None = None) -> Vehicle:
     """Read a vehicle file, or a shipped vehicle by name (default: the Crazyflie 2.1).
 
     Raises UserError, naming file and entry, when an entry is missing, unknown, of another type or outside
-    its range, and when entries contradict each other.
+    its range, or when entries contradict each other.
     """
     if path is None:
         return _crazyflie()
@@ -203,7 +201,8 @@ def as_vehicle(vehicle: Vehicle | str | Path | None) -> Vehicle:
 def check_vehicle(vehicle: Vehicle) -> None:
     """Raise UserError, naming the entry, if a value is outside its range or contradicts another.
 
-    Platforms may lie where no task takes them (`plausible.misplaced`), as fits of their tilt try.
+    Platforms may be outside the limits of the tasks (`plausible.misplaced`), because fits of their tilt try
+    such values.
     """
     if not isinstance(vehicle, Vehicle):
         raise UserError(f"expected a Vehicle, not {shown(repr(vehicle), 40)}")
@@ -225,11 +224,10 @@ def write_vehicle(
 ) -> None:
     """Write `vehicle` atomically as a file that `load_vehicle` reads back exactly.
 
-    The file has no ranges: they are not the vehicle's.
-    sources, uncertainties: of the fields (`body_mass`) that differ from the vehicle file `base`
-    (default: the shipped one); entries that do not differ keep theirs. heading: a comment on top.
-    brief: based on `base`, a shipped name, and without the entries that do not differ.
-    Raises UserError when the file cannot be written.
+    The file has no ranges, because these do not belong to the vehicle. sources, uncertainties: by field
+    (`body_mass`), for fields that differ from the vehicle file `base` (default: the shipped one); other
+    entries keep theirs. heading: a comment at the top. brief: write `based_on` with the name `base`, a
+    shipped vehicle, and only the entries that differ. Raises UserError when the file cannot be written.
     """
     sources, uncertainties = sources or {}, uncertainties or {}
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
@@ -270,6 +268,6 @@ def _tuples(value: Any) -> Any:
 
 
 def _first(names: list[str]) -> str:
-    """Return names for a sentence: the first three and the number of others."""
+    """Return names for a message: the first three and the number of others."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(shown(name, 60) for name in names[:3]) + more

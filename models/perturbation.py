@@ -23,12 +23,12 @@ _POSITIVE = {"lag_scale", "time_constant_scale", "mass_scale"}
 
 
 def neutral(n: int) -> np.ndarray:
-    """The (n, 7) perturbation that changes nothing."""
+    """Return the (n, 7) perturbation that changes nothing."""
     return np.tile(np.array(NEUTRAL), (n, 1))
 
 
 def perturb(rows: np.ndarray, **changes) -> np.ndarray:
-    """Copy of `rows` (n, 7) with named columns set to a number or an (n,) array.
+    """Return a copy of `rows` (n, 7) with named columns set to a number or an (n,) array.
 
     Raises UserError on an unknown name, a value that is not finite, or a non-positive scale.
     """

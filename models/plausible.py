@@ -1,8 +1,7 @@
-"""Consistency of the values of a vehicle; the range of each one is in `crazyflie.toml`.
-
-`contradictions` gives a sentence for each pair that does not fit. All limits leave room for every
-quadrotor of 5 g to 5 kg and for the values that fits of effects try on top; a refused value is a typing error
-or cannot be integrated.
+"""Consistency checks of the values of a vehicle; the range of each value is in `crazyflie.toml`.
+`contradictions` yields a sentence for each pair that is inconsistent. All limits allow for every quadrotor of
+5 g to 5 kg and for the values that fits of effects try; a refused value is a typing error or cannot be
+integrated.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _STIFFNESS = 1.0  # 1/s2, least
 
 
 def contradictions(v: Vehicle) -> Iterator[str]:
-    """A sentence for everything that the values of a vehicle do not agree on."""
+    """Yield a sentence for every inconsistency between the values of a vehicle."""
     yield from _body(v)
     yield from _thrust(v)
     yield from _commands(v)
@@ -39,9 +38,9 @@ def contradictions(v: Vehicle) -> Iterator[str]:
 
 
 def misplaced(v: Vehicle) -> Iterator[str]:
-    """A sentence for a platform that does not fit: into the arena, or what tasks support.
+    """Yield a sentence if the platform does not fit into the arena or exceeds the limits of the tasks.
 
-    For vehicle files only: fits of platform height and tilt may look beyond.
+    This applies to vehicle files only: fits of platform height and tilt may exceed these limits.
     """
     try:
         v.check_inclination(v.platform_inclination)
@@ -178,7 +177,7 @@ def _disturbance(v: Vehicle) -> Iterator[str]:
 
 
 def _steps(v: Vehicle) -> Iterator[str]:
-    """Yield what the control period, one step of the equations, or the engine's step cannot follow."""
+    """Yield a sentence for dynamics that are too fast for the control period or the time steps."""
     period, mass = v.command_control_period, v.body_mass
     steps = period / ENGINE_STEP
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:

@@ -1,7 +1,7 @@
 """Loader of the native plugins (`plugin/README.md`).
 
-`import mujoco` calls :func:`load` through the entry point group `mujoco.plugins`; call it yourself
-before compiling a model if entry points may be off. This module imports nothing heavy.
+`import mujoco` calls :func:`load` through the entry point group `mujoco.plugins`; call it yourself before
+compiling a model if entry points may be disabled. This module imports nothing heavy.
 """
 
 import ctypes
@@ -67,7 +67,7 @@ def load() -> None:
 
 
 def loaded() -> PluginStatus:
-    """Which plugins are registered, from which library, built for which MuJoCo."""
+    """Return which plugins are registered, from which library, and for which MuJoCo version it was built."""
     library, build = _find()
     names: tuple[str, ...] = ()
     if _handle is not None:
@@ -79,7 +79,7 @@ def loaded() -> PluginStatus:
 
 
 def _find() -> tuple[Path | None, dict]:
-    """The library and its build record; an editable install keeps them apart from the sources."""
+    """Return the library and its build record, which an editable install keeps outside the sources."""
     package = sys.modules[__package__]
     for folder in map(Path, package.__path__):
         for name in _LIBRARIES:

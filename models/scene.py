@@ -1,8 +1,8 @@
 """The MuJoCo scene: shapes from `mjcf/`, numbers from the vehicle file.
 
-The XML files are the shipped vehicle. `build_spec` changes them to any other through MjSpec: every number of
-the vehicle file is set, and everything at a motor is moved with it. The result compiles in plain MuJoCo
-wherever this package is installed (its plugins load with `import mujoco`).
+The XML files describe the shipped vehicle. `build_spec` adapts them to any other through MjSpec: it sets
+every number of the vehicle file and moves everything at a motor along with it. The result compiles in plain
+MuJoCo if this package is installed (its plugins load with `import mujoco`).
 """
 
 from __future__ import annotations
@@ -66,19 +66,19 @@ def build_spec(
     moving: bool = False,
     loaded: bool | None = None,
 ) -> mujoco.MjSpec:
-    """The scene as an MjSpec.
+    """Return the scene as an MjSpec.
 
     visuals: keep the purely visual geoms (they cost time in simulation and change no physics).
     keep_out: zone around slab and base [m] in which contacts are reported without force.
     torque_limit: clamp the attitude torques to the vehicle's authority.
     pooled: for a batch in which every simulation has its own vehicle, the longest delay of commands among
-        them [s]. Such scenes differ in numbers alone and compile ten times as fast: motion capture is left to
-        the plant, and textures have one pixel.
-    moving: the platform has joints, and so a velocity that friction passes on, instead of being posed; its
-        base is left out.
-    loaded: for a batch in which some vehicles have a slung load, whether there is a body for it, of almost no
-        mass if a vehicle has none. None: only if the vehicle has one.
-    Raises UserError for an unknown integrator or a negative zone or time step.
+        them [s]. Such scenes differ only in numbers and compile ten times as fast: motion capture is handled
+        by the plant, and textures have one pixel.
+    moving: the platform has joints instead of being posed, so that it has a velocity, which friction
+    transmits; it has no base.
+    loaded: for a batch in which some vehicles have a slung load, whether there is a body for it, with almost
+    no mass if a vehicle has none. None: only if the vehicle has one. Raises UserError for an unknown
+    integrator or a negative zone or time step.
     """
     v = as_vehicle(vehicle)
     plugins.load()
@@ -113,7 +113,7 @@ def build_spec(
 
 @functools.cache
 def _as_drawn(visuals: bool) -> mujoco.MjSpec:
-    """The XML files, with or without the purely visual geoms; to be copied."""
+    """Return the spec of the XML files, with or without the purely visual geoms; copy it before use."""
     with resources.as_file(resources.files("inclined_landing.models") / "mjcf") as folder:
         spec = mujoco.MjSpec.from_file(str(folder / "landing.xml"))
     for geom in [] if visuals else list(spec.geoms):
@@ -160,8 +160,8 @@ def _fill_vehicle(spec: mujoco.MjSpec, v: Vehicle, torque_limit: bool) -> None:
 def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
     """Move everything at a motor to the position in the vehicle file.
 
-    Everything there follows the arm; rotors and motors also follow the height. Blades and discs get the size
-    of the rotors, the board's arms the length of the vehicle's.
+    Everything there moves with the arm; rotors and motors also move with the height. Blades and discs are
+    scaled to the rotors, and the board's arms to the length of the vehicle's.
     """
     reference = spec.geom("rotor_front_left")
     arm, _, height = reference.pos
@@ -197,7 +197,7 @@ def _place_rotors(spec: mujoco.MjSpec, v: Vehicle) -> None:
 
 
 def _hang_load(spec: mujoco.MjSpec, v: Vehicle, visuals: bool) -> None:
-    """Hang a body for the slung load below the centre of mass, on a ball joint, without contacts."""
+    """Add a body for the slung load, on a ball joint at the centre of mass, without contacts."""
     mass, length = max(v.effects_load_mass, _NO_LOAD), v.effects_load_length
     body = spec.body("crazyflie").add_body(name="load")
     body.add_joint(name="load", type=mujoco.mjtJoint.mjJNT_BALL)
@@ -236,10 +236,10 @@ def _add_numbers(spec: mujoco.MjSpec, v: Vehicle) -> None:
 
 
 def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
-    """Delays of the commands, and of what a motion capture system would report, as the engine has them.
+    """Set the delays of the commands and of the motion capture measurement in the engine.
 
-    The plugins read a delayed command as held over the step (`plugin/README.md`). The sensors are there
-    only with a delay or a tilt; the plant has its own `measurement`.
+    The plugins take a delayed command as held over the step (`plugin/README.md`). Sensors are added only with
+    a delay or a tilt; the plant has its own `measurement`.
     """
     delays = dict.fromkeys(("roll", "pitch", "yaw_rate"), v.effects_attitude_delay)
     for name, delay in {"thrust": v.effects_thrust_delay, **delays}.items():
@@ -266,12 +266,12 @@ def _fill_delays(spec: mujoco.MjSpec, v: Vehicle, pooled: float | None) -> None:
 
 
 def _samples(delay: float, spec: mujoco.MjSpec) -> int:
-    """Return how many past time steps a delay [s] reaches back."""
+    """Return the number of past time steps that a delay [s] spans."""
     return max(1, math.ceil(delay / spec.option.timestep - 1e-9))
 
 
 def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
-    """Sizes of slab, walls and core, posed at the vehicle file's inclination.
+    """Set the sizes of slab, walls and core, and their poses at the vehicle file's inclination.
 
     In the frames of their mocap bodies the slab's top surface, the drawn base's upper edges and the
     core's top pass through the origin, which is what `geometry.platform_poses` poses.
@@ -305,9 +305,9 @@ def _fill_platform(spec: mujoco.MjSpec, v: Vehicle, keep_out: float) -> None:
 
 
 def _release_platform(spec: mujoco.MjSpec) -> None:
-    """Make of the posed platform a body with joints, too heavy to be moved by what touches it.
+    """Replace the posed platform by a body with joints, too heavy to be moved by contacts.
 
-    Its qpos is then its place in the world. The base's bodies are parked below the floor.
+    Its qpos is then its pose in the world. The base's bodies are parked below the floor.
     """
     spec.option.tolerance = _SOLVER_TOLERANCE
     body = spec.body("platform")

@@ -1,6 +1,6 @@
-"""Frames and normals of an inclined surface. Inclinations as the platform's, in rad.
+"""Frames and normals of an inclined surface. Inclinations are those of the platform, in rad.
 
-`heading_frame` gives a vehicle's state relative to a surface, along level axes with the surface's yaw.
+`heading_frame` returns a vehicle's state relative to a surface, along level axes with the surface's yaw.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NO_TURN = 1e-15  # rad: what rounding leaves of one, and of the angles
 
 
 def turned(state: np.ndarray, angle) -> np.ndarray:
-    """Return states (n, 13) turned about the vertical axis through the origin by angle (n,) [rad]."""
+    """Return states (n, 13) rotated about the vertical axis through the origin by angle (n,) [rad]."""
     state, sin, cos = state.copy(), np.sin(angle), np.cos(angle)
     for first in (X, VX):
         x, y = state[:, first].copy(), state[:, first + 1].copy()
@@ -65,7 +65,7 @@ def split(vector: np.ndarray, inclination) -> tuple[np.ndarray, np.ndarray]:
 
 @inlined
 def yaw_turned(roll, pitch, turn):
-    """Return roll and pitch [rad] of a vehicle with the same thrust axis and a yaw less by `turn` [rad]."""
+    """Return roll and pitch [rad] for the same thrust axis and a yaw smaller by `turn` [rad]."""
     if abs(turn) < _NO_TURN and max(abs(roll), abs(pitch)) < _QUARTER:
         return roll, pitch
     # Thrust axis without the yaw: (sin theta, -sin phi cos theta, cos phi cos theta), turned about z
@@ -156,9 +156,9 @@ def _write_platform_motion(d, out):
 
 @kernel
 def observe(state, platform, columns, out):
-    """Write `columns` (c,) of `heading_frame` into `out` (n, c or more), and `platform_motion` behind them.
+    """Write `columns` (c,) of `heading_frame` to `out` (n, c or more), followed by `platform_motion`.
 
-    The motion is written where `out` has room for it.
+    The motion is written if `out` has enough columns for it.
     """
     seen, motion, count = np.empty(HEADING_SIZE), np.empty(6), len(columns)
     moves = out.shape[1] > count
@@ -179,7 +179,7 @@ def on_platform(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
 
 
 def thrust_turning(state: np.ndarray, platform: np.ndarray) -> np.ndarray:
-    """Return how fast the thrust axes (n, 3) of vehicles turn [1/s], along the axes of `heading_frame`."""
+    """Return the rates (n, 3) [1/s] of the vehicles' thrust axes, along the axes of `heading_frame`."""
     frames = rotations(np.ascontiguousarray(state[:, ROLL : YAW + 1]))
     # omega x (0, 0, 1) in the body's axes: (wy, -wx, 0)
     turning = frames[:, :, 0] * state[:, WX + 1, None] - frames[:, :, 1] * state[:, WX, None]
@@ -206,7 +206,7 @@ def normal_at_rest(roll, pitch):
 
 
 def attitude_at_rest(inclination, turn) -> tuple[np.ndarray, np.ndarray]:
-    """Return roll and pitch [rad] of a vehicle at rest on a slope; turn [rad]: azimuth less the yaw."""
+    """Return roll and pitch [rad] of a vehicle at rest on a slope; turn [rad]: azimuth minus yaw."""
     x, _, z = np.moveaxis(normal_of(inclination), -1, 0)
     return np.arctan2(-x * np.sin(turn), z), np.arcsin(x * np.cos(turn))
 
@@ -230,7 +230,7 @@ def relative(state: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.nd
 
     Positions (n, 3) [m] from the platforms' centres and velocities (n, 3) [m/s] relative to the platforms'
     points where the vehicles are, both along the world's axes; rates (n, 3) [rad/s] relative to the
-    platforms, about the vehicles' axes. A vehicle that a platform carries along has neither velocity nor
+    platforms, about the vehicles' axes. A vehicle that is carried by a platform has zero velocity and zero
     rates.
     """
     position, velocity, rate = np.empty((3, len(state), 3))

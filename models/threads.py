@@ -11,22 +11,22 @@ from typing import Any
 
 
 def shares(count: int, parts: int) -> list[tuple[int, int]]:
-    """Return the first and one past the last of `count` numbers in each of `parts` parts of equal size.
+    """Return the first index and the end index of each of `parts` equal parts of `count` numbers.
 
-    One part where `parts` is less than that.
+    If `parts` is less than 1, there is one part.
     """
     parts = max(1, parts)
     return list(itertools.pairwise(count * k // parts for k in range(parts + 1)))
 
 
 def in_threads(call: Callable[..., Any], parts: Sequence[Any]) -> list[Any]:
-    """Return what `call` returns for each part: the first is done in this thread, the others in a pool."""
+    """Return the results of `call` for each part; the first runs in this thread, the others in a pool."""
     others = [_pool().submit(call, part) for part in parts[1:]]
     return [call(parts[0]), *(other.result() for other in others)]
 
 
 def two_at_a_time(call: Callable[..., Any], *arguments: Iterable[Any]) -> list[Any]:
-    """Return what `call` returns for the first of all `arguments`, for the second, and so on."""
+    """Return the results of `call` for the first elements of all `arguments`, the second ones, and so on."""
     return list(_pool(2).map(call, *arguments))
 
 

@@ -95,7 +95,7 @@ class Vehicle:
     effects_estimator_delay: float
 
     def changed(self, **fields: object) -> Vehicle:
-        """Return a variant with other values of some fields: `dataclasses.replace`, ten times as fast."""
+        """Return a variant with other values of some fields; ten times as fast as `dataclasses.replace`."""
         if unknown := fields.keys() - self.__dict__.keys():
             raise TypeError(f"a vehicle has no entry {', '.join(sorted(unknown))}")
         variant = object.__new__(type(self))
@@ -109,21 +109,21 @@ class Vehicle:
 
     @property
     def weight(self) -> float:
-        """Return what the rotors carry in hover [N]: the vehicle and its slung load."""
+        """Return the weight that the rotors carry in hover [N]: the vehicle and its slung load."""
         return (self.body_mass + self.effects_load_mass) * self.environment_gravity
 
     @property
     def hover_pwm(self) -> float:
-        """Return the PWM at which the transfer function carries the weight (about 34 100)."""
+        """Return the PWM at which the thrust of the transfer function equals the weight (about 34 100)."""
         return self.weight / self.thrust_per_pwm
 
     def without_thrust_lag(self) -> Vehicle:
-        """Return the vehicle with the same steady thrust, all of it at once."""
+        """Return the vehicle with the same steady thrust but without thrust lag."""
         return self.changed(thrust_state_gain=0.0, thrust_direct_gain=self.thrust_per_pwm)
 
     @property
     def thrust_centre(self) -> tuple[float, float]:
-        """Return where the thrust of all rotors acts [m], x forward and y left of their middle."""
+        """Return the point at which the total thrust acts [m], x forward and y left of the rotors' centre."""
         # (sum x_i (1 - loss_i), sum y_i (1 - loss_i)) / sum (1 - loss_i)
         one, two, three, four = (1.0 - loss for loss in self.effects_rotor_loss)
         arm = self.rotor_arm / (one + two + three + four)
@@ -136,7 +136,7 @@ class Vehicle:
 
     @property
     def static_hover_pwm(self) -> float:
-        """Return the PWM at which the *static* map carries the weight (the paper quotes 42 000)."""
+        """Return the PWM at which the *static* map's thrust equals the weight (the paper quotes 42 000)."""
         a, b, c = self.motor_pwm_to_force
         force = self.weight / self.motor_count
         return (-b + math.sqrt(b * b - 4 * a * (c - force))) / (2 * a)
@@ -148,8 +148,8 @@ class Vehicle:
 
     @property
     def slab_depth(self) -> float:
-        """Return how deep the slab is solid [m], more than it is drawn: a fast vehicle sinks in by
-        centimetres, and up to half of the depth the engine pushes it out at the upper side.
+        """Return the thickness of the colliding slab [m], which is larger than drawn: a fast vehicle
+        penetrates by centimetres, and up to half of the thickness the engine pushes it out at the upper side.
         """
         return self.platform_thickness + SOLID_BELOW
 

@@ -1,1 +1,1 @@
-"""What every package uses and no physics: errors, typed files, atomic storage, late imports."""
+"""Shared utilities without physics: errors, typed files, atomic storage, late imports."""

@@ -41,7 +41,7 @@ class UserError(ValueError):
 
 @contextlib.contextmanager
 def optional() -> Iterator[None]:
-    """Around the import of packages that an extra installs: without them, ImportError in one sentence."""
+    """Wrap the import of packages of an extra; if they are missing, raise ImportError with one sentence."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -68,7 +68,7 @@ def choices(names: Iterable[str], wanted: str) -> str:
 
 
 def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:
-    """Return a list of names or clauses for a sentence: the first ones, and how many more there are."""
+    """Return names or clauses as part of a sentence: the first ones, and the number of further ones."""
     kept = list(texts[:1])
     for text in texts[1:]:
         if sum(map(len, kept)) + len(text) > longest:
@@ -80,8 +80,8 @@ def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:
 def shown(name: object, longest: int = 80) -> str:
     r"""Return a name (path, column, entry) for a sentence: one line, nothing that reorders or hides text.
 
-    Control characters, marks of direction and bytes that are no UTF-8 are escaped, as \n, \u202e and
-    \xff; of more than `longest` characters the middle is left out.
+    Control characters, direction marks and bytes that are not UTF-8 are escaped, as \n, \u202e and \xff; if
+    there are more than `longest` characters, the middle is omitted.
     """
     text = str(name)
     if len(text) > longest:

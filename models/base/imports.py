@@ -1,8 +1,8 @@
-"""Imports at first use, and what other packages need in installations that lack it.
+"""Imports at first use, and workarounds for installations without OpenGL or a writable cache.
 
-MuJoCo continues without an OpenGL that does not load (an import hook: MuJoCo has no setting), and numba
-caches compiled functions in the temporary folder if neither the package nor the home folder can be written.
-Neither is imported here.
+MuJoCo continues if OpenGL does not load (by an import hook, because MuJoCo has no setting), and numba caches
+compiled functions in the temporary folder if neither the package nor the home folder is writable. Neither is
+imported here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BESIDE = str(Path(__file__).with_name("__pycache__"))  # where numba puts compi
 
 
 def at_first_use(package: str, modules: dict[str, str]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a package whose names are imported when they are asked for.
+    """Return the `__getattr__` of a package whose names are imported on first access.
 
     modules: the module in the package of each name.
     """
@@ -43,7 +43,7 @@ def at_first_use(package: str, modules: dict[str, str]) -> Callable[[str], Any]:
 
 
 def around_import(name: str, around: Callable[[Execute, ModuleType], None]) -> None:
-    """Have `around(execute, module)` run a module's code at its import, or now if it is imported already.
+    """Run a module's code through `around(execute, module)` at its import, or now if it is already imported.
 
     Does nothing the second time.
     """
@@ -54,7 +54,7 @@ def around_import(name: str, around: Callable[[Execute, ModuleType], None]) -> N
 
 
 class _Waiting:
-    """Import hook for one module, gone once that has been found."""
+    """Import hook for one module, which removes itself once the module has been found."""
 
     def __init__(self, name: str, around: Callable[[Execute, ModuleType], None]):
         self.name, self._around = name, around
@@ -71,13 +71,13 @@ class _Waiting:
 
 
 def adapt() -> None:
-    """Have MuJoCo and numba work in every installation, whichever is imported later."""
+    """Make MuJoCo and numba work in every installation, regardless of which is imported later."""
     around_import("mujoco.rendering.classic.gl_context", _with_or_without_opengl)
     _cache_somewhere()
 
 
 def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
-    """Run MuJoCo's module that loads the OpenGL of MUJOCO_GL; without it only a context is an error."""
+    """Run MuJoCo's module that loads OpenGL; if that fails, only creating a context is an error."""
     before = os.environ.get("PYOPENGL_PLATFORM")
     try:
         return execute(module)
@@ -98,7 +98,7 @@ def _with_or_without_opengl(execute: Execute, module: ModuleType) -> None:
 
 
 def _cache_somewhere() -> None:
-    """Give numba a folder for compiled functions if it can write neither of those it would choose."""
+    """Set a folder for numba's compiled functions if it can write to neither of its default ones."""
     home = os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache"))
     if "NUMBA_CACHE_DIR" in os.environ or _can_write(_BESIDE):
         return
@@ -110,7 +110,7 @@ def _cache_somewhere() -> None:
 
 
 def _can_write(folder: str) -> bool:
-    """Try it, as numba does: permissions do not tell whether a file system takes files."""
+    """Return whether a file can be written, by trying, as numba does: permissions alone do not show it."""
     try:
         os.makedirs(folder, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -121,10 +121,10 @@ def _can_write(folder: str) -> bool:
 
 @functools.cache
 def private_folder() -> str:
-    """Return a folder in the temporary one that only this user can write: what lies there may be executed.
+    """Return a folder in the temporary folder that only this user can write, because its files are executed.
 
-    It is the same for all processes of a user; if another user owns its name, one that is removed at the
-    end of the process. Raises UserError where there is no temporary folder.
+    It is the same for all processes of a user. If another user owns a folder of this name, a new one is made
+    and removed at the end of the process. Raises UserError if there is no temporary folder.
     """
     try:
         temporary = tempfile.gettempdir()
@@ -144,7 +144,7 @@ def private_folder() -> str:
 
 
 def _is_own(found: os.stat_result) -> bool:
-    """Return whether this is a folder of this user, closed to all others."""
+    """Return whether this folder belongs to this user and is inaccessible to all others."""
     return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o077
 
 

@@ -1,9 +1,9 @@
 """Types and limits of input in files and on command lines, with errors of one sentence.
 
 A limit is written once, in the type: `Annotated[float, Meta(ge=0, le=1)]`. A file's layout is a
-`msgspec.Struct`, which `parse` makes of its data; the options of a command, a task or a plant are the
-annotations of a function or a dataclass, which `check` compares with their values. Rules between entries are
-in their reader.
+`msgspec.Struct`, into which `parse` converts its data. The options of a command, a task or a plant are
+declared by the annotations of a function or a dataclass, which `check` compares with the values. Rules
+between several entries are in the reader of the file.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ T = TypeVar("T")
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True):
-    """A table with the entries of its class and no others."""
+    """Base class of tables that accept only the entries of the class."""
 
 
 def parse(data: Any, kind: type[T], where: str = "", name: str = "") -> T:
-    """Return `data` as a `kind`: whole numbers become floats where needed; no other type is converted.
+    """Return `data` as a `kind`; whole numbers become floats if needed, and no other type is converted.
 
-    name: name of the entry `data`, unless it is a whole file. Raises UserError, `where` before its
+    name: name of the entry `data`, unless it is a whole file. Raises UserError, with `where` in front of the
     sentence, for entries that are missing, unknown, of another type or out of range.
     """
     try:
@@ -49,8 +49,8 @@ def parse(data: Any, kind: type[T], where: str = "", name: str = "") -> T:
 def check(options: Any, kinds: Mapping[str, Any] | None = None, label: Callable[[str], str] = str) -> None:
     """Raise UserError unless each option has its type, is within its limits, and its numbers are finite.
 
-    options: values by name, or a dataclass of them; groups of options within are checked too. kinds: the
-    types by name, where `options` has not its own. label: what sentences call an option.
+    options: values by name, or a dataclass of them; nested groups of options are checked too. kinds: the
+    types by name, if `options` does not define them. label: the word for an option in messages.
     """
     values = options if isinstance(options, Mapping) else vars(options)
     kinds = kinds_of(type(options)) if kinds is None else kinds
@@ -67,7 +67,7 @@ def check(options: Any, kinds: Mapping[str, Any] | None = None, label: Callable[
 
 
 def kinds_of(options: Any) -> dict[str, Any]:
-    """Return the types that the annotations of a class or a function name, with their limits."""
+    """Return the types, with their limits, from the annotations of a class or a function."""
     return get_type_hints(options, include_extras=True)
 
 
@@ -87,7 +87,7 @@ def _floats(value: Any) -> Iterator[float]:
 
 
 def _sentence(value: Any, kind: Any, way: list[str]) -> str:
-    """Return the sentence for the innermost entry that does not fit; way: the keys that lead to `value`."""
+    """Return the message for the innermost entry that does not fit; way: the keys that lead to `value`."""
     for key, entry, wanted in _entries(value, kind):
         if not _fits(entry, wanted):
             inner = [*way, key] if isinstance(key, str) else [*way[:-1], f"{''.join(way[-1:])}[{key}]"]
@@ -120,7 +120,7 @@ def _entries(value: Any, kind: Any) -> Iterator[tuple[str | int, Any, Any]]:
 
 
 def _fits(value: Any, kind: Any) -> bool:
-    """Return whether a value is of a type, or of one of a union, within its limits; text may be a path."""
+    """Return whether a value has a type, or one of a union, and is within its limits; text may be a path."""
     for one in _alternatives(kind):
         with contextlib.suppress(msgspec.ValidationError):
             msgspec.convert(Path(value) if one is Path and isinstance(value, str) else value, one)
@@ -152,7 +152,7 @@ def _members(kind: Any) -> tuple[Any, ...]:
 
 
 def expected(kind: Any) -> str:
-    """Return what a value of a type must be, to go on after "must be": "a number from 0 to 2 or 'any'"."""
+    """Return the text after "must be" for a value of a type, for instance "a number from 0 to 2 or 'any'"."""
     some = (one for one in _alternatives(kind) if one not in (None, type(None)))  # TOML has no null
     return " or ".join(_words(inspect.type_info(one)) for one in some)
 

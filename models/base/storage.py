@@ -32,7 +32,7 @@ _DOTS = 3e7  # squared and summed over the lines of a TOML file: a dotted key ta
 
 
 def as_path(path: object, what: str) -> Path:
-    """Return a path; raises UserError for what is neither text nor a path. what: as in `read_bytes`."""
+    """Return a path; raises UserError for a value that is neither text nor a path. what: see `read_bytes`."""
     if not isinstance(path, (str, os.PathLike)):
         raise UserError(f"{what} must be a path, not {shown(repr(path), 40)}")
     return Path(path)
@@ -41,8 +41,8 @@ def as_path(path: object, what: str) -> Path:
 def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
     """Return the content of a file of at most `largest` bytes.
 
-    what: its name in sentences, as in "vehicle file". Raises UserError for a file that is missing,
-    unreadable or too large, and for pipes and devices, which have no end.
+    what: what messages call the file, for instance "vehicle file". Raises UserError for a file that is
+    missing, unreadable or too large, and for pipes and devices, which have no end.
     """
     name = shown(as_path(path, what), 240)
     try:
@@ -62,9 +62,10 @@ def read_bytes(path: str | Path, what: str, largest: int = LARGEST) -> bytes:
 
 
 def real(path: str | Path) -> Path:
-    """Return the absolute path without links; `path` itself where they lead in a circle, or with a zero byte.
+    """Return the absolute path without links, or `path` itself if links form a cycle or it has a zero byte.
 
-    `Path.resolve` raises errors of three kinds there. What is wrong is said by what reads the file.
+    `Path.resolve` raises three kinds of errors in these cases. The function that reads the file reports the
+    problem.
     """
     try:
         return Path(os.path.realpath(path))
@@ -128,9 +129,9 @@ def atomic(path: str | Path) -> Iterator[Path]:
 def scratch(path: str | Path, folder: Path | None = None) -> Iterator[Path]:
     """Yield a new temporary file next to `path`, with the same suffix, which is removed at the end.
 
-    It has a random name and is locked, so that what is found unlocked was left by a process that was killed:
-    such files of the same `path`, if they are older than _STALE, are removed. folder: make a temporary folder
-    in this one instead. OSErrors become UserErrors that name `path`.
+    It has a random name and is locked, so an unlocked one was left by a process that was killed. Such files
+    of the same `path` are removed if they are older than _STALE. folder: make a temporary folder in this one
+    instead. OSErrors become UserErrors that name `path`.
     """
     path = as_path(path, "output")
     name = (path.name if folder else path.stem)[:40] or "run"
@@ -154,7 +155,7 @@ def scratch(path: str | Path, folder: Path | None = None) -> Iterator[Path]:
 
 
 def lock(handle: int) -> bool:
-    """Lock an open file or folder until it is closed; returns False where another process has locked it."""
+    """Lock an open file or folder until it is closed; returns False if another process has locked it."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -166,9 +167,9 @@ def lock(handle: int) -> bool:
 
 @contextlib.contextmanager
 def made(folder: Path) -> Iterator[None]:
-    """Make a folder, with those above it; those that this process made go again on any error.
+    """Make a folder and its parents; on any error, those that this process made are removed.
 
-    Raises UserError where that is impossible.
+    Raises UserError if that is impossible.
     """
     ours: list[Path] = []
     try:
@@ -199,12 +200,12 @@ def is_part(path: Path) -> bool:
 
 
 def remove_parts(folder: Path) -> None:
-    """Remove what killed processes left in a folder that only this one writes, and in its folders."""
+    """Remove temporary files of killed processes from a folder that only this process writes, recursively."""
     _remove(folder.rglob(".*.part*"))
 
 
 def _remove(paths: Iterable[Path], before: float = math.inf) -> None:
-    """Remove those of the paths that are temporary, not locked and last changed before this time."""
+    """Remove the paths that are temporary, not locked and last changed before this time."""
     for path in filter(is_part, paths):
         with contextlib.suppress(OSError):
             if path.lstat().st_mtime < before:
@@ -226,7 +227,7 @@ def _remove_part(path: Path) -> None:
 
 
 def check_file(path: str | Path) -> None:
-    """Raise UserError if no file could be written at `path`; leaves nothing behind."""
+    """Raise UserError if no file can be written at `path`; leaves nothing behind."""
     path = as_path(path, "output")
     check_folder(path.parent)
     _check_name(path)
@@ -235,7 +236,7 @@ def check_file(path: str | Path) -> None:
 
 
 def check_folder(path: str | Path) -> None:
-    """Raise UserError if no file could be written in the folder `path`, there or to be made.
+    """Raise UserError if no file can be written in the folder `path`, which need not exist yet.
 
     Leaves nothing behind.
     """
@@ -269,7 +270,7 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 def write_text(path: str | Path, text: str) -> None:
     r"""Write UTF-8 text to `path` atomically.
 
-    Bytes of file names that are no UTF-8 become \udcff: JSON's own way to write what Python holds.
+    Bytes of file names that are not UTF-8 are written as \udcff, JSON's escape of Python's surrogates.
     """
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
@@ -288,7 +289,7 @@ def to_json(value: object) -> str:
 
 
 def _lines(value: Any, line: str, in_list: bool = False) -> str:
-    """Return JSON text whose lines begin with `line`; flat lists, and flat items of lists, are one line."""
+    """Return JSON text whose lines begin with `line`; flat lists, and flat items of lists, take one line."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     flat = not any(isinstance(item, (dict, list)) and item for item in inner)
     if not inner or (flat and (in_list or isinstance(value, list))):
@@ -315,5 +316,5 @@ def _plain(value: object) -> object:
 
 
 def reason(error: Exception) -> str:
-    """Return what went wrong, as part of a sentence."""
+    """Return the reason of an OSError, as part of a sentence."""
     return (getattr(error, "strerror", None) or str(error)).lower()

@@ -1,4 +1,4 @@
-"""The library of named physical effects: what may be missing between the equations and a real Crazyflie.
+"""Library of named physical effects that the equations may lack compared with a real Crazyflie.
 
 A corrected model is the nominal vehicle with effects applied. Each effect maps its parameters to a
 changed `Vehicle`, which both plants understand and a vehicle file stores:
@@ -6,8 +6,7 @@ changed `Vehicle`, which both plants understand and a vehicle file stores:
     vehicle = LIBRARY["battery_sag"].apply(load_vehicle(), {"sag": 0.15, "reference": 34100.0})
 
 The terms are those of `forces.py`, `attitude_loops.py` and the plugins' attributes (`plugin/README.md`).
-Everything that the gap workflow knows of an effect is in its entry. docs/guides/extend.md says how one is
-added.
+docs/guides/extend.md explains how to add an effect.
 """
 
 from collections.abc import Mapping
@@ -32,7 +31,7 @@ LIBRARY: dict[str, Effect] = {effect.name: effect for family in _FAMILIES for ef
 
 
 def apply(vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]]) -> Vehicle:
-    """The vehicle with several effects, {effect: {parameter: value}}, one after the other.
+    """Return the vehicle with several effects, {effect: {parameter: value}}, applied one after the other.
 
     Raises UserError for an unknown effect or parameter.
     """

@@ -37,7 +37,7 @@ def _level(vehicle, values):
 
 
 def _angles(plausible: float, field: str, name: str) -> tuple[Parameter, ...]:
-    """Roll and pitch added to a field of two angles."""
+    """Return the parameters of roll and pitch that are added to a field of two angles."""
 
     def angle(axis: str, k: int) -> Parameter:
         constant = FittedConstant(name.format(axis), field=field, unit="rad", offset=True, parts=(k,))

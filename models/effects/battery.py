@@ -11,9 +11,9 @@ _FARTHEST_ZERO = 1e8  # PWM or V
 
 
 def _line(slope, zero, more, at):
-    """Slope and zero of slope (x - zero) + more (x - at); `zero` itself while there is no slope.
+    """Return slope and zero of slope (x - zero) + more (x - at); `zero` itself if there is no slope.
 
-    Where the slopes cancel, a constant is left: a line through it with its zero `_FARTHEST_ZERO` away.
+    If the slopes cancel, a constant remains: it is represented by a line with its zero `_FARTHEST_ZERO` away.
     """
     if more == 0.0:
         return slope, zero
@@ -27,7 +27,7 @@ def _line(slope, zero, more, at):
 
 
 def with_sag(vehicle, sag, reference=None):
-    """The vehicle with the factor 1 - sag (load/reference - 1) of its thrust on top of what it has."""
+    """Return the vehicle with its thrust multiplied by 1 - sag (load/reference - 1)."""
     present, before = vehicle.effects_battery_sag, vehicle.effects_battery_reference
     if sag == 0.0:
         return vehicle

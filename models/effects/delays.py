@@ -1,10 +1,10 @@
-"""Dead times between a command and its effect, and between the vehicle and what the ground station sees."""
+"""Dead times between a command and its effect, and between the vehicle's motion and its measurement."""
 
 from inclined_landing.models.effects.effect import Effect, FittedConstant, Parameter, added
 
 
 def _delay(longest: float, plausible: float, negligible: float, name: str, field: str) -> Parameter:
-    """A delay, added to a field of the vehicle."""
+    """Return the parameter of a delay that is added to a field of the vehicle."""
     constant = FittedConstant(name, field=field, unit="s", offset=True)
     return Parameter(
         "delay",

@@ -1,4 +1,4 @@
-"""An effect: a named physical cause that the paper's equations omit or may have wrong."""
+"""An effect: a named physical cause that the paper's equations omit or describe inaccurately."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class FittedConstant:
-    """The vehicle's constant that a parameter changes: what `landing-eval identify` fits and reports."""
+    """A constant of the vehicle that a parameter changes, which `landing-eval identify` reports."""
 
     name: str  # as a person calls it
     _: dataclasses.KW_ONLY
@@ -28,7 +28,7 @@ class FittedConstant:
     parts: tuple[int, ...] = ()  # which numbers of the field it changes; (): all
 
     def number(self, vehicle: Vehicle, value: float) -> float:
-        """Return what is reported for a vehicle whose parameter is `value`."""
+        """Return the number that is reported for a vehicle whose parameter is `value`."""
         if self.share:
             return value
         constant = getattr(vehicle, self.field)
@@ -38,7 +38,7 @@ class FittedConstant:
         return value / constant if self.inverse else value * constant
 
     def unit_of(self, vehicle: Vehicle) -> float:
-        """Return by how much [unit] a factor greater by 1 changes the number; 1 for a share."""
+        """Return the change [unit] of the number when the factor increases by 1; 1 for a share."""
         if self.unit == "s":
             return self.number(vehicle, 2.0) - self.number(vehicle, 1.0)
         if self.parts:
@@ -59,14 +59,14 @@ def mass(vehicle: Vehicle) -> float:
 
 
 def hover_inflow(vehicle: Vehicle) -> float:
-    """Return the velocity [m/s] that the rotors give the air in hover, by momentum theory."""
+    """Return the induced velocity [m/s] of the rotors in hover, by momentum theory."""
     # v_h = sqrt(m g / (2 rho A)),  A = 4 pi r^2
     weight = vehicle.body_mass * vehicle.environment_gravity
     return math.sqrt(weight / (8.0 * math.pi * AIR_DENSITY)) / vehicle.rotor_radius
 
 
 def heavy_rotor_drag(vehicle: Vehicle) -> float:
-    """Return the drag coefficient [kg/rad] at which the drag at the hover inflow would be the weight."""
+    """Return the drag coefficient [kg/rad] at which the drag at the hover inflow equals the weight."""
     # k = m g / (v_h n w),  w = d P + e of each motor at a P^2 + b P + c = m g / n
     weight, n = vehicle.body_mass * vehicle.environment_gravity, vehicle.motor_count
     a, b, c = vehicle.motor_pwm_to_force
@@ -123,7 +123,7 @@ class Parameter:
         return (self.neutral, high) if self.one_signed else (low, high)
 
     def either_side(self, times: float = 1.0) -> tuple[float, float]:
-        """Return the lowest and highest plausible value of a reference, or some `times` as far from it."""
+        """Return the lowest and highest plausible value of a reference, or values `times` as far from it."""
         low, high = self.bounds
         away = times * OFF * self.negligible
         return max(low, self.neutral - away), min(high, self.neutral + away)
@@ -131,9 +131,10 @@ class Parameter:
     def sized_for(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with the bounds and sizes that apply to `vehicle`.
 
-        An effect that the vehicle has already may also shrink, down to none. Sizes of a factor on a time are
-        absolute: as many ms as for the shipped vehicle, not the same share. Forces, masses and drag
-        coefficients grow with the vehicle's mass, air speeds with what its rotors give the air in hover.
+        An effect that the vehicle already has may also decrease, down to zero. Sizes of a factor on a time
+        are absolute: as many ms as for the shipped vehicle, not the same share. Forces, masses and drag
+        coefficients scale with the vehicle's mass, air speeds with the induced velocity of its rotors in
+        hover.
         """
         scale, power = (
             (lambda v: v.rotor_arm, 1.0) if self.along_the_arm else _SCALED_UNITS.get(self.unit, (None, 1.0))
@@ -143,7 +144,7 @@ class Parameter:
         return self._scaled((scale(vehicle) / scale(load_vehicle())) ** power)._on_top_of(vehicle)
 
     def _scaled(self, times: float) -> Parameter:
-        """Return the parameter with all sizes `times` as large."""
+        """Return the parameter with all sizes multiplied by `times`."""
         return dataclasses.replace(
             self,
             bounds=(self.bounds[0] * times, self.bounds[1] * times),
@@ -153,7 +154,7 @@ class Parameter:
         )
 
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
-        """Return the parameter with bounds that allow for what the vehicle has of it already."""
+        """Return the parameter with bounds that account for the size that the vehicle already has."""
         field, _, part = self.adds_to.partition(".")
         present = 0.0
         if field:
@@ -188,7 +189,7 @@ class Parameter:
 
     @property
     def is_ratio(self) -> bool:
-        """Return whether the parameter is fitted in its logarithm, as a factor that is never zero is."""
+        """Return whether the parameter is fitted in its logarithm, as for a factor that is never zero."""
         return self.is_factor and self.bounds[0] > 0.0
 
     def coordinate(self, value: float) -> float:
@@ -210,12 +211,12 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """A physical cause with the change of the vehicle that it means, in both plants.
+    """A physical cause, with the change that it makes to the vehicle in both plants.
 
-    `apply(vehicle, values)` returns the vehicle with the effect on top of what it has already: scales
+    `apply(vehicle, values)` returns the vehicle with the effect added to those it already has: scales
     multiply, offsets add. `values` maps parameter names to numbers; a missing name is neutral.
 
-    Other effects are referred to by name. How it is fitted stands in `eval/gap/model/fitting.py`.
+    Other effects are referred to by name. `eval/gap/model/fitting.py` defines how an effect is fitted.
     """
 
     name: str
@@ -246,7 +247,7 @@ class Effect:
 
     @property
     def neutral(self) -> dict[str, float]:
-        """The parameter values that change nothing."""
+        """The parameter values with no effect."""
         return {p.name: p.neutral for p in self.parameters}
 
     @property
@@ -256,11 +257,11 @@ class Effect:
 
     @property
     def reference(self) -> Parameter | None:
-        """The parameter that the others act about, if there is one in which the effect is linear."""
+        """The reference value about which the others act, if there is one in which the effect is linear."""
         return next((p for p in self.parameters if p.is_reference and p.linear), None)
 
     def at_ends(self, value: float, reference: float) -> tuple[float, float]:
-        """Return sizes about the lowest and the highest reference that together equal this one."""
+        """Return the two sizes, about the lowest and the highest reference, whose sum equals this one."""
         share = self._towards(reference)
         return value * (1.0 - share), value * share
 
@@ -288,11 +289,11 @@ class Effect:
 
     @property
     def contact(self) -> bool:
-        """Return whether the effect shows in touchdowns only."""
+        """Return whether the effect is visible in touchdowns only."""
         return self.channels == ("touchdown",)
 
     def seen_in_requests(self) -> Effect:
-        """Return the effect for flights whose logs have the requests of the motors."""
+        """Return the effect for flights whose logs contain the commands of the motors."""
         parameters = (
             dataclasses.replace(
                 p,
@@ -320,7 +321,7 @@ CHANNELS = ("translation", "attitude", "yaw", "requests", "touchdown")
 
 
 def scaled(*fields: str, parameter: str = "scale"):
-    """`apply` of an effect that multiplies vehicle fields (numbers or tuples) by its parameter."""
+    """Return the `apply` of an effect that multiplies vehicle fields (numbers or tuples) by its parameter."""
 
     def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
         factor = values.get(parameter, 1.0)
@@ -334,7 +335,7 @@ def scaled(*fields: str, parameter: str = "scale"):
 
 
 def added(field: str, *parameters: str):
-    """`apply` of an effect that adds its parameters to a field: a number, or a tuple with one for each."""
+    """Return the `apply` of an effect that adds its parameters to a field, a number or a tuple."""
 
     def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
         old = getattr(vehicle, field)

@@ -1,4 +1,4 @@
-"""Effects of single rotors: visible where the requests of all four motors were logged."""
+"""Effects of single rotors, which are visible if the commands of all four motors were logged."""
 
 from collections.abc import Mapping
 

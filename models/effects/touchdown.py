@@ -6,10 +6,10 @@ from inclined_landing.models.effects.effect import Effect, Parameter, added, sca
 
 
 def _spring(vehicle, stiffness: float, damping: float):
-    """The vehicle with stiffness and damping of its contact spring times two factors.
+    """Return the vehicle with stiffness and damping of its contact spring multiplied by two factors.
 
-    Written in the engine's direct format, (-stiffness, -damping), for which it does not clip the time
-    constant to twice the time step.
+    They are written in the engine's direct format, (-stiffness, -damping), in which the engine does not clip
+    the time constant to twice the time step.
     """
     if stiffness == 1.0 and damping == 1.0:
         return vehicle
@@ -20,7 +20,7 @@ def _spring(vehicle, stiffness: float, damping: float):
 
 
 def spring_of(vehicle) -> tuple[float, float]:
-    """Stiffness [1/s2] and damping [1/s] of the vehicle's contact spring."""
+    """Return stiffness [1/s2] and damping [1/s] of the vehicle's contact spring."""
     first, second = vehicle.contact_solref
     if first > 0:
         return 1.0 / (first * first * second * second), 2.0 / first

@@ -1,20 +1,20 @@
-"""One interface, three plants: the paper's equations, the MuJoCo vehicle, and both; n vehicles each.
+"""Three plants with one interface for n vehicles: the paper's equations, MuJoCo, and a hybrid of both.
 
-Everything above this module is written once against it. A plant is stepped with the paper's commands
+Everything above this module uses only this interface. A plant is stepped with the paper's commands
 u = [PWM, roll, pitch, yaw rate] (n, 4) held for one control period (`control_period` [s]; the vehicle's
-unless another is given), and shows
+unless another is given), and provides
 
 - `state` (n, 13): columns of `attitude.py`, a copy refreshed by every call;
 - `measurement` (n, 13): the state as motion capture reports it, late if the vehicle has that delay;
-- `contacts`: what the vehicles' parts touched during the last control step;
+- `contacts`: which surfaces the vehicles' parts touched during the last control step;
 - `reset(ids, state)`: full state, lag included; `save()` / `restore()`: everything that a replay needs;
 - `set_platform(ids, inclination, present, azimuth)` and `perturb(**changes)`, per vehicle, no recompiling.
 
-With `pool=VEHICLES` single vehicles may differ from the plant's own: `assign(ids, choice)` selects them, and
-they fly exactly as in their own plant, bit for bit.
+With `pool=VEHICLES`, individual vehicles can differ from the plant's own: `assign(ids, choice)` selects them,
+and they fly bit for bit as in a plant of their own.
 
-With `disturbance=SEED` all get the vehicle file's disturbance of the air, the same with the same seed
-(`disturbance.py`); without it the air is still.
+With `disturbance=SEED` all vehicles are subject to the disturbance of the air in the vehicle file, which is
+the same for the same seed (`disturbance.py`); otherwise the air is still.
 
 The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and flies by the equations
 elsewhere: the same flights to 3.4e-5 m in 6 s, the same contacts, at a fraction of the time (`hybrid.py`).

@@ -76,7 +76,7 @@ class AnalyticPlant(Plant):
         self._ambient[ids, forces.TIME] = 0.0
 
     def step(self, commands: np.ndarray, wanted: np.ndarray | None = None) -> None:
-        """Advance every vehicle by one control period under commands (n, 4), whichever are wanted."""
+        """Advance every vehicle by one control period under commands (n, 4), regardless of `wanted`."""
         commands = np.array(commands, float, order="C")  # writable: one compiled kernel for all callers
         dt = self.control_period / self.substeps
         if self.disturbance is not None:

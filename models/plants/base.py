@@ -58,17 +58,17 @@ class Plant:
 
     shapes, fleet: the collision shapes of the plant's own vehicle, and of all that it has.
 
-    pool: vehicles that `assign` may give to single ones instead of the plant's own, which all are at first.
-        They have its platform and commands; their own rotors and arms may be others.
+    pool: vehicles that `assign` can select instead of the plant's own vehicle, which all are initially. They
+    share its platform and commands; their rotors and arms may differ.
 
     disturbance: seed of the vehicle file's disturbance, None for still air. It acts on every control period
     as acceleration and torque (`disturbance.py`); with kinematic attitude the torque has no effect.
 
     load (n, 6): directions of the slung loads from their vehicles and the directions' rates [1/s], in the
-    world's axes; without rows where no vehicle of the plant has one. A reset lets them hang straight down.
+    world's axes; without rows if no vehicle of the plant has one. After a reset they hang straight down.
 
-    integral (n, 2): of the errors of roll and pitch over time [rad s], for vehicles with integral gains, else
-    0; a reset makes it 0.
+    integral (n, 2): time integrals of the errors of roll and pitch [rad s], for vehicles with integral gains,
+    else 0; a reset sets them to 0.
     """
 
     def __init__(
@@ -143,11 +143,11 @@ class Plant:
         }
 
     def set_load(self, ids, direction, rate=0.0) -> None:
-        """Put the slung loads of the vehicles `ids` (k,) elsewhere than a reset does.
+        """Set direction and rate of the slung loads of the vehicles `ids` (k,).
 
         direction: from the vehicle in the world's axes, (3,) or (k, 3), of any length. rate: its derivative
-        [1/s], of which what is along the direction does not count.
-        Raises UserError in a plant without loads and for a direction of no length.
+        [1/s]; the component along the direction is ignored. Raises UserError in a plant without loads and for
+        a direction of length zero.
         """
         if not len(self.load):
             raise UserError("no vehicle of this plant has a slung load: effects.load_mass is 0")
@@ -162,7 +162,7 @@ class Plant:
 
     @property
     def measurement(self) -> np.ndarray:
-        """(n, 13): `state`, or what it was one motion capture delay ago; not to be changed."""
+        """(n, 13): `state`, or its value one motion capture delay ago; do not change it."""
         return self.delays.measurement(self.state)
 
     def save(self) -> Snapshot:
@@ -188,10 +188,9 @@ class Plant:
         """Hook for plants with arrays whose shapes may change."""
 
     def assign(self, ids, choice) -> None:
-        """Make of the vehicles `ids` (k,) those of the pool in `choice` (k,): 1 the first, 0 the plant's own.
-
-        Their platform and their state are to be set afterwards, by `set_platform` and `reset`.
-        Raises UserError where the pool has no such vehicle.
+        """Replace the vehicles `ids` (k,) by those of the pool in `choice` (k,): 1 is the first, 0 the
+        plant's own. Set their platform and state afterwards with `set_platform` and `reset`. Raises UserError
+        if the pool has no such vehicle.
         """
         choice = np.asarray(choice, int)
         if not ((choice >= 0) & (choice <= len(self.pool))).all():
@@ -200,7 +199,7 @@ class Plant:
         self._apply_choice(np.asarray(ids))
 
     def _apply_choice(self, ids: np.ndarray) -> None:
-        """Give the vehicles `ids` everything that their `choice` says."""
+        """Apply the `choice` of the vehicles `ids`."""
         choice = self.choice[ids]
         self._constants[ids] = self._records[choice]
         platforms = self._records["platform"][choice]
@@ -213,20 +212,20 @@ class Plant:
 
     @property
     def inclination(self) -> np.ndarray:
-        """(n,) of the platforms [rad]."""
+        """Inclinations (n,) of the platforms [rad]."""
         return self.platform[:, PITCH]
 
     @property
     def azimuth(self) -> np.ndarray:
-        """(n,) by which the platforms are turned about the vertical [rad]."""
+        """Angles (n,) by which the platforms are turned about the vertical [rad]."""
         return self.platform[:, YAW]
 
     def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
-        """Inclination [rad] and presence of the platforms of the vehicles `ids`, turned by azimuth [rad].
+        """Set inclination [rad], presence and azimuth [rad] of the platforms of the vehicles `ids`.
 
-        `platform` (n, 12) then has their states, in the columns of a vehicle's: centre of the surface,
-        velocity, attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its inclination the
-        pitch. The platforms stand still until `set_motion`.
+        `platform` (n, 12) then contains their states, in the same columns as those of a vehicle: centre of
+        the surface, velocity, attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its
+        inclination the pitch. The platforms are at rest until `set_motion` is called.
         """
         rows = np.zeros((len(self._height[ids]), PLATFORM_SIZE))
         rows[:, Z], rows[:, PITCH], rows[:, YAW] = self._height[ids], inclination, azimuth
@@ -239,7 +238,7 @@ class Plant:
         return None
 
     def set_motion(self, ids, motion: Motion, time=0.0) -> None:
-        """Move the platforms of the vehicles `ids` (k,) about where they are set.
+        """Set the motions of the platforms of the vehicles `ids` (k,), relative to their poses at rest.
 
         time: time of the motions [s] at the vehicles' `reset`, (k,) or a number. Raises UserError for
         plants made without `moving=True`.
@@ -249,26 +248,28 @@ class Plant:
         )
 
     def platform_at(self, times) -> np.ndarray:
-        """`platform` (n, 12) as it is at times (n,) or a number [s] since the vehicles' reset."""
+        """Return `platform` (n, 12) at times (n,) or a number [s] since the vehicles' reset."""
         return self.platform.copy()
 
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
-        """See `geometry.platform_poses`; of the vehicles `ids`."""
+        """Return `geometry.platform_poses` for the vehicles `ids`."""
         where = self.inclination[ids], self.present[ids]
         return geometry.platform_poses(*where, self.vehicle, self._height[ids], self.azimuth[ids])
 
     def _meet(self, shapes: Sequence[geometry.Shapes]) -> None:
-        """The shapes of the plant's own vehicle and, where they are others, of those of its pool."""
+        """Set the shapes of the plant's own vehicle and of the vehicles of its pool."""
         self.shapes, self.fleet = shapes[0], geometry.Fleet.of(shapes)
 
     @property
     def size(self) -> np.ndarray:
-        """(n,) which member of `fleet` each vehicle is."""
+        """Index (n,) of each vehicle in `fleet`."""
         return self.choice if len(self.fleet.reach) > 1 else self._alike
 
     def clearance(self, ids: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """(k,) distance [m] of the shapes of the vehicles `ids`, would they be in `state` (k, 13), to their
-        platforms; negative where they overlap, inf without a platform."""
+        """Return the distances (k,) [m] of the vehicles `ids`, in `state` (k, 13), to their platforms.
+
+        Distances are negative if shapes overlap, and inf without a platform.
+        """
         position, _ = self._platform_poses(ids)
         where = self.inclination[ids], position, self.fleet
         distance = geometry.clearances(state, *where, azimuth=self.azimuth[ids], which=self.size[ids])
@@ -280,10 +281,10 @@ class Plant:
         self._apply_perturbation()
 
     def _apply_perturbation(self) -> None:
-        """Hook for plants that keep the perturbation elsewhere too."""
+        """Hook for plants that also store the perturbation elsewhere."""
 
     def _begin(self, ids, state: np.ndarray) -> None:
-        """Begin a new episode of the vehicles `ids` at `state` (k, 13), as far as both plants share it."""
+        """Begin a new episode of the vehicles `ids` at `state` (k, 13): the part common to both plants."""
         constants = self._constants[ids] if len(self._constants) > 1 else self._constants
         self.state[ids] = state
         self.integral[ids] = resting_integrals(state[:, ROLL:YAW], constants)

@@ -1,4 +1,4 @@
-"""Contacts of the vehicles' parts, and where the engine's sensors report them."""
+"""Contacts of the vehicles' parts, and the engine's sensors that report them."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ class Contacts:
 
     @property
     def platform(self) -> np.ndarray:
-        """(n,) bool: any part touches slab or base."""
+        """(n,) bool: whether any part touches slab or base."""
         return _met(self.touch, 0, 2)
 
     @property
     def platform_near(self) -> np.ndarray:
-        """(n,) bool: any part within the keep-out zone of slab or base, or touching."""
+        """(n,) bool: whether any part is within the keep-out zone of slab or base, or touches them."""
         return _met(self.near, 0, 2)
 
     @property
     def floor(self) -> np.ndarray:
-        """(n,) bool: any part touches the floor."""
+        """(n,) bool: whether any part touches the floor."""
         return _met(self.touch, 2, 3)
 
 
 @kernel
 def _met(flags, first, last):
-    """Return (n,) bool: is a flag (n, 3, 3) of any part true for one of the surfaces first to last - 1."""
+    """Return (n,) bool: whether any part has a flag (n, 3, 3) for one of the surfaces first to last - 1."""
     out = np.empty(len(flags), np.bool_)
     for i in range(len(flags)):
         met = False
@@ -59,7 +59,7 @@ def _met(flags, first, last):
 
 @inner
 def _meets(row, addresses):
-    """Has any contact sensor in `row` (s,) found a contact?"""
+    """Return whether any contact sensor in `row` (s,) has found a contact."""
     for geom in range(addresses.shape[0]):
         for part in range(addresses.shape[1]):
             if row[addresses[geom, part]] > 0.0:
@@ -69,7 +69,8 @@ def _meets(row, addresses):
 
 @kernel
 def read_contacts(sensors, ids, addresses, zone, near, touch, force):
-    """Fold contact sensors (k, substeps, s) into the rows `ids` of (n, 3, 3) arrays, maximum over substeps.
+    """Reduce contact sensors (k, substeps, s) to the rows `ids` of (n, 3, 3) arrays, by the maximum over
+    substeps.
 
     The forces on one part by the base's geoms are added as vectors.
     """
@@ -102,9 +103,10 @@ def read_contacts(sensors, ids, addresses, zone, near, touch, force):
 
 
 def contact_sensors(model: mujoco.MjModel) -> np.ndarray:
-    """Return where `sensordata` holds what each part meets at each of geometry.CONTACT_GEOMS, (5, 3).
+    """Return the addresses (5, 3) in `sensordata` for each of geometry.CONTACT_GEOMS and each part.
 
-    At the address: the number of contacts found; behind it the net force (3,) [N] of the geom on the part.
+    At the address is the number of contacts found, followed by the net force (3,) [N] of the geom on the
+    part.
     """
     return np.array(
         [

@@ -1,8 +1,8 @@
-"""`Engine`: a `mujoco.batch.Batch` that can be copied and pickled, and knows when a fork took its threads.
+"""`Engine`: a `mujoco.batch.Batch` that can be copied and pickled, and detects that a fork lost its threads.
 
-Threads do not survive a fork. In the child the engine's next call would wait for them forever, and so would
-its end: a lost engine is kept in memory until the process ends, and a copy takes over from it. A fork
-waits for the calls of other threads, so that no engine is copied in the middle of one.
+Threads do not survive a fork. In the child process the engine's next call would wait for them forever, and so
+would its destructor: such an engine is kept in memory until the process ends, and a copy replaces it. A fork
+waits for calls in other threads, so that no engine is copied in the middle of one.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _locked: list[Engine] = []  # during a fork
 
 
 class Columns(NamedTuple):
-    """The places in a row of `Engine.state` (n, s) at which its components begin, for kernels.
+    """The columns of `Engine.state` (n, s) at which its components begin, for kernels.
 
-    They take whole rows, because views of the columns have another layout where n is 1, for which everything
-    would be compiled once more.
+    Kernels take whole rows, because views of the columns have another layout if n is 1, for which everything
+    would be compiled again.
     """
 
     time: int
@@ -43,16 +43,15 @@ class Columns(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Columns:
-        """Columns of a model's simulations: components come in the order of their bits."""
+        """Return the columns for simulations of a model, whose components are in the order of their bits."""
         bits = [int(getattr(mujoco.mjtState, f"mjSTATE_{name.upper()}")) for name in cls._fields[:-1]]
         before = [int(mujoco.mjtState.mjSTATE_INTEGRATION) & (bit - 1) for bit in bits]
         return cls._make([*(mujoco.mj_stateSize(model, mask) for mask in before), model.nv])
 
 
 class Engine(mujoco.batch.Batch):
-    """n simulations of a model on some threads.
-
-    lost: is this a forked process, in which the threads are missing. A copy has threads of its own.
+    """n simulations of a model on several threads. lost: whether this is a forked process without the
+    threads. A copy has its own threads.
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int):
@@ -78,7 +77,7 @@ class Engine(mujoco.batch.Batch):
 
 
 def _copied(model, n: int, threads: int, state: np.ndarray, warning: np.ndarray, fields: dict) -> Engine:
-    """Return an engine in the states (n, s) of another, with its warnings and its simulations' own fields."""
+    """Return an engine with the states (n, s) of another, its warnings and the fields of its simulations."""
     engine = Engine(model, n, threads)
     engine.state[:], engine.warning[:] = state, warning
     for name, values in fields.items():
@@ -111,7 +110,7 @@ os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_lose
 
 
 def differing_fields(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
-    """The fields of models of one layout in which they differ and a batch may, (m, ...) each.
+    """Return the fields, (m, ...) each, in which models of one layout differ and a batch may differ.
 
     Names, keyframes and the text of plugins, whose numbers are included, are omitted.
     """
@@ -126,7 +125,7 @@ def differing_fields(models: Sequence[mujoco.MjModel]) -> dict[str, np.ndarray]:
 
 
 def held_histories(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """The engine's history buffer at time 0: empty (h,), and per control what one unit held adds (nu, h)."""
+    """Return the history buffer at time 0: empty (h,), and the change by one unit of each control (nu, h)."""
     data = mujoco.MjData(model)
     empty, per_unit = data.history.copy(), np.zeros((model.nu, model.nhistory))
     for actuator in range(model.nactuator):

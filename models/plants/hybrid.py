@@ -1,4 +1,4 @@
-"""The MuJoCo vehicle as a plant whose vehicles fly by the equations while nothing is within their reach.
+"""The MuJoCo vehicle as a plant that uses the equations for vehicles while no surface is within reach.
 
 In the air an engine's step is the equations of `equations.py` with the rate loop, which agree with it to
 3.4e-5 m over 6 s (`landing-eval equivalence`) and cost a fraction of it. So each period is first
@@ -102,7 +102,7 @@ class _Vehicles(NamedTuple):
 
 
 class _Platforms(NamedTuple):
-    """Their platforms."""
+    """The n platforms."""
 
     platform: np.ndarray  # (n, 12)
     present: np.ndarray  # (n,) bool
@@ -179,7 +179,7 @@ class HybridPlant(MujocoPlant):
         return {}
 
     def _fly(self, ids: np.ndarray, period: _Period) -> np.ndarray:
-        """Fly what the equations can of the vehicles `ids` (k,), in threads; return which are left."""
+        """Fly the vehicles `ids` (k,) by the equations if possible, in threads; return the other ones."""
         parts = threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
         numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
         of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
@@ -209,12 +209,12 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 
 @unlocked
 def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results):
-    """Fly those of the vehicles `ids[first:last]` by the equations that stay out of reach.
+    """Fly the vehicles among `ids[first:last]` that stay out of reach by the equations.
 
-    numbers: those of `vehicles.constants`, see `forces.numbers`.
-    Returns how many the engine has to fly; their numbers are in `results.for_engine` from `first` on. The
-    engine's arrays of the others are what it would have made of them, without a warm start of its solver,
-    which had no contact.
+    numbers: from `vehicles.constants`, see `forces.numbers`. Returns the number of vehicles that the engine
+    has to fly; their indices are in `results.for_engine` from `first` on. The engine's arrays of the others
+    are set to the values that it would have computed, without a warm start of its solver, which had no
+    contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
@@ -362,17 +362,15 @@ def _size(x, y, z):
 
 @inlined
 def _moved(wx, wy, wz, x, y, z, dt):
-    """Return how far [m] a vehicle has moved in `dt` [s] at most, from its velocity before to (x, y, z)
-    after.
-    """
+    """Return a bound [m] of a vehicle's motion in `dt` [s], from its velocities before and (x, y, z) after."""
     return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
 
 
 @inlined
 def _turned(rate, y, dt):
-    """Return the angle [rad] that a vehicle has turned in `dt` [s] at most, as `_moved`.
+    """Return a bound of the angle [rad] by which a vehicle turns in `dt` [s], as in `_moved`.
 
-    rate: three before, of angles about some axes.
+    rate: the three angular rates before.
     """
     before = after = change = 0.0
     for k in range(3):
@@ -383,7 +381,7 @@ def _turned(rate, y, dt):
 
 @inner
 def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
-    """Return the distance [m] of vehicle i, at a point and with an axis, from `poses` of `_distance`."""
+    """Return the distance [m] of vehicle i, with its point and axis, to `poses` of `_distance`."""
     d = platforms.platform[i]
     turns = geometry.platform_turns(d[ROLL], d[PITCH], d[YAW])
     return geometry.hull_distance(here, axis, turns, poses, vehicles.fleet, vehicles.size[i], lowered)
@@ -393,7 +391,8 @@ def _hull_distance(here, axis, i, platforms, poses, vehicles, lowered):
 def _distance(here, i, platforms, poses, row, at, fleet):
     """Return the distance [m] of a point (x, y, z) to platform i, whose slab is at poses[0] (3,).
 
-    row (s,): of the engine, which has the poses of its base; poses (4, 3) are those of all bodies afterwards.
+    row (s,): the row of the engine, which contains the poses of the base; poses (4, 3) are filled with those
+    of all bodies.
     """
     for b in range(1, len(poses)):
         for k in range(3):
@@ -406,7 +405,7 @@ def _distance(here, i, platforms, poses, row, at, fleet):
 
 @inlined
 def _spare(clear, step, approach):
-    """Return the distance [m] that a vehicle has to spare in a time step; see the module's docstring."""
+    """Return the distance [m] that a vehicle still has in a time step; see the module's docstring."""
     platform, floor, radius = clear
     return min(platform - (step + 1) * approach, floor) - radius - _MARGIN
 
@@ -433,8 +432,8 @@ def _write(row, state, substeps, dt, engine):
 def _note(row, begin, count, command, time):
     """Append a timestamped command [s] to the history buffer of an actuator, which begins there in the row.
 
-    Its layout: a user's number, index of the newest sample, times, values of `count` samples; none where it
-    has no delay.
+    The layout is: a user's number, index of the newest sample, times, values of `count` samples. An actuator
+    without delay has none.
     """
     if count > 0:
         newest = (int(row[begin + 1]) + 1) % count

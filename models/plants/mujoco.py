@@ -130,13 +130,13 @@ class MujocoPlant(Plant):
 
     @property
     def batch(self) -> Engine:
-        """The engine; in a forked process, to which its threads are lost, a copy of it from now on."""
+        """The engine; in a forked process, which has lost its threads, a copy of it."""
         if self._batch.lost:
             self._bind(copy.copy(self._batch))
         return self._batch
 
     def _bind(self, batch: Engine) -> None:
-        """Take an engine, and the arrays of it that the plant reads and writes."""
+        """Store an engine and its arrays that the plant reads and writes."""
         self._batch, bind = batch, batch.bind
         self._columns = Columns.of(self.model)
         self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
@@ -149,7 +149,7 @@ class MujocoPlant(Plant):
             self.platforms.bind(batch)
 
     def __setstate__(self, state: dict) -> None:
-        """Take over what a copied or pickled plant held, with arrays of the new engine."""
+        """Restore a copied or pickled plant, with the arrays of the new engine."""
         self.__dict__.update(state)
         self._bind(self._batch)
 
@@ -170,7 +170,7 @@ class MujocoPlant(Plant):
         self._warning[:] = 0
 
     def assign(self, ids, choice) -> None:
-        """See `Plant.assign`; the vehicles' contact becomes that of the pool's."""
+        """See `Plant.assign`; the contact parameters become those of the selected vehicles."""
         super().assign(ids, choice)
         self._contact[ids] = self._contact_of_each[choice]
         self._apply_contact()
@@ -182,22 +182,21 @@ class MujocoPlant(Plant):
             self.batch.expand(name)[ids] = rows[self.choice[ids]]
 
     def _of_model(self, field: str) -> np.ndarray:
-        """A field of the vehicles' own models, (n, ...), or (1, ...) where all have the same."""
+        """Return a field of the vehicles' models, (n, ...), or (1, ...) if all have the same."""
         rows = self._fields.get(field)
         return getattr(self.model, field)[None] if rows is None else rows[self.choice]
 
     def set_contact(
         self, ids, *, friction=None, restitution=None, contact_time=None, solref=None, foot_height=None
     ) -> None:
-        """Contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them unchanged.
+        """Set contact parameters of the vehicles `ids`, numbers or (k,) arrays; None leaves them unchanged.
 
         friction: sliding friction between the vehicle and every surface.
         restitution, contact_time [s]: see `contact.solref`; both or none.
-        solref: instead of these, MuJoCo's own (2,) or (k, 2).
-        foot_height: how far the feet reach below the centre of mass [m]; the plant's `foot_height` is
-            the nominal one.
+        solref: instead of these, MuJoCo's own (2,) or (k, 2). foot_height: reach of the feet below the centre
+        of mass [m]; the plant's `foot_height` is the nominal one.
 
-        Vehicle and surfaces get the same values, because the engine mixes those of both sides.
+        Vehicle and surfaces are set to the same values, because the engine mixes those of both sides.
         Raises UserError, and changes nothing, for values that are out of range.
         """
         rows = self._contact[ids].copy()
@@ -289,9 +288,9 @@ class MujocoPlant(Plant):
         """Advance every vehicle by one control period under commands (n, 4).
 
         wanted: (n,) bool, vehicles whose result is used; the others do not move, unless there is a
-        disturbance, of which all draw from one stream.
+        disturbance, which draws from one stream for all vehicles.
 
-        Contacts are the maximum over the control step's substeps, each seen at its beginning.
+        Contacts are the maximum over the control step's substeps, each evaluated at its beginning.
         Raises FloatingPointError, naming the vehicles, when the engine diverges; reset them to continue.
         """
         some = wanted is not None and not self.disturbance and not wanted.all()
@@ -300,7 +299,7 @@ class MujocoPlant(Plant):
 
     @property
     def constants(self) -> np.ndarray:
-        """The vehicles' constants as of `forces.pack`, (n,) or (1,) for all of them."""
+        """The vehicles' constants from `forces.pack`, (n,) or (1,) for all of them."""
         return self._constants
 
     @property
@@ -311,11 +310,11 @@ class MujocoPlant(Plant):
 
     @property
     def pushes(self) -> np.ndarray:
-        """Force [N] and torque [N m] (n, 6) of the disturbance in the last control period."""
+        """Return force [N] and torque [N m] (n, 6) of the disturbance in the last control period."""
         return self._applied
 
     def acting_commands(self) -> np.ndarray:
-        """The last commands as they act, late where they are delayed: (1, n, 4), or (substeps, n, 4)."""
+        """Return the last commands, delayed if there are delays: (1, n, 4), or (substeps, n, 4)."""
         if not self.delays.of_commands:
             return self._ctrl[None].copy()  # in C order, as kernels are compiled for
         step = self.control_period / self.substeps
@@ -329,17 +328,16 @@ class MujocoPlant(Plant):
 
     @property
     def diverged(self) -> np.ndarray:
-        """(n,) bool: has the engine diverged since the vehicle's reset."""
+        """(n,) bool: whether the engine has diverged since the vehicle's reset."""
         return _diverged(self._warning, self.state)
 
     def advance(
         self, commands: np.ndarray, ids: np.ndarray | None = None, record: tuple[str, ...] = ()
     ) -> dict[str, np.ndarray]:
-        """`step` without its check, for the vehicles `ids` (k,) alone; the others stand still.
-
-        ids: sorted, unique; None takes all. Commands are (n, 4) in any case.
-        record: fields of the engine's data. Returns them after every engine step, (k, substeps, ...), with
-        "sensordata", which belongs to the step's beginning; nothing where nothing is asked for.
+        """Do a `step` without its check, for only the vehicles `ids` (k,); the others do not move. ids:
+        sorted, unique; None selects all. Commands are (n, 4) in any case.
+        record: fields of the engine's data. They are returned after every engine step, (k, substeps, ...);
+        "sensordata" belongs to the beginning of the step. Without fields, an empty result is returned.
         """
         commands = np.asarray(commands, float)
         chosen = slice(None) if ids is None else ids
@@ -366,7 +364,7 @@ class MujocoPlant(Plant):
         return self._disturb(self.disturbance, ids) if self.disturbance else equations.STILL
 
     def _synchronise(self, ids) -> None:
-        """Give the vehicles `ids` that touch nothing the body rates of the first-order loops."""
+        """Set the body rates of the vehicles `ids` that touch nothing to those of the first-order loops."""
         kept = np.ones(self.n, bool)
         kept[ids] = self.contacts.touch[ids].any(axis=(1, 2))
         wanted = self._ctrl
@@ -377,7 +375,7 @@ class MujocoPlant(Plant):
         self._write_loads(self._everyone[ids])  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-        """The engine's steps of one control period of the vehicles `ids`, read back; see `advance`."""
+        """Run one control period of the vehicles `ids` in the engine and read the results; see `advance`."""
         stepped = self._everyone if ids is None else ids
         seen = {"sensordata": self._seen[: len(stepped)]}
         push: Any = {}
@@ -403,7 +401,7 @@ class MujocoPlant(Plant):
         return push
 
     def allow_torque(self, commands: np.ndarray) -> None:
-        """Attitude torques as motors under commands (n, 4) can make them; every step sees to it itself."""
+        """Enable the attitude torques that motors under commands (n, 4) can produce; `step` calls this."""
         running = commands[:, PWM] > 0.0
         if not self.torque_needs_motors or (
             running.all() and self.batch.expanded("actuator_forcerange") is None
@@ -436,7 +434,7 @@ class MujocoPlant(Plant):
 
 @kernel
 def _diverged(warning, state):
-    """Return (n,) bool: has the engine warned, or is a number of the state not finite."""
+    """Return (n,) bool: whether the engine has warned or a number of the state is not finite."""
     out = np.empty(len(state), np.bool_)
     for i in range(len(state)):
         warned, sum_of_nothing = 0, 0.0
@@ -450,7 +448,7 @@ def _diverged(warning, state):
 
 @kernel
 def _write_state(ids, state, engine, at):
-    """Write states (k, 13) as those of the vehicles `ids` into the engine's rows (n, s); at: `Columns`."""
+    """Write the states (k, 13) of the vehicles `ids` to the engine's rows (n, s); at: `Columns`."""
     for k in range(len(ids)):
         row, s, qpos, qvel = engine[ids[k]], state[k], at.qpos, at.qvel
         for j in range(3):

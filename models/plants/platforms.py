@@ -1,12 +1,12 @@
-"""The platforms of a moving plant in the engine: bodies with joints, which follow a motion.
+"""The platforms of a moving plant in the engine: bodies with joints that follow a prescribed motion.
 
 Between two control ticks the engine moves a platform itself, under the acceleration that its motion has in
-the middle of each time step of h; at the ticks it is put where it should be. From there to the next tick, T
-later, RK4 is off by at most J T h^2 / 12, J the largest third derivative of the motion: by micrometres. Its
-speed is off by J h^2 / 8 within a time step, and at a step's end by T h^2 / 24 of the fourth derivative.
-Single-step integrators move with the speed of a step's end; the platform is then given speeds that belong
-half a step earlier and accelerations of the steps' beginnings, which is as exact, and is how they move what
-stands on it.
+the middle of each time step h; at the ticks its exact pose is set. Until the next tick, T later, the error of
+RK4 is at most J T h^2 / 12, where J is the largest third derivative of the motion, which is micrometres. The
+error of its speed is J h^2 / 8 within a time step, and T h^2 / 24 times the fourth derivative at the end of a
+step. Single-step integrators move bodies with the speed at the end of a step; the platform's speeds are then
+taken half a step earlier and its accelerations at the beginnings of the steps, which is as accurate and
+consistent with the motion of bodies that rest on it.
 
 The joints' inertia is practically infinite, so that contacts do not move a platform.
 """
@@ -31,7 +31,7 @@ _JOINTS = ("x", "y", "z", "roll", "pitch", "yaw")  # of models/scene.py, in the 
 
 
 class _Clock(NamedTuple):
-    """Times of the platforms' motions, and when the engine asks for them."""
+    """Times of the platforms' motions, and the times at which the engine evaluates them."""
 
     time: np.ndarray  # (n,) s since the vehicles' reset
     begun: np.ndarray  # (n,) s, time of the motions at the vehicles' reset
@@ -51,7 +51,7 @@ class _Joints(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """The data of n moving platforms that kernels read; n is 0 in a plant whose platforms stand still."""
+    """The data of n moving platforms that kernels read; n is 0 in a plant without moving platforms."""
 
     courses: np.ndarray  # (n, c) what every control period reads of a motion, see `_write_course`
     waves: motion.Waves
@@ -99,25 +99,25 @@ class Platforms:
         self._moved()
 
     def bind(self, batch) -> None:
-        """Take the arrays of a copy of the engine."""
+        """Use the arrays of a copy of the engine."""
         qpos, qvel, force = batch.bind("qpos"), batch.bind("qvel"), batch.bind("qfrc_applied")
         self._joints = self._joints._replace(qpos=qpos, qvel=qvel, force=force)
         self._clock = self._clock._replace(time=batch.bind("time"))
 
     def _moved(self) -> None:
-        """Take the arrays of the motion, which may be others after more waves were given."""
+        """Use the present arrays of the motion, which are replaced when it gets more waves."""
         self._waves = self.motion.arrays
         courses = np.zeros((len(self.rest), _WAVES + 4 * self.motion.amplitude[0].size))
         self.moving = Moving(courses, self._waves, self._clock.late, self._period, self._reach)
         self.renew()
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return what a snapshot of the plant needs of them."""
+        """Return the arrays that a snapshot of the plant needs."""
         names = ("deck_velocity", "deck_amplitude", "deck_frequency", "deck_phase")
         return {"deck_rest": self.rest, "deck_begun": self.begun, **dict(zip(names, self.motion.arrays))}
 
     def make_room(self, arrays: dict[str, np.ndarray]) -> None:
-        """Make room for as many waves as a snapshot's arrays have."""
+        """Allocate space for as many waves as a snapshot's arrays have."""
         self.motion = Motion.still(len(self.rest), arrays["deck_amplitude"].shape[2])
         self._moved()
 
@@ -146,15 +146,15 @@ class Platforms:
         return self.motion.platforms(times + self.begun, self.rest)
 
     def place(self, ids: np.ndarray, present: np.ndarray) -> None:
-        """Put the platforms `ids` where their motions have them now, in the engine and in `platform`."""
+        """Set the present poses of the platforms `ids`, in the engine and in `platform`."""
         _place(ids, self._clock, present, self.moving, self._platform, self._joints)
 
     def follow(self, ids: np.ndarray) -> None:
-        """Write where the motions have the platforms `ids` now into `platform` alone."""
+        """Write the present poses of the platforms `ids` to `platform` only."""
         _follow(ids, self._clock.time, self.moving, self._platform)
 
     def forces(self, ids: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Return forces (k, substeps, nv) that move the platforms `ids` through the period that begins."""
+        """Return the forces (k, substeps, nv) that move the platforms `ids` during the coming period."""
         out = self._forces[: len(ids)]
         _forces(ids, self._clock, present, self._waves, self._joints, out)
         return out
@@ -162,11 +162,12 @@ class Platforms:
 
 @kernel
 def strays(i, time, present, moving, rates):
-    """Return a bound [m/s] of how quickly any point of platform i leaves the path of a steady platform.
+    """Return a bound of the speed [m/s] at which any point of platform i leaves the path of a steady
+    platform.
 
-    That has, from the period's beginning at `time` [s] on, the velocity that the platform's centre has then.
-    After t [s] of the period no point is farther than t times the bound from where it would be there. rates
-    (6,): for intermediate results.
+    The steady platform keeps the velocity that the platform's centre has at the beginning of the period,
+    `time` [s]. After t [s] of the period, the distance of any point from its steady path is at most t times
+    the bound. rates (6,): for intermediate results.
     """
     if present:
         motion.rate(i, time + moving.courses[i, BEGUN] - moving.late, moving.waves, rates)
@@ -215,9 +216,9 @@ def _renew(ids, rest, begun, moving):
 
 @inner
 def _write_course(i, rest, begun, moving):
-    """Write the course of platform i: all that moves it in one place, without waves of no amplitude.
+    """Write the course of platform i: all parameters of its motion, without waves of zero amplitude.
 
-    The bound of `strays` for all times is that with all waves at their fastest at once.
+    The bound of `strays` for all times assumes that all waves have their largest rates at once.
     """
     course, waves, count, rates = moving.courses[i], moving.waves, 0, np.zeros(6)
     most = 6 * waves.amplitude.shape[2]

@@ -1,15 +1,15 @@
-"""A landing at every step of the engine, the basis of all criteria on contact with a surface.
+"""Recording of landings at every engine step, the basis of all criteria on contact with a surface.
 
-A `Recorder` flies a `MujocoPlant` and keeps of every vehicle its first touch of the slab and the largest
-force on its feet; `Steps` holds what happened within the last control period, for what else a study asks
-of it. `contact_forces` and `impulses` ask the engine for the single contacts.
+A `Recorder` flies a `MujocoPlant` and records each vehicle's first touch of the slab and the largest force on
+its feet. `Steps` contains the engine steps of the last control period, from which studies compute other
+quantities. `contact_forces` and `impulses` evaluate the individual contacts.
 
-The force sensors of an engine step see the first of its four stages alone, and a touch lasts a few steps:
-their sum misses its impulse by up to a fifth. `Steps.force` is the mean force over each step instead, from
-the change of momentum, and agrees with the contact forces of all stages (`impulses`).
+The force sensors of an engine step report only the first of its four stages, and a touch lasts only a few
+steps: the sum of the sensor values misses up to a fifth of its impulse. `Steps.force` is the mean force over
+each step instead, from the change of momentum, and agrees with the contact forces of all stages (`impulses`).
 
-The sensors belong to the state at a step's beginning. A touch is seen there, but the stages of the step
-before may have met the surface already: the last state that is free of contact is one step older, and speeds
+The sensors belong to the state at the beginning of a step. They detect a touch there, but the stages of the
+previous step may already have met the surface: the last state without contact is one step older, and speeds
 and attitudes of a touch are taken from it.
 """
 
@@ -67,7 +67,7 @@ class Steps(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """First touch of the slab by any part of n vehicles; NaN without one."""
+    """First touch of the slab by any part of n vehicles; NaN if there was none."""
 
     time: np.ndarray  # (n,) s, beginning of the engine step in which it is seen
     qpos: np.ndarray  # (n, 7) last pose free of contact
@@ -77,7 +77,7 @@ class Touch(NamedTuple):
 class Recorder:
     """Flies a plant and records the landings of its vehicles.
 
-    plant: with platforms and contact set; its motors should make the torque (`torque_needs_motors`).
+    plant: with platforms and contact set; its torque should come from the motors (`torque_needs_motors`).
     states: (n, 13) starts.
     """
 
@@ -93,7 +93,8 @@ class Recorder:
         self._ambient = forces.free_air(n)
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
-        """One control period under commands (n, 4), of the vehicles `ids` alone; see `MujocoPlant.advance`.
+        """Fly one control period under commands (n, 4), of only the vehicles `ids`; see
+        `MujocoPlant.advance`.
 
         Raises FloatingPointError, naming the vehicles, when the engine diverges.
         """
@@ -102,7 +103,7 @@ class Recorder:
         return steps
 
     def advance(self, commands: np.ndarray, ids: np.ndarray | None = None) -> Steps:
-        """`step` without an error; see `plant.diverged`."""
+        """Do a `step` without raising an error; see `plant.diverged`."""
         plant, flown = self.plant, np.arange(self.plant.n) if ids is None else ids
         begun = {name: plant.batch.bind(name)[flown, None] for name in _COLUMNS}
         seen = plant.advance(commands, ids, record=tuple(begun))
@@ -133,7 +134,7 @@ class Recorder:
 
     @property
     def touched(self) -> np.ndarray:
-        """(n,) bool: has any part touched the slab."""
+        """(n,) bool: whether any part has touched the slab."""
         return ~np.isnan(self.touch.time)
 
     def touch_speeds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -150,21 +151,21 @@ class Recorder:
         return -away, np.linalg.norm(velocity - away[:, None] * normal, axis=1)
 
     def at_rest(self) -> np.ndarray:
-        """(n,) bool: still now, and in the last control period feet and nothing else on the slab alone."""
+        """(n,) bool: nearly motionless, with only the feet on the slab during the last control period."""
         touch = self.plant.contacts.touch
         on_feet = touch[:, 0, FEET] & (touch.sum(axis=(1, 2)) == 1)
         return still(self.plant.state, self.plant.platform) & on_feet
 
 
 def still(state: np.ndarray, platform: np.ndarray | None) -> np.ndarray:
-    """(n,) bool for states (n, 13): slower than REST_SPEED and REST_RATE, relative to platforms (n, 12)."""
+    """Return (n,) bool: whether states (n, 13) are nearly motionless relative to platforms (n, 12)."""
     around = np.zeros((len(state), WZ + 1)) if platform is None else platform
     _, velocity, rate = surface.relative(state, around)
     return (np.linalg.norm(velocity, axis=1) < REST_SPEED) & (np.linalg.norm(rate, axis=1) < REST_RATE)
 
 
 def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
-    """States (steps + 1, n, 13): the present ones, and those after each of commands (steps, n, 4)."""
+    """Return states (steps + 1, n, 13): the present ones, and those after each of commands (steps, n, 4)."""
     states = np.empty((len(commands) + 1, *plant.state.shape))
     states[0] = plant.state
     for row, command in zip(states[1:], commands):
@@ -175,7 +176,7 @@ def fly(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 
 @kernel
 def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, pushes, dt):
-    """Write `Steps.force`: what changes a vehicle's momentum and is neither of the air nor of the rotors."""
+    """Write `Steps.force`: the change of a vehicle's momentum that neither air nor rotors cause."""
     position, velocity = np.empty(3), np.empty(3)
     for place in range(len(ids)):
         i = ids[place]
@@ -203,7 +204,7 @@ def _mean_forces(steps, ids, vehicles, perturbation, ambient, commands, masses, 
 
 @kernel
 def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force):
-    """Fold a control period of the vehicles `ids` into the rows of their records."""
+    """Add a control period of the vehicles `ids` to their records."""
     feet = slab[0]
     for place in range(len(ids)):
         i = ids[place]
@@ -224,9 +225,10 @@ def _record(steps, ids, slab, normals, touch, older_qpos, older_qvel, feet_force
 
 
 def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-    """Points (k, 3) [m] and forces (k, 3) [N] of the vehicle's contacts; `data` must hold a forward pass.
+    """Return points (k, 3) [m] and forces (k, 3) [N] of the vehicle's contacts after a forward pass in
+    `data`.
 
-    A force is what the world exerts on the vehicle. Contacts without force are left out.
+    Forces are those of the world on the vehicle. Contacts without force are omitted.
     """
     points, found = [], []
     root = model.body("crazyflie").id
@@ -244,22 +246,23 @@ def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarr
 
 
 def present_forces(plant: MujocoPlant, vehicle: int) -> tuple[np.ndarray, np.ndarray]:
-    """`contact_forces` of one vehicle in its present state, which the sensors have not seen yet."""
+    """Return `contact_forces` of one vehicle in its present state, which the sensors do not contain yet."""
     model, data = plant.batch.get_model(vehicle), plant.batch.get_data(vehicle)
     mujoco.mj_forward(model, data)
     return contact_forces(model, data)
 
 
 def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
-    """Impulses (n, 3) [N s] of the contacts on every vehicle in the engine step under `commands` (n, 4).
+    """Return the contact impulses (n, 3) [N s] on every vehicle in the engine step under `commands` (n, 4).
 
     A Runge-Kutta step evaluates the contact forces four times, at its beginning, twice in its middle and at
-    its end, and moves the vehicle by their average with the weights 1, 2, 2, 1. The force sensors see the
-    first of the four only, and a touch of a few steps that is summed from them is off by up to a fifth.
-    Here the stages are repeated and their contact forces are weighted as the engine weights them: the
-    impulse of the contacts, independent of the motion, which it explains to rounding errors.
+    its end, and moves the vehicle by their average with the weights 1, 2, 2, 1. The force sensors report only
+    the first of the four, so that the summed impulse of a touch of a few steps is wrong by up to a fifth.
+    Here the stages are repeated and their contact forces are weighted as the engine weights them: the result
+    is the impulse of the contacts, computed independently of the motion and consistent with it to rounding
+    errors.
 
-    Ask before the plant is stepped; it is not changed. Vehicles are computed one by one.
+    Call this before the plant is stepped; the plant is not changed. Vehicles are computed one by one.
     Raises UserError for integrators other than RK4.
     """
     found = np.empty((plant.n, 3))
@@ -272,7 +275,7 @@ def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
 
 
 def _step_impulse(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Impulse (3,) of the step from state, control and platform pose in `data`, left at its last stage."""
+    """Return the impulse (3,) of the step from state, control and platform pose in `data`."""
     if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
         raise UserError("impulses of engine steps need the integrator RK4")
     step = model.opt.timestep

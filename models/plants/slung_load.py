@@ -1,4 +1,4 @@
-"""Slung loads in the engine's arrays: a ball joint of the vehicle for the direction of `models/load.py`."""
+"""Slung loads in the engine's arrays: a ball joint holds the direction of `models/load.py`."""
 
 import math
 
@@ -9,17 +9,17 @@ from inclined_landing.models.compiled import inner, kernel
 
 
 def load_joint(model: mujoco.MjModel) -> np.ndarray:
-    """Return the first columns (2,) of the slung load's joint in qpos and qvel; -1 where there is none."""
+    """Return the first columns (2,) of the slung load's joint in qpos and qvel; -1 if there is none."""
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load")
     return np.array([-1, -1] if k < 0 else [model.jnt_qposadr[k], model.jnt_dofadr[k]])
 
 
 @inner
 def write_load(load, joint, row, columns):
-    """Write a slung load (6,), see `Plant.load`, into a vehicle's row (s,) of the engine; see `load_joint`.
+    """Write a slung load (6,), see `Plant.load`, to a vehicle's row (s,) of the engine; see `load_joint`.
 
-    columns: `engine.Columns`. The joint has the load's attitude and rates in those of the vehicle. About the
-    string it does not turn.
+    columns: `engine.Columns`. The joint contains the load's attitude and rates relative to the vehicle. It
+    does not turn about the string.
     """
     q, w = np.array((load[0], load[1], load[2])), np.array((load[3], load[4], load[5]))
     # Shortest turn from straight down to q: (1 - q_z, (0, 0, -1) x q), normalised; upside down any half turn.
@@ -43,7 +43,7 @@ def write_load(load, joint, row, columns):
 
 @kernel
 def matrix(q):
-    """Return the rotation matrix (3, 3) of a quaternion (4,), here of any length."""
+    """Return the rotation matrix (3, 3) of a quaternion (4,) of any length."""
     w, x, y, z = q / math.sqrt((q**2).sum())
     return np.array(
         (

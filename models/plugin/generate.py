@@ -16,7 +16,7 @@ _WORDS = {">": "greater than", "<": "less than", ">=": "at least", "<=": "at mos
 
 
 class Attribute:
-    """One line of the table with what the vehicle file says of it."""
+    """One line of the table, with its entry of the vehicle file."""
 
     def __init__(self, name: str, line: dict, vehicle: dict):
         self.name, self.meaning = name, line["meaning"]
@@ -63,7 +63,7 @@ class Attribute:
         return f"  double {self.name}[{len(self.values)}] = {{{numbers}}};  // {self.unit}: {self.meaning}"
 
     def taken(self, begin: int) -> list[str]:
-        """Return C++ that copies its numbers from `x`, where they begin at `begin`."""
+        """Return C++ code that copies its numbers from `x`, beginning at `begin`."""
         places = (
             [self.name] if len(self.values) == 1 else [f"{self.name}[{k}]" for k in range(len(self.values))]
         )
@@ -97,7 +97,7 @@ def attributes() -> dict[str, list[Attribute]]:
 
 
 def header(plugins: dict[str, list[Attribute]]) -> str:
-    """The C++ structs."""
+    """Return the C++ structs."""
     lines = [
         "// Generated from attributes.toml and the vehicle file; do not edit.",
         "#pragma once",
@@ -134,7 +134,7 @@ def header(plugins: dict[str, list[Attribute]]) -> str:
 
 
 def manual(text: str, plugins: dict[str, list[Attribute]]) -> str:
-    """`text` of the manual with its attribute tables as the table has them."""
+    """Return `text` of the manual with its attribute tables rewritten."""
     for plugin, table in plugins.items():
         rows = [
             "| attribute | default | unit | must be | meaning |",
