@@ -1,15 +1,14 @@
 """Tasks, environments and rendering.
 
-`import inclined_landing` registers every task with Gymnasium under the name of its class (`ids.py`). With an
-id that begins with a package, as in `inclined_landing:InclinedLanding-v0`, Gymnasium imports that package
-first:
+`import inclined_landing` registers every task with Gymnasium under the name of its class (`ids.py`). If an id
+begins with a package, as in `inclined_landing:InclinedLanding-v0`, Gymnasium imports that package first:
 
     gymnasium.make("InclinedLanding-v0")
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64)
 
 The options are in `gym_env.py`. Public: `make_for` (a policy with its environment), `make_batch` and
-`BatchEnv` (n vehicles, one call a step), `BatchVecEnv` (the same for Stable-Baselines3), `Task`, `make_task`
-and `import_task`, `load_policy`, `save_policy`, `record_flights`.
+`BatchEnv` (n vehicles, one call per step), `BatchVecEnv` (the same for Stable-Baselines3), `Task`,
+`make_task` and `import_task`, `load_policy`, `save_policy`, `record_flights`.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""`BatchEnv`: n episodes of one task in one plant, stepped by one call.
+"""`BatchEnv`: n episodes of one task in one plant, stepped together.
 
 The Gymnasium and Stable-Baselines3 environments are thin wrappers around this class.
 """
@@ -28,7 +28,7 @@ _START = ("state", "inclination", "present", "goal_size")  # what is recorded of
 def as_floats(value, what: str) -> np.ndarray:
     """Return `value` as an array of floats; raise UserError, naming it as `what`, when it is not numeric.
 
-    Complex numbers, texts and dates are rejected, although NumPy would convert them to floats.
+    Complex numbers, strings and dates are rejected, although NumPy would convert them to floats.
     """
     try:
         array = np.asarray(value)
@@ -81,11 +81,11 @@ class BatchEnv:
 
     Per-vehicle records of the running episodes: `length`, `total` (sum of rewards), `contact_steps`
     (steps in contact with the platform or within the plant's keep-out zone), `touched`
-    (has any part touched the platform so far), `held_steps` (consecutive steps up to now that the task counts
-    as held).
+    (whether any part has touched the platform so far), `held_steps` (consecutive steps up to now that the
+    task counts as held).
 
-    nominal: share of the random episodes that have the plant's own vehicle; the others have one of its pool,
-        drawn for every episode and hovering at first. None: the vehicles stay what the plant assigned.
+    nominal: share of the random episodes with the plant's own vehicle; the others have one of its pool, drawn
+    for every episode and hovering initially. None: the vehicles remain those that the plant assigned.
     """
 
     def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
@@ -126,17 +126,17 @@ class BatchEnv:
         self.draw_from(np.random.default_rng(seed))
 
     def draw_from(self, rng: np.random.Generator) -> None:
-        """Use `rng` for random starts, and for the disturbance where the plant has it."""
+        """Use `rng` for random starts, and for the disturbance if the plant has one."""
         self.rng = rng
         self._own: dict[int, np.random.Generator] = {}
         if self.plant.disturbance:
             self.plant.disturbance.seed(rng)
 
     def draw_each_from(self, rngs: dict[int, np.random.Generator]) -> None:
-        """Use a generator of its own for the random starts of each of these vehicles, until `draw_from`.
+        """Use a separate generator for the random starts of each of these vehicles, until `draw_from`.
 
-        The disturbance, for which all draw from one stream, restarts from the first generator. One vehicle
-        is drawn as by `draw_from`.
+        The disturbance, which draws from one stream for all vehicles, restarts from the first generator. For
+        one vehicle, this is the same as `draw_from`.
         """
         self._own |= rngs
         for rng in reversed(list(rngs.values()) if self.plant.disturbance else []):
@@ -175,8 +175,8 @@ class BatchEnv:
     def reset(self, ids=None, state: np.ndarray | None = None, start: Start | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
 
-        state (k, 13): given starts instead of random ones, as `Task.start` has their platforms; or start: of
-        k episodes, with everything.
+        state (k, 13): states to start from instead of random ones, with the platforms of `Task.start`; or
+        start: complete starts of k episodes.
         """
         ids = np.arange(self.n) if ids is None else self._numbers(ids)
         if not (start is None or isinstance(start, Start)):
@@ -202,7 +202,7 @@ class BatchEnv:
         return self._begin(ids, start)
 
     def begin_in_place(self, ids) -> np.ndarray:
-        """Begin episodes of the vehicles `ids` at their present states, over the task's own platforms.
+        """Begin episodes of the vehicles `ids` at their present states, over the task's platforms.
 
         Returns their observations.
         """
@@ -232,7 +232,7 @@ class BatchEnv:
             self.plant.set_motion(ids, start.motion)
 
     def _numbers(self, ids) -> np.ndarray:
-        """Return the numbers (k,) of vehicles given as such or as a mask (n,); raise UserError for others."""
+        """Return the indices (k,) of vehicles given as indices or as a mask (n,); else raise UserError."""
         array = np.asarray(ids)
         if array.dtype == bool and array.shape == (self.n,):
             return np.flatnonzero(array)
@@ -246,7 +246,7 @@ class BatchEnv:
         )
 
     def _draw(self, ids: np.ndarray) -> Start:
-        """Draw the vehicles `ids` and return their random starts, of each by its generator if it has one."""
+        """Draw the vehicles `ids` and return their random starts, each from its generator if it has one."""
         if self._own and len(ids) > 1:
             return joined([self._draw(one) for one in ids[:, None]])
         rng = self._own.get(int(ids[0]), self.rng) if self._own and len(ids) else self.rng
@@ -302,7 +302,7 @@ class BatchEnv:
             self.past.record(self._present(), self.actions)
 
     def outcome(self) -> Step:
-        """Return rewards and ends of the plant's step under `commands`, the second half of `step`."""
+        """Return rewards and episode ends after the plant's step, the second half of `step`."""
         contacts = self.plant.contacts
         self.length += 1
         self.contact_steps += contacts.platform_near

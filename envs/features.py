@@ -1,6 +1,6 @@
 """Fixed scaling of the observations inside the policy network.
 
-A policy file then takes the task's raw observation and carries no separate statistics.
+A policy file therefore takes the task's raw observation and needs no separate statistics.
 """
 
 import numpy as np

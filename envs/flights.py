@@ -1,4 +1,4 @@
-"""Flights of a policy, recorded: the one source of success tables, figures and videos."""
+"""Recorded flights of a policy, the only source of success tables, figures and videos."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ _NONE = np.zeros((0, 3))
 class Track:
     """The recorded path of one vehicle at the control rate, T = steps + 1 rows.
 
-    Row k of `commands` is what was applied from t[k] to t[k + 1]; the last row, after which nothing was
-    flown, repeats the one before.
+    Row k of `commands` was applied from t[k] to t[k + 1]; the last row repeats the one before.
     """
 
     task: Task  # whose goal it is
@@ -52,7 +51,7 @@ class Track:
 
     @property
     def goals(self) -> list[np.ndarray]:
-        """Goal states (13,) of the flight."""
+        """Return the goal states (13,) of the flight."""
         goal = self.task.goal_on(None if self.platform is None else self.platform[-1])
         return [] if goal is None else [goal]
 
@@ -68,7 +67,7 @@ class Flight(Track):
 
     @property
     def strict(self) -> bool:
-        """Success without having touched the platform."""
+        """Whether the flight succeeded without touching the platform."""
         return self.success and not self.touched
 
     @property
@@ -91,12 +90,12 @@ def record_flights(
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
-    States have the platforms that `Task.start` gives them; starts have their own, and their contact.
+    For states, the platforms are those of `Task.start`; starts contain their platforms and contact
+    parameters.
 
     Args:
-        policy: a policy, as `load_policy` returns it.
-        plant (Plant | str): a plant of n vehicles, or "mujoco", "hybrid" or "analytic" for one of the task's
-            vehicle.
+        policy: a policy from `load_policy`. plant (Plant | str): a plant of n vehicles, or "mujoco", "hybrid"
+        or "analytic" to make one for the task's vehicle.
         states: states (n, 13) or n starts.
         steps: fly at most this many control steps (default: the task's limit).
 
@@ -104,8 +103,8 @@ def record_flights(
         UserError: when the number of states is not the plant's.
         FloatingPointError: when the engine diverges.
 
-    Flights of vehicles from a pool that diverge far outside the arena, where
-    drawn effects of the air may add thrust without limit, end there without success instead.
+    Flights of vehicles from a pool may diverge far outside the arena, where drawn effects of the air can add
+    unlimited thrust; they end there without success instead.
     """
     if not isinstance(getattr(policy, "task", None), Task):
         raise UserError(f"policy must be one that load_policy returns, not {shown(repr(policy), 40)}")
@@ -183,7 +182,7 @@ def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> 
 class Steps:
     """A flight at the engine's steps, T of them including the start.
 
-    Row k of `commands` is what was applied from t[k] on; points and forces are of the state in row k.
+    Row k of `commands` was applied from t[k] on; points and forces belong to the state in row k.
     """
 
     t: np.ndarray  # (T,) s
@@ -195,7 +194,7 @@ class Steps:
 
 
 def place_platform(plant: Plant, flight: Track, time: float = 0.0) -> None:
-    """Set the platform of a flight for the one vehicle of a plant, as it is `time` [s] after the start."""
+    """Set the platform of a flight for the only vehicle of a plant, as it is `time` [s] after the start."""
     if flight.platform is None:
         return plant.set_platform([0], 0.0, False)
     pitch, yaw = flight.platform[0, [PITCH, YAW]]
@@ -210,8 +209,8 @@ def resimulate(flight: Flight) -> Steps:
     """Return a flight simulated again in the MuJoCo plant from its commands, at engine steps with all
     contacts.
 
-    For flights of that plant in still air: the states of a flight come out the same, bit for bit, over a
-    moving platform to the micrometre that it is off within a control period.
+    For flights of that plant in still air the states are reproduced bit for bit; over a moving platform they
+    are reproduced to a micrometre, the error of its pose within a control period.
     """
     vehicle = flight.task.vehicle
     substeps = round(vehicle.command_control_period / STEP)
@@ -225,7 +224,7 @@ def resimulate(flight: Flight) -> Steps:
     centres = geometry.platform_poses(*slope, vehicle, azimuth=plant.azimuth)[0]
 
     def seen():
-        """Return the present state, platform state, contact points and forces; none far from all surfaces."""
+        """Return the present state, platform state, contact points and forces (none far from surfaces)."""
         to = geometry.clearances(plant.state, plant.inclination, centres, shapes, azimuth=plant.azimuth)
         free = to.min() > _FREE and not moving
         met = (_NONE, _NONE) if free else present_forces(plant, 0)

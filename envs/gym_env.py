@@ -1,4 +1,4 @@
-"""Gymnasium's view of the tasks: a single environment and a vector environment.
+"""Gymnasium environments of the tasks: a single environment and a vector environment.
 
     gymnasium.make("InclinedLanding-v0", inclination=0.3, render_mode="rgb_array")
     gymnasium.make_vec("InclinedLanding-v0", num_envs=64, plant="hybrid")
@@ -17,7 +17,7 @@ and of the single environment, the only one that renders:
 
 | option | default | meaning |
 |---|---|---|
-| `render_mode` | None | "rgb_array": `render` gives pictures; "human": MuJoCo's viewer, in real time |
+| `render_mode` | None | "rgb_array": `render` returns images; "human": MuJoCo's viewer, in real time |
 | `width`, `height` | 640, 480 | size of the picture in pixels |
 | `camera` | "arena" | viewpoint; "arena" shows the whole arena |
 | `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL if it runs on hardware |
@@ -32,7 +32,7 @@ and of the vector environment:
 
 `reset(options={"state": array})` starts from given states, (13,) or (n, 13). With `reset(seed=[...])` every
 vehicle of the vector environment has its own seed, and starts like a single environment with that seed. Other
-names, types and sizes raise a UserError, which is a ValueError with one sentence.
+names, types and sizes raise a UserError, a ValueError with a message of one sentence.
 
 `copy.deepcopy` and pickle return an environment that continues identically, with its own window. A forked
 process can continue to use an environment of its parent, except for windows and OpenGL (`render_backend`).
@@ -59,7 +59,7 @@ _METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps
 
 
 def _seeds(seed, n: int) -> list[int | None] | None:
-    """Return n seeds, or None for one seed of all n vehicles; raise UserError for neither."""
+    """Return n seeds, or None for one seed of all n vehicles; raise UserError for anything else."""
     array = isinstance(seed, np.ndarray) and seed.ndim > 0
     each = list(seed) if array or isinstance(seed, (list, tuple, range)) else None
     if each is not None and len(each) != n:
@@ -175,7 +175,7 @@ class TaskEnv(gym.Env):
         return plant.platform[0].copy() if plant.present[0] else None
 
     def _show(self, seconds: float) -> None:
-        """Show the present state in the window, if there is one, `seconds` after the previous one."""
+        """Show the present state in the window, if there is one, `seconds` after the previous state."""
         if self.render_mode != "human":
             return
         if self._window is None:
@@ -275,9 +275,10 @@ class TaskVectorEnv(VectorEnv):
     def step(self, actions):
         """Step all vehicles; finished episodes restart at once, in the next step, or on request.
 
-        At once: `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the
-        episodes that ended. In the next step: it only resets them, with reward 0. Raises UserError for a
-        step of vehicles whose episode ended without a reset.
+        If they restart at once, `info["final_obs"]` (object array, mask `_final_obs`) and
+        `info["final_info"]` describe the episodes that ended. If they restart in the next step, that step
+        only resets them, with reward 0. Raises UserError for a step of vehicles whose episode has ended and
+        was not reset.
         """
         env = self.batch
         waiting = self._ended.copy()
@@ -325,7 +326,7 @@ class TaskVectorEnv(VectorEnv):
 
 
 def _environment_classes(task: type[Task]) -> dict[str, type]:
-    """Return both environments of a task, by name; their manual is that of the task's module."""
+    """Return both environment classes of a task, by name; their docstring is that of the task's module."""
     content = {"__doc__": manual(task) + _HISTORY, "__module__": __name__, "task_name": task.name}
     kinds = {f"{task.__name__}Env": TaskEnv, f"{task.__name__}VectorEnv": TaskVectorEnv}
     return {name: type(name, (kind,), content) for name, kind in kinds.items()}

@@ -2,9 +2,10 @@
 
 With `history=K` the present observation (o,) is followed by the last K steps, the latest one first, each as
 its observation (o,) and the action (a,) that answered it. For steps before the start the observation is the
-first one and the action 0. Such pairs make a weaker thrust or a longer delay observable.
+first one and the action 0. From such pairs a policy can infer a weaker thrust or a longer delay.
 
-With `observe_vehicle` the vehicle's parameters (`envs.vehicle_parameters`), a privileged observation, follow.
+With `observe_vehicle` they are followed by the vehicle's parameters (`envs.vehicle_parameters`), a privileged
+observation.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def input_names(task: Task) -> tuple[str, ...]:
 
 
 def input_centre(task: Task) -> np.ndarray:
-    """Return what a policy network subtracts from its inputs; shape as `input_names`."""
+    """Return the offset that a policy network subtracts from its inputs; shape as `input_names`."""
     return _repeated(task, task.observation_centre, 0.0, vehicle_parameters.CENTRE)
 
 

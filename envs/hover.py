@@ -1,4 +1,4 @@
-"""Set-point flight to a hand-over point, simulated or real: when it is there, and its integral offset."""
+"""Set-point flight to a hand-over point, simulated or real: arrival criterion and integral offset."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ TRIM_REACH = 0.3  # m from the target within which it is
 class Trim:
     """Integral offset of the targets of n vehicles, `offset` (n, 3) [m].
 
-    A set-point policy flies with the thrust that it was trained for; a vehicle with less of it sinks below
-    its target. The offset is learned near the target, as by an integral controller.
+    A set-point policy commands the thrust of the vehicle that it was trained for, so a vehicle with less
+    thrust hovers below its target. The offset is learned near the target, as by an integral controller.
     """
 
     def __init__(self, n: int):

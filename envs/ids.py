@@ -1,8 +1,8 @@
-"""Names of tasks and shipped policies, and Gymnasium ids, which any process that imports both packages knows.
+"""Names of tasks and shipped policies, and Gymnasium ids, registered in every process that imports both.
 
-Neither Gymnasium nor a task is imported here: `import inclined_landing`, and `import mujoco`, which loads the
-plugins, cost nothing, and command lines know their options. If Gymnasium is imported later, the ids are
-registered then.
+Neither Gymnasium nor a task is imported here, so that `import inclined_landing`, and `import mujoco`, which
+loads the plugins, take no time, and command lines can list their options. If Gymnasium is imported later, the
+ids are registered then.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _ENVIRONMENTS = "inclined_landing.envs.gym_env"
 def announce() -> None:
     """Register the ids with Gymnasium, now or when it is imported; do nothing the second time.
 
-    The first thing done at `import inclined_landing`: from here on MuJoCo and numba get along without what an
-    installation lacks, too.
+    This is the first thing done at `import inclined_landing`; it also installs the workarounds for MuJoCo and
+    numba (`models.base.imports`).
     """
     imports.adapt()
     imports.around_import("gymnasium.envs.registration", _register)

@@ -31,10 +31,10 @@ def make_batch(
     """Return n vehicles on a task as a `BatchEnv`, which `BatchVecEnv` wraps for Stable-Baselines3.
 
     Args:
-        task: name of a task, also of one imported with `import_task`.
+        task: name of a task, which may be one imported with `import_task`.
         n: number of vehicles.
         plant: "mujoco", "hybrid" or "analytic".
-        plant_options: options of the plant, {"integrator": "implicitfast"} for example.
+        plant_options: options of the plant, for example {"integrator": "implicitfast"}.
         vehicle: a vehicle or the path of a vehicle file; by default the shipped one.
         seed: seed of the random starts.
         **options (object): options of the task's class, such as `inclination` or `pwm_centre`.
@@ -66,8 +66,8 @@ def make_for(
         envs, policy = inclined_landing.make_for("runs/landing-0/final.zip", num_envs=64, plant="hybrid")
 
     policy: a file, or the name of a shipped one. num_envs: makes a vector environment of this size. vehicle:
-    as for `make_batch`. options: of the environment, and of the task where they differ from training's, such
-    as `inclination` [rad]. Raises UserError for anything else.
+    as for `make_batch`. options: of the environment, and of the task if they differ from those of the
+    training, such as `inclination` [rad]. Raises UserError for anything else.
     """
     import gymnasium
 

@@ -1,4 +1,4 @@
-"""The whole way from anywhere in the room to rest on the slope: several policies, one after the other.
+"""Missions from anywhere in the room to rest on the slope, flown by several policies in turn.
 
 A mission has up to four legs, each flown by a policy for its own task:
 
@@ -6,11 +6,11 @@ A mission has up to four legs, each flown by a policy for its own task:
    over the platform (set-point policy);
 2. approach: to the hand-over point, in the plane y = 0, until the vehicle has been near it and slow for a
    short time (set-point policy);
-3. landing: until the task of the landing policy calls it a success, which is the goal box;
-4. touchdown: until the vehicle rests on its feet with motors at idle, by the touchdown policy's own command.
+3. landing: until success by the task of the landing policy, which is the goal box;
+4. touchdown: until the vehicle rests on its feet with motors at idle, as commanded by the touchdown policy.
 
-Policies for planar tasks command no roll: there the set-point policy's holds y (`Setpoint.across`). The
-heading is held in all legs. Commands that a policy has are not changed.
+Policies for planar tasks command no roll; the set-point policy's roll then keeps y at 0 (`Setpoint.across`).
+The heading is held in all legs. Commands of the policies are not changed.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ class MissionPlan:
     def admissible(self, starts: np.ndarray) -> np.ndarray:
         """Return a mask (k,) of the starts (k, 3) [m] from which a mission may begin.
 
-        They lie in the set-point task's START_BOX, and a climb from there to the hand-over point's height
-        keeps CLEAR to the platform.
+        They are inside the set-point task's START_BOX, and a climb from there to the height of the hand-over
+        point keeps the distance CLEAR from the platform.
         """
         landing = self.landing.task
         low, high = np.array(START_BOX).T
@@ -157,7 +157,7 @@ class MissionPlan:
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """Return n starts (n, 3) [m], uniform over the `admissible` ones of the set-point task.
 
-        Fewer starts are the first ones of many.
+        With the same generator, fewer starts are the first ones of more.
         """
         low, high = np.array(START_BOX).T
         found = np.empty((0, 3))
@@ -181,7 +181,7 @@ class Leg:
 
 @dataclasses.dataclass(kw_only=True)
 class Mission(Track):
-    """One mission as flown."""
+    """One flown mission."""
 
     plan: MissionPlan
     leg: np.ndarray  # (T,) index into LEGS: who commands from t[k] on
@@ -200,7 +200,7 @@ class Mission(Track):
 
     @property
     def summary(self) -> str:
-        """Outcome in one line."""
+        """Return the outcome in one line."""
         if self.success:
             return f"at rest on the slope after {self.t[-1]:.2f} s"
         return f"{self.end} in the {self.legs[-1].name} after {self.t[-1]:.2f} s"
@@ -211,7 +211,7 @@ class Mission(Track):
 
 
 def slope_normal(task) -> np.ndarray:
-    """Return the unit normal (3,) of a task's slope: equal for -20 deg and 20 deg turned by half a turn."""
+    """Return the unit normal (3,) of a task's slope, equal for -20 deg and 20 deg turned by 180 deg."""
     flat = math.sin(task.inclination)
     return np.array(
         [flat * math.cos(task.azimuth), flat * math.sin(task.azimuth), math.cos(task.inclination)]
@@ -228,8 +228,8 @@ def fly_missions(
 ) -> list[Mission]:
     """Fly a mission from hover at each of starts (n, 3) [m], all at once in MuJoCo (RK4, 4 ms); return them.
 
-    A mission does not depend on the number of others. ended: called after every control step with the number
-    of finished missions. Raises UserError for a start where no mission can begin.
+    The result of a mission does not depend on the number of others. on_progress: called after every control
+    step with the number of finished missions. Raises UserError for a start where no mission can begin.
     """
     starts = np.atleast_2d(np.asarray(starts, float))
     plan.check_starts(starts)
@@ -269,7 +269,7 @@ class _MissionBatch:
 
     @property
     def steps_flown(self) -> int:
-        """Control steps so far."""
+        """Number of control steps so far."""
         return len(self.commands)
 
     def step(self) -> None:
@@ -281,7 +281,7 @@ class _MissionBatch:
         self._advance_legs()
 
     def _command(self) -> np.ndarray:
-        """Return commands (n, 4): the set-point policy's, replaced by those of the later legs' policies."""
+        """Return commands (n, 4): those of the set-point policy, replaced by the policies of later legs."""
         plan, seen = self.plan, self._setpoint_observation()
         actions = plan.setpoint.predict(self.past.stack(seen))
         self.past.record(seen, actions)

@@ -1,8 +1,8 @@
 """A dense network evaluated in float64 by a compiled loop: actions of many observations.
 
-Every row is computed in the same order, whatever the others are, so that an action does not depend on how
-many are computed with it. Rows go in blocks of ROWS, side by side in vector registers; a few remaining rows,
-or a single one, go one by one.
+Every row is computed in the same order of operations, so that an action does not depend on the number of
+other rows. Rows are computed in blocks of ROWS in vector registers; a few remaining rows, or a single one,
+are computed one by one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LARGEST = 20.0  # where tanh is 1 in float64
 
 
 class Network(NamedTuple):
-    """The network of a policy, fields as of `Policy`; any number of layers is one type."""
+    """The network of a policy, with the fields of `Policy`; any number of layers has the same type."""
 
     centre: np.ndarray
     scale: np.ndarray
@@ -38,7 +38,7 @@ class Network(NamedTuple):
 
 @formula
 def tanh(x):
-    """Return the hyperbolic tangent to 3e-16, without a branch or a call, so that loops of it vectorise."""
+    """Return the hyperbolic tangent to 3e-16 without branches or calls, so that loops over it vectorise."""
     # tanh|x| = 1 - 2/(e^t + 1), t = 2|x|; e^t = 2^n e^r with n the nearest integer to t/log 2
     t = 2.0 * abs(x)
     t = 2.0 * _LARGEST if t > 2.0 * _LARGEST else t  # NaN passes
@@ -53,7 +53,7 @@ def tanh(x):
 
 @inlined
 def _block(network, x, y):
-    """Return the array with the outputs of all layers for the scaled inputs x (widest, ROWS); y is memory."""
+    """Return the outputs of all layers in one array, for scaled inputs x (widest, ROWS); y is a buffer."""
     sizes, activation, first, end = network.sizes, network.activation, 0, 0
     for k in range(len(sizes) - 1):
         inputs, outputs = sizes[k], sizes[k + 1]
@@ -86,7 +86,7 @@ def _block(network, x, y):
 
 @inlined
 def _row(network, x, y):
-    """Return the array with the outputs of all layers for the scaled inputs x (widest,); y is memory."""
+    """Return the array with the outputs of all layers for the scaled inputs x (widest,); y is a buffer."""
     sizes, activation, first, end = network.sizes, network.activation, 0, 0
     for k in range(len(sizes) - 1):
         inputs, outputs = sizes[k], sizes[k + 1]

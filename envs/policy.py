@@ -1,4 +1,4 @@
-"""Policies: the actor of a policy file with the task that it was trained for."""
+"""Policies: the actor in a policy file, with the task for which it was trained."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Policy:
     bound: float = np.inf  # and of what is beyond this before, no more
 
     def __post_init__(self):
-        """Raise UserError unless the arrays are those of one network with finite numbers."""
+        """Raise UserError unless the arrays form one network with finite numbers."""
         sizes = [len(self.centre) if self.centre.ndim else 0]
         fits = self.centre.shape == self.scale.shape and self.centre.ndim == 1 and sizes[0] > 0
         for weight, bias in zip(self.weights, self.biases):
@@ -92,8 +92,7 @@ class Policy:
         return Network(*scaling, sizes, *layers, activation, self.squashed, self.bound)
 
     def with_fixed_vehicle(self) -> Policy:
-        """Return the policy for its task's vehicle alone: vehicle parameters become biases of the first
-        layer.
+        """Return the policy for only its task's vehicle: vehicle parameters become biases of the first layer.
 
         Returns the policy itself if it observes no parameters and its PWM at action 0 is a number.
         """
@@ -146,21 +145,22 @@ def load_policy(
 ) -> Policy:
     """Read a policy file, the final policy of a run folder, or a shipped policy by name.
 
-    The PWM of an action stays that of the training or, with `pwm_centre="own"`, is about the hover of each
+    The PWM of an action is the same as in training or, with `pwm_centre="own"`, relative to the hover of each
     vehicle.
 
     Args:
         path: policy file, run folder, or name of a shipped policy.
-        task: the task it must be for, by name or as an object, such as that of an environment (which then is
-            the policy's task); needed when the file has none. By name, and by default, the task is built from
-            the metadata.
+        task: the task of the policy, by name or as an object, such as that of an environment (which then is
+        the policy's task); needed if the file has none. By name, and by default, the task is built from the
+        metadata.
         vehicle: vehicle of the task that is built, if it differs from the training's.
         inclination: inclination [rad] of its slope, if it differs from the training's.
         azimuth: azimuth [rad] of its slope, if it differs from the training's.
 
     Raises:
-        UserError: when the file is not a policy or does not fit the task: a task object must have the
-            metadata's PWM, options of slopes, dimensions, angles, and its one inclination or the given one.
+        UserError: if the file is not a policy or does not fit the task: a task object must have the PWM
+        settings, slope options, dimensions and angle limits of the metadata, and its inclination or the given
+        one.
     """
     if not (task is None or isinstance(task, (str, Task))):
         raise UserError(f"task must be a Task or the name of one, not {shown(repr(task), 40)}")
@@ -196,7 +196,7 @@ def load_policy(
 def read_policy(path: str | Path) -> tuple[dict, dict[str, Any]]:
     """Return the metadata of a policy file, or of a shipped policy, and its network as fields of `Policy`.
 
-    The metadata are empty for a file of Stable-Baselines3 alone.
+    The metadata are empty for a plain file of Stable-Baselines3.
     """
     path = locate(path)
     with policy_file.open_file(path) as archive:
@@ -215,14 +215,14 @@ def trained_options(path: str | Path) -> dict[str, Any]:
 
 
 def read_metadata(path: str | Path) -> dict:
-    """Return the metadata of a policy file, or of a shipped policy; empty for Stable-Baselines3's alone."""
+    """Return the metadata of a policy file or a shipped policy; empty for a plain Stable-Baselines3 file."""
     path = locate(path)
     with policy_file.open_file(path) as archive:
         return policy_file.read(archive, path)[0]
 
 
 def action_map(options: dict) -> tuple[float | str, float]:
-    """Return the PWM at action 0 and the PWM span that the options of a training state.
+    """Return the PWM at action 0 and the PWM span from the options of a training.
 
     Names such as "hover" are resolved with the shipped vehicle; "own" is returned unchanged.
     """
@@ -233,7 +233,7 @@ def action_map(options: dict) -> tuple[float | str, float]:
 
 
 def _check_training_options(task: Task, metadata: dict, inclination, path) -> None:
-    """Raise UserError where a task differs from training in what the policy cannot observe, or in history.
+    """Raise UserError if a task differs from training in quantities that the policy does not observe.
 
     The message lists all differences as arguments to type.
     """
@@ -269,7 +269,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _typed(value: Any) -> str:
-    """Return a value as it is typed in Python."""
+    """Return a value as Python source text."""
     return f"{value:.15g}" if isinstance(value, float) else repr(value)
 
 
@@ -288,7 +288,7 @@ def _build_task(name, metadata, vehicle, slope, path) -> Task:
 
 
 def _unknown_task(metadata: dict, path: Path) -> UserError:
-    """Return the error for an unknown task, perhaps a user's; a file never causes an import."""
+    """Return the error for an unknown task, perhaps a custom one; a file never causes an import."""
     name, source = metadata.get("task"), metadata.get("task_from")
     if source is not None:
         return UserError(

@@ -1,12 +1,12 @@
-"""The file of a policy: a zip of plain data with what it was trained for and its network.
+"""The file of a policy: a zip of plain data with its network and the settings of its training.
 
 inclined_landing.json   metadata: task, task options, origin; "network": activation, limits, number of layers
 network/NAME.npy        arrays of floats: centre, scale, and of layer K from 0 weights_K (inputs, outputs) and
                         biases_K
 
-`save_policy` and `landing-train` write it into the file of Stable-Baselines3, from which training can
-continue. Reading takes NumPy alone, runs nothing from the file, and needs no more memory than `LARGEST` for
-a member.
+`save_policy` and `landing-train` add these members to the file of Stable-Baselines3, from which training can
+continue. Reading requires only NumPy, executes nothing from the file, and uses at most `LARGEST` bytes of
+memory for a member.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _DAMAGED = (
 
 
 class _Network(schema.Table, frozen=True):
-    """The entry "network" of the metadata; see `Policy` for the meaning. A missing limit is infinite."""
+    """The entry "network" of the metadata; see `Policy` for its fields. A missing limit is infinite."""
 
     layers: Annotated[int, Meta(ge=1, le=DEEPEST)]
     activation: Literal["Tanh", "ReLU"]
@@ -50,7 +50,7 @@ class _Network(schema.Table, frozen=True):
 
 
 class _Metadata(Struct):
-    """The metadata that are read; other entries record the origin of a policy."""
+    """The metadata that are used; other entries record the origin of a policy."""
 
     task: _Word | None = None
     task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
@@ -81,9 +81,9 @@ def open_file(path: Path) -> zipfile.ZipFile:
 
 
 def read(archive: zipfile.ZipFile, path: Path) -> tuple[dict, dict[str, Any] | None]:
-    """Return the metadata of a policy file, empty where there is none, and its network as `write` takes it.
+    """Return the metadata of a policy file (may be empty), and its network in the form that `write` accepts.
 
-    The network is None for a file of Stable-Baselines3 alone. Raises UserError for a damaged file.
+    The network is None for a plain file of Stable-Baselines3. Raises UserError for a damaged file.
     """
     metadata = read_table(archive, METADATA, path)
     entry = schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ").network
@@ -104,7 +104,7 @@ def read(archive: zipfile.ZipFile, path: Path) -> tuple[dict, dict[str, Any] | N
 
 
 def _members(layers: int) -> list[str]:
-    """Return the members that hold the arrays of a network."""
+    """Return the members that contain the arrays of a network."""
     names = ["centre", "scale", *(f"{part}_{k}" for k in range(layers) for part in ("weights", "biases"))]
     return [f"{_NETWORK}/{name}.npy" for name in names]
 
@@ -122,7 +122,7 @@ def _read_array(archive: zipfile.ZipFile, name: str, path: Path) -> np.ndarray:
 
 
 def read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
-    """Return a member that is a table of JSON; empty where it is missing."""
+    """Return a member that is a JSON table; an empty one if it is missing."""
     if name not in archive.namelist():
         return {}
     content = read_member(archive, name, f"policy {path}", _LARGEST_TABLE)
@@ -149,7 +149,7 @@ def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
 
 
 def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = LARGEST) -> bytes:
-    """Return a member of a zip; raises UserError, beginning with `what`, where that is impossible."""
+    """Return a member of a zip; raises UserError, beginning with `what`, if that is impossible."""
     label = f"{what}: {shown(name, 60)} in it"
     if name not in archive.namelist():
         raise UserError(f"{what} lacks {shown(name, 60)}")

@@ -17,25 +17,25 @@ A file of ranges is TOML. Every range is [lowest, highest]; equal ends fix the n
     mass = [0.027, 0.032]
     inertia = [[1.5e-5, 1.8e-5], [1.5e-5, 1.8e-5], [2.6e-5, 3.2e-5]]
 
-Entries are set first and effects applied on top, in their order. Every number of a pool is spread over its
-range, independent of the others: evenly or, where policies are trained in the plane, more densely towards its
-ends. Entries that all vehicles of a plant share have no range: commands, arena, and the platform except for
-its surface_height (the effects platform_height and platform_tilt move it).
+Entries are set first and effects applied on top, in their order. Every number of a pool is distributed over
+its range independently of the others, either uniformly or, for policies trained in the plane, more densely
+towards its ends. Entries that all vehicles of a plant share cannot have a range: commands, arena, and the
+platform except for its surface_height (the effects platform_height and platform_tilt move it).
 
 Mass, inertia, arms, thrust and loops of real vehicles are correlated, and independent ranges would include
-impossible vehicles. A file may therefore name vehicles instead, files or shipped ones, and draw between
-neighbours:
+impossible vehicles. Instead, a file may therefore list vehicles, as files or shipped names, between which
+vehicles are drawn:
 
     vehicles = ["crazyflie-2.0", "crazyflie-2.1", "hummingbird"]
 
-Drawn vehicles are spread evenly over the whole row and half a place beyond each end, which gives the end
-itself, so that all named vehicles have the same share. Between two neighbours all numbers of the tables body,
-thrust, motor, rotor, drag and attitude are interpolated by the same share, geometrically if both ends have
-the same sign, so that power laws, ratios and thrust to weight are interpolated too. Entries and effects are
-set on top.
+Drawn vehicles are distributed uniformly over the whole list and half an interval beyond each end, where the
+end itself is used, so that all listed vehicles have the same share. Between two neighbours all numbers of the
+tables body, thrust, motor, rotor, drag and attitude are interpolated by the same share, geometrically if both
+ends have the same sign, so that power laws, ratios and thrust to weight are interpolated too. Entries and
+effects are set on top.
 
-`landing-train --randomise FILE` reads it. Two files are shipped: `robust` has the whole library of effects,
-slightly beyond their plausible sizes; `vehicles` has quadrotors from 28 g to 0.5 kg.
+`landing-train --randomise FILE` reads such a file. Two files are shipped: `robust` contains the whole library
+of effects, slightly beyond their plausible sizes; `vehicles` contains quadrotors from 28 g to 0.5 kg.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class _General(Struct, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Ranges:
-    """A file of ranges, read."""
+    """The content of a file of ranges."""
 
     given: dict[str, Any]  # as it stands there
     nominal: float  # share of the episodes
@@ -92,8 +92,8 @@ class Ranges:
         """Draw `count` vehicles from a seed; raises UserError if one of them is impossible.
 
         to_the_ends: numbers have the arcsine distribution over their range, with 41 % of them in its outer
-        tenths, instead of the uniform one with 20 %. The hardest vehicles are there, and policies do not
-        extrapolate to them.
+        tenths, instead of the uniform one with 20 %. The most difficult vehicles are near the ends, and
+        policies do not extrapolate to them.
         """
         rng = np.random.default_rng([_STREAM, seed])
 
@@ -127,9 +127,9 @@ class Ranges:
     def each_alone(self, vehicle: Vehicle) -> list[Vehicle]:
         """Return vehicles with one deviation each; raises UserError if one of them is impossible.
 
-        An effect has its plausible size, or one vehicle the lower and one the upper ends of its ranges where
-        these do not include that. Entries, which may depend on each other, are at their lower ends in one
-        vehicle and at their upper ends in another. The file's vehicles follow.
+        An effect has its plausible size; if its ranges do not include that, one vehicle has their lower and
+        one their upper ends. Entries, which may depend on each other, are at their lower ends in one vehicle
+        and at their upper ends in another. The file's vehicles follow.
         """
         alone = []
         for name, ranges in self.effects.items():
@@ -154,16 +154,17 @@ class Ranges:
 
 
 def _with_entries(vehicle: Vehicle, numbers: dict[str, list[float]]) -> Vehicle:
-    """Return a vehicle with other numbers in these of its fields, a list of one for a field of one."""
+    """Return a vehicle with new numbers in some fields; a field with one number takes a list of one."""
     tuples = {name: isinstance(getattr(vehicle, name), tuple) for name in numbers}
     return vehicle.changed(**{name: tuple(x) if tuples[name] else x[0] for name, x in numbers.items()})
 
 
 def between(vehicles: Sequence[Vehicle], place: float, like: Vehicle) -> Vehicle:
-    """Return the vehicle at a place on the row of `vehicles`, 0 the first; arena and the like are of `like`.
+    """Return the vehicle at a position in the list of `vehicles`, 0 for the first; arena etc. are those of
+    `like`.
 
-    Each number is interpolated by the same share: geometrically where both neighbours have it with the same
-    sign, else linearly.
+    Each number is interpolated by the same share: geometrically if it has the same sign in both neighbours,
+    else linearly.
     """
     k = min(int(place), len(vehicles) - 2)
     share, (one, other) = place - k, vehicles[k : k + 2]
@@ -255,7 +256,7 @@ def _of_entry(entry: Constant, value: Any, what: str) -> tuple[Range, ...]:
 
 
 def _range(value: object, limits: Range, label: str, what: str) -> Range:
-    """Return a range within limits; raises UserError for another value."""
+    """Return a range within limits; raises UserError for any other value."""
     number = Annotated[float, Meta(ge=limits[0], le=limits[1])]
     low, high = schema.parse(value, tuple[number, number], f"{what}: ", label)  # type: ignore[valid-type]
     if low > high:

@@ -1,4 +1,4 @@
-"""`save_policy`: a model of Stable-Baselines3 as a policy file, or the name of what a file cannot hold."""
+"""`save_policy`: save a model of Stable-Baselines3 as a policy file, or report what prevents it."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ _TOLERANCE = 1e-3
 def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model of any algorithm as a policy file.
 
-    It was trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the statistics of a
-    `VecNormalize` around them are saved as well. The file's actions are compared with those of
-    `model.predict`. Raises UserError, and writes nothing, for a policy, an environment or a wrapper that a
-    file cannot hold. Stable-Baselines3 reads the file too, to continue the training.
+    The model must have been trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the
+    statistics of a `VecNormalize` around them are saved as well. The file's actions are compared with those
+    of `model.predict`. Raises UserError, and writes nothing, for a policy, an environment or a wrapper that a
+    file cannot represent. Stable-Baselines3 can also load the file, to continue the training.
     """
     if not isinstance(model, BaseAlgorithm):
         raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
@@ -105,7 +105,7 @@ def write_policy(model: BaseAlgorithm, path: Path, metadata: dict, network: dict
 def actor_of(model: BaseAlgorithm) -> dict[str, Any]:
     """Return the fields of `Policy` that make up a model's actor.
 
-    Raises UserError for another network than dense layers with one activation.
+    Raises UserError for networks other than dense layers with one activation.
     """
     actor = getattr(model.policy, "actor", model.policy)  # the policy itself in PPO and its like
     named = dict(actor.named_modules(remove_duplicate=False))
@@ -244,13 +244,13 @@ class _Unknown(type):
     """The type of `_MayChange`."""
 
     def __instancecheck__(cls, wrapper) -> bool:
-        """Return whether a wrapper, or the environment in it, is none of those that are known."""
+        """Return whether a wrapper, or the environment in it, is not a known one."""
         known = type(wrapper.unwrapped).__module__ == TaskEnv.__module__
         return not (known and type(wrapper) in _HARMLESS_OF_ONE)
 
 
 class _MayChange(metaclass=_Unknown):
-    """Every wrapper except the harmless ones, for `env_is_wrapped`, which also asks in other processes."""
+    """Matches every wrapper except the harmless ones, for `env_is_wrapped`, also in other processes."""
 
 
 def _not_held(name: str) -> UserError:

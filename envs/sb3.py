@@ -1,4 +1,4 @@
-"""`BatchVecEnv`: Stable-Baselines3's view of a `BatchEnv`. All vehicles step in one batch call."""
+"""`BatchVecEnv`: a `BatchEnv` as a vector environment of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ with optional():
 class BatchVecEnv(VecEnv):
     """Stable-Baselines3 vector environment with automatic resets and episode statistics.
 
-    `infos[i]` is an empty dictionary except at the end of an episode, where it holds
-    `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched)
-    and `episode` {r, l, t} as SB3's Monitor writes it. `info_terms=True` adds `reward_terms` to every
-    step's info.
+    `infos[i]` is an empty dictionary except at the end of an episode, where it contains
+    `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched) and
+    `episode` {r, l, t} as SB3's Monitor writes it. `info_terms=True` adds `reward_terms` to every step's
+    info.
 
     Call `torch.set_num_threads(1)` before training: with small networks PyTorch's threads mostly wait for one
-    another, on a shared machine for more than ten times as long as the work takes.
+    another, on a shared machine more than ten times as long as the computation takes.
     """
 
     def __init__(self, env: BatchEnv, *, reward_scale: float = 1.0, info_terms: bool = False):
@@ -51,9 +51,9 @@ class BatchVecEnv(VecEnv):
         return super().seed(seed)
 
     def set_options(self, options: dict | list[dict] | None = None) -> None:
-        """Set the options of the next reset: of all vehicles, or a list with those of each.
+        """Set the options of the next reset: one for all vehicles, or a list with one for each.
 
-        {"state": array} starts from given states, (13,) or of all vehicles (n, 13). Raises UserError for
+        {"state": array} starts from given states, (13,) or (n, 13) for all vehicles. Raises UserError for
         other options.
         """
         if not isinstance(options, (list, tuple)):
@@ -74,7 +74,7 @@ class BatchVecEnv(VecEnv):
         return list(np.array(np.broadcast_to(state, (n, size))))
 
     def reset(self) -> np.ndarray:
-        """Begin new episodes everywhere; honours `VecEnv.seed` and `set_options`."""
+        """Begin new episodes of all vehicles; honours `VecEnv.seed` and `set_options`."""
         if self._seeds[0] is not None:
             self.env.seed(self._seeds[0])
         self._reset_seeds()
@@ -134,14 +134,14 @@ class BatchVecEnv(VecEnv):
     def set_attr(self, attr_name, value, indices=None) -> None:
         """Set an attribute of all vehicles.
 
-        Raises UserError for some of them, AttributeError where there is no such attribute.
+        Raises UserError for a subset of them, AttributeError if there is no such attribute.
         """
         self._check_all(attr_name, indices)
         getattr(self, attr_name)
         setattr(self, attr_name, value)
 
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
-        """Call a method for all vehicles together; raise UserError for some of them.
+        """Call a method for all vehicles together; raise UserError for a subset of them.
 
         `reset` and `step`, whose results are for the whole batch, must be called directly.
         """

@@ -1,7 +1,8 @@
 """The network of a file that Stable-Baselines3's PPO saved, read with torch and without running its code.
 
-Such a file says little about what its policy observed and commanded in training. What may differ from the
-task is refused with the remedy, `save_policy`, which has the model and its environment at hand.
+Such a file contains little information on what its policy observed and commanded in training. Anything that
+may differ from the task is refused with the remedy: `save_policy`, which has access to the model and its
+environment.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ _KNOWN = (
 def read_network(archive: zipfile.ZipFile, metadata: dict, path: Path) -> dict[str, Any]:
     """Return the fields of `Policy` that make up its network.
 
-    metadata: as an earlier version of this package added it, or empty. Raises UserError for a file of another
-    algorithm, and for one whose network had other observations or actions than the task's.
+    metadata: those of an earlier version of this package, or empty. Raises UserError for a file of another
+    algorithm, or if the observations or actions of its network differ from the task's.
     """
     header = read_table(archive, _HEADER, path)
     options = _table(header, "policy_kwargs")
@@ -92,7 +93,7 @@ def _table(header: dict, name: str) -> dict:
 
 
 def _foreign(header: dict, metadata: dict) -> str | None:
-    """Return what in a header neither the tensors nor the task hold, as in "policy X was ..."; or None."""
+    """Return what a header states beyond tensors and task, as in "policy X was ...", or None."""
     if not header:
         return "is damaged, or not a policy file"
     module = _table(header, "policy_class").get("__module__")
@@ -112,7 +113,7 @@ def _foreign(header: dict, metadata: dict) -> str | None:
 
 
 def read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]:
-    """Return all tensors of Stable-Baselines3's policy by name, the critic's too, in float64.
+    """Return all tensors of Stable-Baselines3's policy by name, including the critic, in float64.
 
     Raises UserError for anything but a table of dense tensors of finite floats.
     """

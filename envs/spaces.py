@@ -7,7 +7,7 @@ from inclined_landing.envs.history import input_names
 
 
 def observation_space(task) -> Box:
-    """Return the unbounded Box, float32, of `input_names`: positions may leave the arena at a penalty."""
+    """Return the unbounded Box, float32, of `input_names`; positions outside the arena are only penalised."""
     return Box(-np.inf, np.inf, (len(input_names(task)),), np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Moving platforms, drawn for training: steady travel any way, and a swell of heave, roll and pitch.
+"""Random platform motions for training: steady travel in any direction, and swell in heave, roll and pitch.
 
 Ships and cars are not included: the motions of the benchmark have their own spectra
 (`eval/study/scenarios.toml`).
@@ -26,7 +26,7 @@ STEEPEST = WAVES * TILT * math.sqrt(2.0)  # rad: by which a swell of 1 may incli
 
 def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarray) -> Motion:
     """Return motions of k platforms: travel at 0 to fastest [m/s], and waves of `swell` times the sizes
-    above, but roll and pitch together by at most room (k,) [rad].
+    above, with roll and pitch together limited to room (k,) [rad].
     """
     k, shape = len(room), (len(room), len(MODES), WAVES)
     travel, (log_period, share, phase) = rng.random((2, k)), rng.random((3, *shape))
@@ -38,7 +38,7 @@ def draw(rng: np.random.Generator, fastest: float, swell: float, room: np.ndarra
 
 @kernel
 def _draw(travel, share, fastest, swell, room, waves):
-    """Write what `draw` returns, from numbers in [0, 1): travel (2, k), share and phase (k, 6, W)."""
+    """Write the motions of `draw` from numbers in [0, 1): travel (2, k), share and phase (k, 6, W)."""
     for i in range(len(room)):
         speed, heading = fastest * travel[0, i], -math.pi + 2.0 * math.pi * travel[1, i]
         waves.velocity[i, 0], waves.velocity[i, 1] = speed * math.cos(heading), speed * math.sin(heading)
@@ -60,5 +60,5 @@ def _draw(travel, share, fastest, swell, room, waves):
 
 
 def largest_tilt(amplitude: np.ndarray) -> np.ndarray:
-    """Return the angle (k,) [rad] that waves (k, 6, W) incline a level platform by at most."""
+    """Return the largest inclination (k,) [rad] that waves (k, 6, W) give a level platform."""
     return np.hypot(*amplitude[:, 3:5].sum(axis=2).T)

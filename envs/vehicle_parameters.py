@@ -1,8 +1,8 @@
 """Vehicle parameters that a policy observes with the task option `observe_vehicle` (privileged observation).
 
-Six numbers in SI units after the observation and its history, constant during a flight:
+They are six numbers in SI units, appended to the observation and its history and constant during a flight:
 
-| number | unit | of the Crazyflie 2.1 | how |
+| number | unit | value for the Crazyflie 2.1 | definition |
 |---|---|---|---|
 | thrust to weight | 1 | 1.76 | highest PWM command over the one that hovers, effects included |
 | thrust lag | s | 0.065 | 1 over the lag's rate |
@@ -11,7 +11,7 @@ Six numbers in SI units after the observation and its history, constant during a
 | drag rate | 1/s | 0.2 | sideways in hover: linear drag over mass |
 | reach | m | 0.056 | outermost point of a rotor along x and y |
 
-They are those of the vehicle file, without effects that it does not contain.
+They describe the vehicle file, without effects that it does not contain.
 """
 
 from __future__ import annotations

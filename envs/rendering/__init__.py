@@ -36,7 +36,7 @@ __all__ = [
 
 
 def check_picture_options(width: int, height: int, camera: str | View, backend: str) -> None:
-    """Raise UserError for a picture that no renderer draws."""
+    """Raise UserError for options of a picture that no renderer supports."""
     for size in (width, height):
         if not isinstance(size, (int, np.integer)) or not 16 <= size <= 4096:
             raise UserError(
@@ -62,10 +62,10 @@ def make_renderer(
 ):
     """Return a renderer with `render(scene, ...) -> (height, width, 3) uint8` and `close()`.
 
-    camera: one of CAMERAS, the first of which has the whole arena in its picture, or, for rays, a
-    `View`. scale: size of the drawn vehicle, by default 3 (it is a few pixels wide otherwise; the
-    caption says so) and 1 for cameras close to it.
-    Raises UserError for an unknown backend or camera, and for "gl" where OpenGL is missing.
+    camera: one of CAMERAS, the first of which shows the whole arena, or, for rays, a `View`. scale:
+    magnification of the drawn vehicle, by default 3 (it would be only a few pixels wide otherwise; the
+    caption states it) and 1 for cameras close to it. Raises UserError for an unknown backend or camera, and
+    for "gl" if OpenGL is missing.
     """
     check_picture_options(width, height, camera, backend)
     if backend != "ray":

@@ -13,7 +13,8 @@ _FOCUS = np.array([0.0, 0.0, 1.2])  # parallel rays are exact on the plane throu
 def dot(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return scalar products (n,) of vectors (n, 3) with one vector (3,) or row by row with (n, 3).
 
-    Without the threads of a linear-algebra library: the same bits on every machine.
+    They are computed without the threads of a linear-algebra library, so that all machines give the same
+    bits.
     """
     return np.einsum("ij,j->i" if other.ndim == 1 else "ij,ij->i", vectors, other)
 
@@ -22,8 +23,8 @@ def dot(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
 class View:
     """One camera at one moment.
 
-    origin (3,) m; axes (3, 3) with rows right, up, forward; extent: the image's height, in metres
-    for an orthographic view, in units of the distance for a perspective one (2 tan(fovy / 2)).
+    origin (3,) [m]; axes (3, 3) with rows right, up, forward; extent: height of the image, in metres for an
+    orthographic view, in units of the distance for a perspective one (2 tan(fovy / 2)).
     """
 
     origin: np.ndarray
@@ -35,7 +36,7 @@ class View:
 
     @property
     def eye(self) -> np.ndarray:
-        """Point (3,) that all rays start from."""
+        """Return the point (3,) from which all rays start."""
         if not self.orthographic:
             return self.origin
         depth = (_FOCUS - self.origin) @ self.axes[2]
@@ -109,9 +110,9 @@ def nearest_position(
 ) -> np.ndarray:
     """Return the nearest position (3,) from which a perspective camera of given axes sees all points (n, 3).
 
-    axes (3, 3): rows right, up, forward. half_width, half_height: of what it may fill, in units of the
-    distance. Every point bounds the position by planes, two across and two up; what one of the directions
-    leaves free is centred.
+    axes (3, 3): rows right, up, forward. half_width, half_height: half the size of the usable part of the
+    image, in units of the distance. Every point bounds the position by planes, two horizontally and two
+    vertically; along a direction that is not bounded tightly, the view is centred.
     """
     local = np.stack([dot(np.asarray(points, float), axis) for axis in axes], axis=1)
     position = np.zeros(3)

@@ -1,9 +1,8 @@
-"""MuJoCo's own OpenGL renderer, behind a probe.
+"""MuJoCo's own OpenGL renderer, used only after a probe for OpenGL.
 
-Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. So the
-libraries are looked for with ctypes first; nothing here runs at import and no environment variable
-of MuJoCo is set. In a forked process whose parent has used OpenGL the next call would hang; it is
-refused there.
+Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. The libraries are
+therefore searched with ctypes first; nothing here runs at import and no environment variable of MuJoCo is
+set. In a forked process whose parent has used OpenGL, the next call would hang, so it is refused.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _process: int | None = None  # that used OpenGL first
 
 
 def lost() -> bool:
-    """Return whether this is a forked process whose parent has used OpenGL, which its children cannot."""
+    """Return whether this is a forked process whose parent has used OpenGL, so that it cannot use OpenGL."""
     return _process not in (None, os.getpid())
 
 
@@ -92,9 +91,9 @@ def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
 
 @functools.cache
 def probe() -> Probe:
-    """Return which OpenGL there is, without touching MuJoCo's: EGL first, then OSMesa.
+    """Return the available OpenGL without loading that of MuJoCo: EGL first, then OSMesa.
 
-    Where PYOPENGL_PLATFORM names one, as it does once MuJoCo has loaded that of MUJOCO_GL, there is no other.
+    If PYOPENGL_PLATFORM is set, as after MuJoCo has loaded the OpenGL of MUJOCO_GL, no other is available.
     """
     wanted, missing = os.environ.get("PYOPENGL_PLATFORM", "").lower(), []
     if wanted in ("", "egl"):
@@ -116,7 +115,7 @@ def probe() -> Probe:
 
 
 def _context(width: int, height: int):
-    """Return a current OpenGL context of MuJoCo; raise UserError with the remedy."""
+    """Return a current OpenGL context of MuJoCo, or raise UserError with the remedy."""
     global _process
     if lost():
         raise UserError(_LOST)

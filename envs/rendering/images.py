@@ -8,7 +8,7 @@ from inclined_landing.envs.rendering.camera import View
 
 
 def edges(label: np.ndarray, reach: int = 1) -> np.ndarray:
-    """Return a mask (h, w) of pixels whose neighbourhood holds more than one label."""
+    """Return a mask (h, w) of pixels whose neighbourhood contains more than one label."""
     mask = np.zeros(label.shape, bool)
     across, down = label[:, 1:] != label[:, :-1], label[1:] != label[:-1]
     mask[:, 1:] |= across
@@ -66,7 +66,7 @@ def bounding_box(view: View, points: np.ndarray, margin: int) -> tuple[int, int,
 
 
 def clip_box(box, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """Return the part of a pixel box within the picture, None for none."""
+    """Return the part of a pixel box within the picture, or None."""
     c0, r0, c1, r1 = box
     c0, r0, c1, r1 = max(int(c0), 0), max(int(r0), 0), min(int(c1), width), min(int(r1), height)
     return (c0, r0, c1, r1) if c1 > c0 and r1 > r0 else None

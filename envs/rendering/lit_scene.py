@@ -81,7 +81,7 @@ class LitScene:
         return np.stack([centre[:2] - half[:2], centre[:2] + half[:2]])
 
     def _shadow_box(self) -> np.ndarray:
-        """Return the rectangle [low (2,), high (2,)] across the light that holds all static shadows."""
+        """Return the rectangle [low (2,), high (2,)] normal to the light that contains all static shadows."""
         if not len(self.casters):
             return np.zeros((2, 2))
         centre = self.data.geom_xpos[self.casters] @ self.sun[:2].T
@@ -159,7 +159,7 @@ class LitScene:
         return np.minimum(shade, 0.6)
 
     def shade(self, geom, points, normal, unit, footprint):
-        """Return colours (n, 3) of hits seen along `unit` (n, 3): in shadow, and what sunlight adds."""
+        """Return colours (n, 3) of hits seen along `unit` (n, 3), in shadow and added by sunlight."""
         # Hemisphere ambient light, Lambert's cosine law for the sun, Blinn-Phong highlight, Fresnel-like rim:
         #   L = albedo (ambient(n) + sun max(n.s, 0)) + 0.35 k_s max(n.h, 0)^p + 0.1 k_s (1 - |n.v|)^3
         slope = dot(normal, unit)

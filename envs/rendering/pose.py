@@ -1,4 +1,4 @@
-"""Poses of vehicle and platform as renderers take them, and translucent copies of the vehicle."""
+"""Poses of vehicle and platform for renderers, and translucent copies of the vehicle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PARKED = -10.0  # m; a platform below this height is absent
 class Pose:
     """Pose of the vehicle as qpos (7,), position [m] and quaternion, and position and quaternion of the slab.
 
-    based: the slab stands on its base. Without one it can move, at no cost to a renderer.
+    based: the slab has its base. Without one it can move, without a rebuild of the drawn model.
     """
 
     qpos: np.ndarray
@@ -28,7 +28,7 @@ class Pose:
 
     @property
     def platform_key(self):
-        """Key that is equal where the same model is drawn, None for an absent platform."""
+        """Return a key that is equal if the same model is drawn, None for an absent platform."""
         if self.platform_pos[2] < _PARKED:
             return None
         if not self.has_base:
@@ -40,7 +40,7 @@ class Pose:
 class Ghost:
     """A copy of the vehicle at qpos (7,): `colour` mixed in by `tint`, opacity `alpha`.
 
-    `shadow`: the copy casts one (backend "ray").
+    `shadow`: whether the copy casts a shadow (backend "ray").
     """
 
     qpos: np.ndarray
@@ -59,9 +59,9 @@ def qpos_of_state(state) -> np.ndarray:
 
 
 def hang_load(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Let the slung load of the vehicle in `data`, if it has one, hang straight down.
+    """Make the slung load of the vehicle in `data`, if it has one, hang straight down.
 
-    States do not say where a load swings.
+    States do not contain the direction of the load.
     """
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "load") >= 0:
         vehicle, load = data.joint("crazyflie").qpos, data.joint("load").qpos
@@ -82,9 +82,10 @@ def pose_from_state(state, platform, has_base: bool = True) -> Pose:
 
 
 def as_pose(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
-    """Return the pose in an MjData, a qpos (7,), a state (13,) or a Pose; for None far from the scene.
+    """Return the pose from an MjData, a qpos (7,), a state (13,) or a Pose; None gives one far from the
+    scene.
 
-    inclination and azimuth [rad] pose the platform where `scene` does not say; default: as the vehicle file.
+    inclination and azimuth [rad] pose the platform if `scene` does not (default: the vehicle file's).
     Raises UserError for anything else.
     """
     if isinstance(scene, Pose):

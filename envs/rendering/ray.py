@@ -1,8 +1,8 @@
 """A ray-cast renderer on `mujoco.mj_multiRay`: no OpenGL, deterministic.
 
-The picture is made of layers. The background (floor, wall, platform, arena edges) depends on the
-camera and the platform's pose only and is kept; each frame casts rays for the pixels that the
-vehicle and its shadow can touch.
+The picture is made of layers. The background (floor, wall, platform, arena edges) depends only on the camera
+and the platform's pose and is cached; each frame casts rays for the pixels that the vehicle and its shadow
+can cover.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ class SceneRenderer(abc.ABC):
         """Return one frame (height, width, 3) uint8.
 
         scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the
-        platform where `scene` does not say. trail: states (k, 13), through the centre of the drawn vehicle,
-        or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,).
+        platform if `scene` does not define it. trail: states (k, 13), drawn through the centre of the drawn
+        vehicle, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,).
         """
         pose = self._pose(scene, inclination)
         if trail is not None and np.shape(trail)[1:] == (13,):
@@ -90,7 +90,7 @@ class SceneRenderer(abc.ABC):
         return pose
 
     def set_platform(self, pose: Pose) -> None:
-        """Set the platform's pose: a model whose platform has a base is rebuilt for each pose."""
+        """Set the platform's pose; a model whose platform has a base is rebuilt for each pose."""
         if pose.platform_key != self._platform:
             self._rebuild(pose)
         if not pose.has_base:
@@ -120,7 +120,7 @@ class SceneRenderer(abc.ABC):
 
     @abc.abstractmethod
     def _prepare(self, model: mujoco.MjModel) -> None:
-        """Take a new model."""
+        """Prepare a new model for drawing."""
 
     @abc.abstractmethod
     def _draw(self, pose: Pose, drawing: Drawing) -> np.ndarray:

@@ -46,9 +46,10 @@ def rendering_model(
 ) -> mujoco.MjModel:
     """Return the drawn model: visual geoms only, a closed base, the arena's edges, the camera `arena`.
 
-    aspect: width over height of the picture. far: draw the edges for a camera that sees all of them.
+    aspect: width over height of the picture. far: draw the edges for a camera that shows all of them.
     platform: (position (3,), quaternion (4,)) of the slab, (None, None) for an arena without one;
-    default: as in the vehicle file. based: it has a base; without one it can be moved, a mocap body.
+    default: as in the vehicle file. based: whether it has a base; without one it is a mocap body that can be
+    moved.
     scale: size of the drawn vehicle, see `scale_vehicle`.
     """
     vehicle = vehicle or load_vehicle()
@@ -72,7 +73,7 @@ def rendering_model(
 
 
 def strip_physics(spec: mujoco.MjSpec) -> None:
-    """Remove actuators, sensors, keyframes: a drawn model is never stepped. Also the skin: rays pass it."""
+    """Remove actuators, sensors and keyframes, which are not drawn, and the skin, which rays miss."""
     for element in [*spec.actuators, *spec.sensors, *spec.keys, *spec.skins]:
         spec.delete(element)
 
@@ -80,7 +81,7 @@ def strip_physics(spec: mujoco.MjSpec) -> None:
 def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
     """Draw the vehicle `factor` times its size, anchored at the centre of its four foot tips.
 
-    The feet then stand on the surface that the real feet stand on. Only visual geoms change.
+    The drawn feet are then on the same surface as the real feet. Only visual geoms change.
     """
     feet = [geom for geom in spec.geoms if geom.name.startswith("foot_")]
     anchor = np.array([0.0, 0.0, min(geom.pos[2] - geom.size[0] for geom in feet)])
@@ -96,7 +97,7 @@ def scale_vehicle(spec: mujoco.MjSpec, factor: float) -> None:
 
 
 def scaled_centres(model: mujoco.MjModel, states, factor: float) -> np.ndarray:
-    """Return where `scale_vehicle` puts the centre of mass of states (k, 13): points (k, 3) [m]."""
+    """Return the points (k, 3) [m] to which `scale_vehicle` moves the centre of mass of states (k, 13)."""
     qpos = qpos_of_state(states)
     feet = [k for k in range(model.ngeom) if model.geom(k).name.startswith("foot_")]
     low = (model.geom_pos[feet, 2] - model.geom_size[feet, 0]).min()

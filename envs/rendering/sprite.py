@@ -21,7 +21,7 @@ _NOWHERE = np.array([0.0, 0.0, -100.0])
 
 @dataclasses.dataclass(frozen=True)
 class Sprite:
-    """Cut-out picture rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is in the middle."""
+    """Cut-out picture rgba (k, k, 4) uint8 and half its side [m]; the centre of mass is at its centre."""
 
     rgba: np.ndarray
     half: float
@@ -31,8 +31,8 @@ class SpriteRenderer:
     """Orthographic renderer of vehicles in any attitude, `scale` times their size.
 
     across: 0 shows x to the right and z up (seen from the side), 1 shows y to the right (from the
-    front). pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp in the
-    middle of its position shows where the vehicle is.
+    front). pixels: side of the stamps. The vehicle is scaled about its centre of mass, so that a stamp
+    centred at its position shows where the vehicle is.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """MuJoCo's viewer as a window that shows one vehicle while it flies.
 
-Without a display MuJoCo's viewer ends the whole process. So a hidden window is tried first, and what is
-missing becomes a sentence. The window has its own thread, so that mouse and menus work between two moments.
-It belongs to the process that opened it; a forked process shows nothing.
+Without a display MuJoCo's viewer ends the whole process. A hidden window is therefore opened first, and what
+is missing is reported in a sentence. The window has its own thread, so that mouse and menus work between two
+updates. It belongs to the process that opened it; a forked process shows nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def headless() -> bool:
 
 
 def check_display() -> None:
-    """Raise UserError, with the remedy, where no window with OpenGL can be opened."""
+    """Raise UserError, with the remedy, if no window with OpenGL can be opened."""
     if headless():
         raise UserError(f"a window needs a display, and there is none; {REMEDY}")
     with warnings.catch_warnings():
@@ -65,7 +65,7 @@ class Window:
     """A window with the vehicle on its slope, in real time.
 
     Its model has the vehicle's true size, the contacts and the plugins: the viewer's own menus show forces
-    and shapes. Raises UserError where there is no display.
+    and shapes. Raises UserError if there is no display.
     """
 
     def __init__(self, vehicle: Vehicle | None = None):
@@ -114,8 +114,8 @@ class Window:
     ) -> None:
         """Show a state (13,) under commands (4,); does nothing once the window is closed.
 
-        platform: the platform's state (12,), see `Plant.platform`; None without one. seconds: since the
-        moment shown before; waits so long that the flight is seen in real time.
+        platform: the platform's state (12,), see `Plant.platform`; None without one. seconds: time since the
+        state shown before; the call waits so that the flight is shown in real time.
         """
         if not self.open:
             return

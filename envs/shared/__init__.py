@@ -1,1 +1,1 @@
-"""Shared by `landing-train` and `landing-eval`: command lines, options, run folders, tables, the pool."""
+"""Code shared by `landing-train` and `landing-eval`: command lines, options, run folders, tables, pool."""

@@ -1,6 +1,6 @@
-"""The command lines of `landing-eval` and `landing-train`: words become arguments, errors one sentence.
+"""Command lines of `landing-eval` and `landing-train`: parsing, help, and errors in one sentence.
 
-Imports nothing heavy: the packages and tyro are imported when a command is run.
+This module imports nothing slow: other packages and tyro are imported when a command is run.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
 def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -> Any:
-    """Return what `target` makes of the words of a command line (default: those of this process).
+    """Return the result of `target` for the words of a command line (default: those of this process).
 
     target: a dataclass, or a function from `bound`; its signature and docstring are options and help.
     Raises UserError for words that do not fit; --help is printed and raises SystemExit(0).
@@ -75,7 +75,7 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
 
 
 def _choices(target: Callable) -> dict[str, Container[str]]:
-    """Return what an option may be whose values are several of a few words, by option."""
+    """Return the choices of each option that takes several of a few words."""
     from inclined_landing.envs.shared.options import flag_of
     from inclined_landing.models.base import schema
 
@@ -88,10 +88,11 @@ def _choices(target: Callable) -> dict[str, Container[str]]:
 
 
 def _positionals_first(arguments: Sequence[str], choices: Mapping[str, Container[str]]) -> list[str]:
-    """Return arguments with those in front that follow an option's values, and are none of its `choices`.
+    """Move positional arguments that follow an option's values, and are not among its `choices`, to the
+    front.
 
-    An option of several values would take them all, as in `--over moving POLICY`. If an argument comes first,
-    the others are as they should be.
+    An option with several values would consume them all, as in `--over moving POLICY`. If a positional
+    argument comes first, the order is left unchanged.
     """
     if not arguments or not arguments[0].startswith("-"):
         return list(arguments)
@@ -107,9 +108,9 @@ def _positionals_first(arguments: Sequence[str], choices: Mapping[str, Container
 
 
 def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> None:
-    """Raise UserError for an option without values, or without an effect, among those that are given.
+    """Raise UserError if an option on the command line has no values, or has no effect.
 
-    options: a dataclass of options, or values with their annotations by name. flags: as `given` has them.
+    options: a dataclass of options, or values with their annotations by name. flags: from `given`.
     """
     from inclined_landing.envs.shared.options import Only, flag_of
 
@@ -126,7 +127,7 @@ def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> N
 
 
 def _flat(options: Any, outer: tuple = ()) -> Iterator[tuple[str, tuple[Any, tuple]]]:
-    """Yield name, value and marks of each option, those in groups included."""
+    """Yield name, value and marks of each option, including those in groups."""
     from inclined_landing.models.base import schema
 
     if not isinstance(options, Mapping):
@@ -141,7 +142,7 @@ def _flat(options: Any, outer: tuple = ()) -> Iterator[tuple[str, tuple[Any, tup
 
 
 def given(arguments: Sequence[str]) -> set[str]:
-    """Return the options that a command line names, as "--out"; for --no-film also --film."""
+    """Return the options on a command line, such as "--out"; for --no-film also --film."""
     words = itertools.takewhile(lambda word: word != "--", arguments)
     names = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")}
     return names | {name.replace("--no-", "--", 1) for name in names}
@@ -165,7 +166,7 @@ def help_page(target: Callable, prog: str) -> str:
 
 
 def _tidy(page: str) -> str:
-    """Return a page of tyro with its paragraphs wrapped, and without uninformative defaults."""
+    """Return a help page of tyro with its paragraphs wrapped, and without uninformative defaults."""
     page = re.sub(r"\s*(\(default:\s*(None|False|)\)|\(repeatable\))", "", page)
     page = re.sub(r"^ ([\w-]+) options *$", lambda m: f" {_heading(m[1])}", page, flags=re.MULTILINE)
     width = shutil.get_terminal_size().columns
@@ -182,7 +183,7 @@ def _heading(group: str) -> str:
 
 
 def _wrapped_helps(page: str, width: int) -> str:
-    """Return a page with the text of each option as one paragraph: tyro keeps the lines of docstrings."""
+    """Return a page with each option's text as one paragraph; tyro keeps the docstring's line breaks."""
     column = next((line.index("show this") for line in page.splitlines() if "show this help" in line), width)
     rows: list[str] = []
     for line in page.splitlines():
@@ -198,14 +199,14 @@ def _wrapped_helps(page: str, width: int) -> str:
 
 
 def _text(row: str, column: int) -> str:
-    """Return the text of a row in the column of texts; "" where it has none."""
+    """Return the text of a row in the column of help texts; "" if it has none."""
     return row[column:] if row[column - 2 : column].isspace() else ""
 
 
 def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
     """Return tyro's script that completes a command line.
 
-    targets: by command; "" alone for a program without commands. Raises UserError for an unknown shell.
+    targets: by command; only "" for a program without commands. Raises UserError for an unknown shell.
     """
     import tyro
 
@@ -221,13 +222,13 @@ def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
 
 
 def shell_of(arguments: Sequence[str]) -> str:
-    """Return SHELL of `--print-completion SHELL` or `--print-completion=SHELL`; "" where it is not given."""
+    """Return SHELL of `--print-completion SHELL` or `--print-completion=SHELL`; "" if it is not given."""
     _, _, joined = arguments[0].partition("=")
     return joined or " ".join(arguments[1:2])
 
 
 def versions(prog: str) -> str:
-    """Return the line of --version: this package and what decides its results; imports none of them."""
+    """Return the line of --version: this package and those that affect its results, without imports."""
     from inclined_landing.envs.shared.runs import packages
 
     found = {**packages(), "python": platform.python_version()}
@@ -237,10 +238,11 @@ def versions(prog: str) -> str:
 
 
 def bound(command: Callable) -> Callable:
-    """Return `command` with the same signature and docstring, which returns the call instead of making it.
+    """Return a function with the signature and docstring of `command` that returns the call without making
+    it.
 
-    Values beyond the limits of their option's type are refused here, before any work. The call owns the run
-    folder that it writes, see `runs.owned`.
+    Values beyond the limits of an option's type are refused here, before any work. The call owns the run
+    folder that it writes (see `runs.owned`).
     """
 
     @functools.wraps(command)
@@ -282,11 +284,11 @@ def exit_code(
     extra: str = "eval",
     interrupted: Callable[[], str] = lambda: "interrupted",
 ) -> int:
-    """Do the work of a command line and return its exit code; print one sentence if it fails.
+    """Run a command and return its exit code; print one sentence if it fails.
 
     The code is 2 for wrong input, for a missing package that `extra` would install, for a diverged simulation
-    and for lack of memory. After a signal that ends it, such as Ctrl-C, the sentence is that of `interrupted`
-    and the code is 128 plus the signal's number. Failing to write to stderr does not change the code.
+    and for lack of memory. If a signal such as Ctrl-C ends it, the sentence is that of `interrupted` and the
+    code is 128 plus the signal's number. Failing to write to stderr does not change the code.
     """
     gc.set_threshold(_YOUNG)
     os.environ.update(MATPLOTLIBRC=os.devnull, MPLBACKEND="agg")  # no settings, no window
@@ -332,7 +334,7 @@ def exit_code(
 
 
 def _announce_compilation(execute: imports.Execute, event: Any) -> None:
-    """Run numba's module of events, and say on a terminal when compilation takes more than a second."""
+    """Import numba's events and report on a terminal when compilation takes more than a second."""
     execute(event)
 
     class Announcement(event.Listener):
@@ -355,7 +357,7 @@ def _announce_compilation(execute: imports.Execute, event: Any) -> None:
 
 @contextlib.contextmanager
 def _signals(caught: list[int]) -> Iterator[None]:
-    """Let other signals raise KeyboardInterrupt, as Ctrl-C does; they are recorded in `caught`."""
+    """Make other signals raise KeyboardInterrupt, as Ctrl-C does; they are recorded in `caught`."""
     undisturbed = -math.inf  # until this time [s]
 
     def stop(number, frame):
@@ -382,10 +384,10 @@ def _signals(caught: list[int]) -> Iterator[None]:
 
 
 class _Lossy(io.FileIO):
-    """A stream that drops what it cannot write, so that a full disk or a closed terminal ends nothing."""
+    """A stream that drops what it cannot write, so that a full disk or a closed terminal is not an error."""
 
     def write(self, data) -> int:
-        """Write what can be written, and return the length of all."""
+        """Write as much as possible, and return the length of the whole text."""
         with contextlib.suppress(OSError):
             super().write(data)
         return len(data)
@@ -393,7 +395,7 @@ class _Lossy(io.FileIO):
 
 @contextlib.contextmanager
 def _streams() -> Iterator[None]:
-    """Make the standard streams of this process robust against closed files and odd names."""
+    """Make the standard streams of this process robust against closed files and invalid characters."""
     handle = os.open(os.devnull, os.O_RDONLY)
     while handle <= 2:  # closed by the shell; no file may get its number
         handle = os.open(os.devnull, os.O_RDONLY)
@@ -414,12 +416,12 @@ def _lossy(handle: int) -> TextIO:
 
 
 def _drop_output() -> None:
-    """Discard output that cannot be written: Python would try again, and fail, at its end."""
+    """Discard output that cannot be written: Python would try again, and fail, at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(box: str, prog: str) -> str:
-    """Return tyro's message, which it prints in a frame, as one sentence."""
+    """Return tyro's framed message as one sentence."""
     lines = [row.strip("│|").rstrip() for row in box.splitlines()[1:]]
     first = next((k for k, row in enumerate(lines) if row.strip().startswith("Missing from")), None)
     if first is not None:  # options follow up to a rule, each indented less than its help

@@ -1,7 +1,6 @@
-"""Measures: what is counted of flights, with its unit, its statistic, and how a table shows it.
+"""Measures: quantities of flights, each with unit, statistic and its format in tables.
 
-A statistic of the values of some flights has one shape, whatever it is: value, interval or quantiles, range,
-and of how many of the flights.
+All statistics have the same form: value, interval or quantiles, range, and the number of flights.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def mean(values: np.ndarray) -> dict[str, Any]:
 
 
 def with_ends(row: Row, factor: float, digits: int) -> str:
-    """Return a share as `99.6 [97.8, 99.9]`, a median as `2.31 (1.90 to 2.84)`, that of one value alone."""
+    """Return a share as `99.6 [97.8, 99.9]` and a median as `2.31 (1.90 to 2.84)`; one value has no range."""
     # z: no minus sign before zero
     value, low, high = (f"{factor * row[key]:z,.{digits}f}" for key in ("value", "low", "high"))
     if row["statistic"] == "share":
@@ -63,7 +62,7 @@ def counted(row: Row, factor: float, digits: int) -> str:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Measure:
-    """One quantity of flights. Tables and figures show it times `factor`, in `shown_unit`."""
+    """One quantity of flights. Tables and figures show it multiplied by `factor`, in `shown_unit`."""
 
     name: str  # in rows
     title: str  # in the heading of a column
@@ -84,7 +83,7 @@ class Measure:
         return f"{self.title} [{self.shown_unit}]" if self.shown_unit else self.title
 
     def of(self, flights: pd.DataFrame) -> dict[str, Any]:
-        """Return its statistic of flights, as part of a row."""
+        """Return its statistic for flights, as part of a row."""
         among = flights[flights[self.among].astype(bool)] if self.among else flights
         found = self.statistic(among[self.column or self.name].to_numpy())
         about = {"measure": self.name, "unit": self.unit, "statistic": self.statistic.__name__}
@@ -96,7 +95,7 @@ class Measure:
 
 
 def share_of(name: str, title: str, **others: Any) -> Measure:
-    """Return the measure of how often a column is true, shown in per cent."""
+    """Return the measure of the share of flights in which a column is true, shown in per cent."""
     style: dict[str, Any] = {"shown_unit": "%", "factor": 100.0, "digits": 1}
     return Measure(name=name, title=title, statistic=share, **style | others)
 

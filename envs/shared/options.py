@@ -1,4 +1,4 @@
-"""Types of single options with their limits, and the names of options in sentences."""
+"""Types of individual options with their limits, and the names of options in messages."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NewFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR"), RUN_FOLDER]
 
 
 def flag_of(name: str) -> str:
-    """Return how an option is written on the command line."""
+    """Return the command-line form of an option."""
     return "--from" if name == "start_from" else f"--{name.replace('_', '-')}"
 
 
 class Only(NamedTuple):
-    """Marks an option, or a group of options, that has an effect only with certain values of the others.
+    """Marks an option, or a group of options, that has an effect only with certain values of other options.
 
     `command_line.parse` refuses it elsewhere.
     """

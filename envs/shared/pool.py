@@ -1,4 +1,4 @@
-"""Parallel calls: in threads of this process, or as tasks of a Ray cluster."""
+"""Parallel calls, in threads of this process or as tasks of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _RETRIES = 3  # of a call whose process or machine was lost
 
 
 def check(on: str, address: str | None, option: str) -> None:
-    """Raise UserError for a place that is unknown, not installed or cannot be reached.
+    """Raise UserError for a place that is unknown, not installed or unreachable.
 
-    on: one of PLACES. address: HOST:PORT of a running Ray cluster. option: the one that names the place.
+    on: one of PLACES. address: HOST:PORT of a running Ray cluster. option: the option that selects the place.
     """
     if on not in PLACES:
         raise UserError(f"{option} must be {' or '.join(PLACES)}, not {shown(repr(on), 40)}")
@@ -83,7 +83,7 @@ def _prepare(address: str | None) -> None:
 
 
 def import_ray(option: str = "Ray"):
-    """Return the package ray; raises UserError where it is not installed."""
+    """Return the package ray; raises UserError if it is not installed."""
     try:
         import ray
 
@@ -99,7 +99,7 @@ def import_ray(option: str = "Ray"):
 class _Cluster(Executor):
     """Calls functions on the machines of a Ray cluster, each call on one core.
 
-    What a call raises comes back as a subclass of its exception and of Ray's.
+    Exceptions of a call are raised here as a subclass of both the original exception and Ray's.
     """
 
     def __init__(self, ray):
@@ -117,8 +117,8 @@ class _Cluster(Executor):
 def _connected(address: str | None) -> Iterator[_Cluster]:
     """Yield the cluster at the address HOST:PORT; without one, Ray is started for this machine only.
 
-    Raises UserError where it cannot be reached, and for calls that it could not carry out. Calls under way
-    end with the context.
+    Raises UserError if it cannot be reached, and for calls that it could not execute. Pending calls end with
+    the context.
     """
     ray = import_ray()
     quiet = {"include_dashboard": False, "log_to_driver": False, "configure_logging": False}
@@ -165,7 +165,7 @@ def _called(versions: dict, function: Callable, *arguments: Any) -> Any:
 
 
 def _knock(address: str) -> None:
-    """Raise UserError unless something listens at the address: Ray itself would try for longer."""
+    """Raise UserError unless something listens at the address; Ray itself would keep trying for longer."""
     host, _, port = address.rpartition(":")
     if not host or not (port.isascii() and port.isdigit() and len(port) <= 5) or not 0 < int(port) < 65536:
         raise UserError(f"--address must be HOST:PORT, not {shown(repr(address))}")

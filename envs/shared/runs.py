@@ -1,4 +1,4 @@
-"""Run folders, and the versions behind a result."""
+"""Run folders, and the record of versions for a result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def dated(name: str) -> Path:
 
 
 def check_new_run(path: str | Path) -> None:
-    """Raise UserError if `path` could not become a new run folder; leaves nothing behind."""
+    """Raise UserError if `path` cannot become a new run folder; leaves nothing behind."""
     path = storage.as_path(path, "run folder")
     try:
         if path.exists() and not path.is_dir():
@@ -46,9 +46,8 @@ def hand_over(
     out: Path | None,
     files: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the report of a command, and texts by name, into the new folder `out`, where one is wanted.
-
-    Print it as JSON, or as `show` does.
+    """Write the report of a command, and texts by name, to the new folder `out`, if there is one. Print the
+    report as JSON, or with `show`.
     """
     if out is not None:
         with staged_run(out) as folder:
@@ -63,11 +62,11 @@ def hand_over(
 
 @contextlib.contextmanager
 def owned(path: str | Path, resumable: str | None = None) -> Iterator[bool]:
-    """Make the run folder `path` and keep other processes from using it; yields whether it is made here.
+    """Make the run folder `path` and keep other processes from using it; yields whether it is new.
 
-    resumable: a file name; an existing folder with this file is taken with its content. Raises UserError
-    where `check_new_run` does, and when another process owns the folder. A folder that is made here and
-    stays empty is removed. A process that owns a folder may ask for it again.
+    resumable: a file name; an existing folder with this file is used with its content. Raises UserError as
+    `check_new_run` does, and when another process owns the folder. A new folder that stays empty is removed.
+    A process that owns a folder may request it again.
     """
     path = storage.as_path(path, "run folder")
     if (key := storage.real(path)) in _owned:
@@ -93,10 +92,11 @@ def owned(path: str | Path, resumable: str | None = None) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iterator[int]:
-    """Lock the run folder for this process, and for those that it gives the descriptor it gets.
+    """Lock the run folder for this process, and for processes that inherit the yielded descriptor.
 
-    log: the file that is opened, to append to it: a folder is not locked for other machines that share it.
-    patience: for how long [s] another process is waited for. Raises UserError when it still works there.
+    log: the file that is opened for appending and locked, because the lock of a folder does not apply to
+    other machines that share it. patience: how long [s] to wait for another process. Raises UserError if it
+    still uses the folder.
     """
     try:
         handle = (
@@ -119,7 +119,7 @@ def locked(folder: Path, log: Path | None = None, patience: float = 0.0) -> Iter
 
 @contextlib.contextmanager
 def staged_run(path: str | Path) -> Iterator[Path]:
-    """Yield a folder to write a run into; when everything is written, it becomes `path`.
+    """Yield a folder for the files of a run; when everything is written, it becomes `path`.
 
     An existing empty folder, which may be a mount or the current folder of the shell, is kept and receives
     the files. After any error, including an interruption, nothing of the run remains. Raises UserError as
@@ -150,7 +150,7 @@ def versions() -> dict[str, str | int | None]:
 
 
 def packages() -> dict[str, str | None]:
-    """Return versions of the packages that a result depends on; None where one is not installed."""
+    """Return versions of the packages that a result depends on; None for one that is not installed."""
     result: dict[str, str | None] = {}
     for package in _PACKAGES:
         try:

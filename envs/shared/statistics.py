@@ -1,4 +1,4 @@
-"""Estimates with their uncertainty."""
+"""Estimates with their uncertainties."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def bootstrap(values: npt.ArrayLike, seed: int = 0) -> dict[str, Any]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with three digits for people: 0.42, 1.3e-6, 34 100."""
+    """Return a number with up to three significant digits as text: 0.42, 1.3e-6, 34 100."""
     if value is None or not math.isfinite(value):
         return "–"
     size = abs(value)

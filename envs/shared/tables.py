@@ -1,4 +1,4 @@
-"""Terminal output with one look for all commands: tables, and sentences on the results."""
+"""Uniform terminal output of all commands: tables and sentences."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PAD = 3  # columns of a table around a cell
 
 
 def printer(console: Console | None = None) -> Console:
-    """Return a console that prints text unchanged; in a pipe or a file it is COLUMNS wide, or 120."""
+    """Return a console that prints text unchanged; in a pipe or a file its width is COLUMNS, or 120."""
     console = console or Console(markup=False, highlight=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _PIPED_WIDTH
@@ -22,7 +22,7 @@ def printer(console: Console | None = None) -> Console:
 
 
 def say(*sentences: str, style: str | None = None, console: Console | None = None) -> None:
-    """Print sentences; a terminal gets them wrapped, a pipe or a file each as one line."""
+    """Print sentences, wrapped on a terminal, and each as one line in a pipe or a file."""
     console = printer(console)
     for sentence in sentences:
         console.print(sentence, style=style, soft_wrap=not console.is_terminal)
@@ -39,7 +39,7 @@ def new_table(title: str | None, *columns: str, labels: int = 1) -> Table:
 def show_table(table: Table, console: Console | None = None) -> None:
     """Print a table of `new_table` without wrapping its numbers.
 
-    Columns of numbers that do not fit the screen follow below, next to the same labels.
+    Columns that do not fit on the screen are printed below, with the same labels.
     """
     console = printer(console)
     labels = [k for k, column in enumerate(table.columns) if column.justify == "left"]
@@ -77,7 +77,7 @@ def show_table(table: Table, console: Console | None = None) -> None:
 def spread_cell(
     spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
 ) -> str:
-    """Return a median with the ends of its range, as `statistics.spread` gives them."""
+    """Return a median with the ends of its range, from `statistics.spread`."""
     if spread["median"] is None:
         return "-"
     middle, low, high = (f"{factor * spread[key]:z,.{digits}f}" for key in ("median", *ends))

@@ -1,7 +1,7 @@
 """Code of the user, named as `module:NAME` or `file.py:NAME`.
 
-Naming it imports and so runs it. That happens only where a person names it, never because a policy file or
-a run folder does.
+Code is imported, and so executed, only if the user names it, never because a policy file or a run folder
+does.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _FILES: dict[str, str] = {}  # what was imported here: what people called it, by
 
 
 def would_import(text: object) -> TypeGuard[str]:
-    """Would a task of this name be imported: is it `module:NAME` or `file.py:NAME`."""
+    """Return whether a task of this name would be imported: `module:NAME` or `file.py:NAME`."""
     source, _, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
     return bool(source) and name.isidentifier()
 
@@ -29,7 +29,7 @@ def would_import(text: object) -> TypeGuard[str]:
 def import_named(path: str, what: str, kind: str):
     """Import and return the object named by `module:NAME` or `file.py:NAME`; None if the module lacks it.
 
-    what, kind: how sentences call it, and its NAME. Raises UserError where the code cannot be imported.
+    what, kind: what messages call it, and its NAME. Raises UserError if the code cannot be imported.
     """
     if not would_import(path):
         raise UserError(f"write a custom {what} as module:{kind} or file.py:{kind}, not {shown(path, 60)}")
@@ -47,7 +47,7 @@ def import_named(path: str, what: str, kind: str):
 
 
 def blame(error: BaseException) -> str | None:
-    """Return which line of a custom module raised an error, as a sentence; None if none did."""
+    """Return a sentence with the line of a custom module that raised an error; None if none did."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if frame.filename in _FILES:
             said = f"{type(error).__name__}{f': {shown(error, 120)}' if str(error) else ''}"

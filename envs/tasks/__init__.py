@@ -1,4 +1,4 @@
-"""The tasks, by name, as `ids.py` lists them. Their environments follow."""
+"""The tasks by name, as listed in `ids.py`."""
 
 import sys
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ __all__ = [
 
 
 def known(name) -> bool:
-    """Return whether there is a task of this name, or one has been imported by this name or path."""
+    """Return whether a task of this name exists or has been imported by this name or path."""
     return isinstance(name, str) and (name in TASKS or name in _OWN)
 
 
@@ -81,7 +81,7 @@ def task_class(name: str) -> type[Task]:
 def import_task(path: str) -> type[Task]:
     """Import a custom task, `module:Class` or `file.py:Class`; it is then known like any other.
 
-    As with modules, a second import of the same path is the first.
+    As with modules, a second import of the same path returns the first.
     """
     if isinstance(path, str) and path in _OWN:
         return _OWN[path]

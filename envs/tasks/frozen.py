@@ -1,7 +1,7 @@
 """The starts of the evaluation of landing policies; training never uses them.
 
-`starts/landing_grid.csv` is the frozen set: a grid over the upper half of the arena without the
-starts whose shapes lie closer than 5 cm to the platform. `make_grid` says how it was made.
+`starts/landing_grid.csv` is the frozen set: a grid over the upper half of the arena without the starts at
+which the vehicle is closer than 5 cm to the platform. `make_grid` made it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def grid() -> np.ndarray:
 
 
 def make_grid(task: Task) -> np.ndarray:
-    """Return the starts (k, 2) of the grid that lie clear of the task's platform, x by x."""
+    """Return the starts (k, 2) of the grid that are clear of the task's platform, ordered by x."""
     x, z = np.meshgrid(_X, _Z, indexing="ij")
     return clear(task, np.column_stack([x.ravel(), z.ravel()]))
 

@@ -1,7 +1,7 @@
-"""Checks of custom tasks: of the class when it is imported, and of one step when it is made.
+"""Checks of custom tasks: the class is checked at import, and one step when the task is made.
 
-The package's own tasks have tests instead. Later exceptions of their code become sentences at the end of a
-command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards that are not finite.
+The package's own tasks have tests instead. Later exceptions in custom code are reported in one sentence at
+the end of a command (`envs.shared.user_code.blame`); `BatchEnv` refuses rewards that are not finite.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class TaskError(UserError):
 
 
 def check_class(kind: type[Task], what: str) -> None:
-    """Raise TaskError for a class that lacks a required attribute. what: its name in the sentence."""
+    """Raise TaskError for a class that lacks a required attribute. what: its name in the message."""
     lacking = sorted(getattr(kind, "__abstractmethods__", ()))
     if lacking := lacking or [name for name in _NEEDED if not hasattr(kind, name)]:
         raise TaskError(f"{what} lacks {' and '.join(lacking)}")
@@ -48,7 +48,7 @@ def check_class(kind: type[Task], what: str) -> None:
 
 
 def check_step(task: Task) -> None:
-    """Raise TaskError unless two starts, their observations and the evaluation of a step have their form."""
+    """Raise TaskError unless two starts, their observations and the evaluation of a step are valid."""
     what, n = f"task {task.name}", 2
     start = task.sample(np.random.default_rng(0), n)
     if not isinstance(start, Start):

@@ -22,8 +22,8 @@ LONGEST_HISTORY = 50  # steps
 def option(default: Any, *, recorded: bool = False, trained_with: bool = False) -> Any:
     """Return a field of a record with metadata beyond its type and default.
 
-    recorded: policy files carry it even at its default. trained_with: a policy is refused for a task with
-    another value.
+    recorded: policy files store it even at its default. trained_with: a task with another value refuses the
+    policy.
     """
     metadata = {"recorded": recorded, "trained_with": trained_with}
     return dataclasses.field(default=default, metadata=metadata)
@@ -34,11 +34,11 @@ class Record:
     """A record of options."""
 
     def check(self) -> None:
-        """Raise UserError for a value that is not of its type, or beyond its limits."""
+        """Raise UserError for a value that has the wrong type or exceeds its limits."""
         schema.check(self)
 
     def recorded(self) -> dict[str, Any]:
-        """Return what a policy file stores of them: values that are not the default, and some always."""
+        """Return the options that a policy file stores: those that differ from the default, and some more."""
         fields = {field.name: field for field in dataclasses.fields(self)}
         values = {name: getattr(self, name) for name in fields}
         return {
@@ -67,7 +67,7 @@ class TaskOptions(Record):
 
 @dataclasses.dataclass(frozen=True)
 class Training(Record):
-    """Defaults of the options of `landing-train` that have the same names."""
+    """Defaults for the options of `landing-train` with the same names."""
 
     steps: Many | None = 1_000_000
     """Fixed number of environment steps; None: the run ends by success."""

@@ -11,7 +11,7 @@ from inclined_landing.models.base.errors import UserError, shown
 
 
 def is_path(name: object) -> TypeGuard[str]:
-    """Does `name` say where a class is, rather than what a task of this package is called."""
+    """Return whether `name` is the path of a class instead of the name of a task."""
     return isinstance(name, str) and ":" in name
 
 

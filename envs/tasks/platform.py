@@ -1,4 +1,4 @@
-"""What the landings share: the record of their options, and where the platform is in the way."""
+"""Shared parts of the landing tasks: the record of their options, and the space inside the platform."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class LandingOptions(TaskOptions):
 
 
 def in_platform(position: np.ndarray, inclination: float, azimuth: float, vehicle: Vehicle) -> bool:
-    """Is a point (3,) [m] in the slab or in the hollow under it."""
+    """Return whether a point (3,) [m] is in the slab or in the space under it."""
     cos, sin = math.cos(azimuth), math.sin(azimuth)
     x, y = cos * position[X] + sin * position[Y], cos * position[Y] - sin * position[X]
     z = position[Z] - vehicle.platform_surface_height

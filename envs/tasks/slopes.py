@@ -1,20 +1,20 @@
-"""Any slope in the plane: the landing with `steepest` [rad], which is observed.
+"""Any slope in the plane: the landing task with `steepest` [rad]; the slope is observed.
 
-Each episode's inclination is drawn uniformly from -steepest to steepest; `inclination` is then that of given
-starts. Everything is observed from the centre of the surface, along level axes with the surface's heading
-(`models.surface.heading_frame`), so that a slope looks the same in every direction that it faces.
+Each episode's inclination is drawn uniformly from -steepest to steepest; `inclination` then applies to starts
+given as states. Everything is observed from the centre of the surface, along level axes with the surface's
+heading (`models.surface.heading_frame`), so that a slope looks the same in every direction that it faces.
 
 | in the plane | in space | quantity | unit |
 |---|---|---|---|
 | 0, 1 | 0, 1, 2 | x, (y,) z from the surface's centre | m |
 | 2, 3 | 3, 4, 5 | vx, (vy,) vz | m/s |
 | 4 | 6, 7 | (roll,) pitch | rad |
-| 5 | 8, 9 | (slope roll,) slope pitch: of a vehicle of this heading that stands on it | rad |
+| 5 | 8, 9 | (slope roll,) slope pitch: attitude of a vehicle with this heading at rest on it | rad |
 
-The goal lies 0.10 m over the surface along its normal, as 0.10 m straight above would leave 6.4 cm over a
+The goal is 0.10 m from the surface along its normal, because 0.10 m vertically would be only 6.4 cm from a
 slope of 50 deg. In space the goal box bounds y, vy and roll too, with the half widths of x, vx and pitch,
-about the attitude of a vehicle that stands on the slope. Steep slopes need attitudes beyond 30 deg:
-`angle_limit` [rad] replaces that of the vehicle.
+about the attitude of a vehicle at rest on the slope. Steep slopes require attitudes beyond 30 deg;
+`angle_limit` [rad] replaces the vehicle's limit.
 """
 
 from __future__ import annotations
@@ -101,12 +101,12 @@ class SlopeLanding(InclinedLanding):
 
     @property
     def goal(self) -> None:
-        """None: the goal is the slope's."""
+        """None, because the goal depends on the slope."""
         return None
 
     @property
     def goal_half_widths(self) -> None:
-        """None, as for the goal."""
+        """None, because the goal depends on the slope."""
         return None
 
     def goal_on(self, platform: np.ndarray | None) -> np.ndarray | None:
@@ -124,7 +124,7 @@ class SlopeLanding(InclinedLanding):
         return np.where(np.array(self.observation_names) == "z", GOAL_HEIGHT, 0.0)
 
     def observe(self, context: StepContext) -> np.ndarray:
-        """Return observations (n, o), float32; the platforms of the moment are needed."""
+        """Return observations (n, o), float32; the present platforms are needed."""
         if context.platform is None:
             raise UserError(f"this {self.name} task observes the slope; pass the platform to observe")
         seen = np.empty((len(context.state), len(self.columns) + self.observed_motion), np.float32)
@@ -171,10 +171,10 @@ class Slopes:
 def over_slopes(task: Task, steepest: float | None = None, every: int = 1) -> Slopes:
     """Return the frozen starts of a task over slopes up to `steepest` [rad], by default the task's own.
 
-    In the plane 20 cells of the inclination with 50 starts each; in space 6 of the inclination and 12 of the
-    azimuth with 15 each. Angles are uniform within their cells, starts within the upper half of the arena.
-    A task in space with a single slope has only that one. every: each k-th start only. Raises UserError for a
-    task that does not observe the slope.
+    In the plane there are 20 cells of the inclination with 50 starts each; in space 6 cells of the
+    inclination and 12 of the azimuth with 15 starts each. Angles are uniform within their cells, starts
+    within the upper half of the arena. For a task in space with a single slope, there is only that one.
+    every: use every k-th start. Raises UserError for a task that does not observe the slope.
     """
     if not isinstance(task, SlopeLanding):
         raise UserError(f"the {task.name} task of this policy has one slope and does not observe it")

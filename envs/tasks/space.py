@@ -1,13 +1,13 @@
-"""Slopes in space: the landing with `dimensions=3`.
+"""Slopes in space: the landing task with `dimensions=3`.
 
 Inclinations are drawn from 0 to `steepest`, with an azimuth from 0 to 360 deg: the direction that the slope
-faces, from +x. Without `steepest` all have the one `inclination` and `azimuth`. The slope is observed as in
+faces, from +x. Without `steepest` all have the same `inclination` and `azimuth`. The slope is observed as in
 the plane, with the columns of space.
 
 The actions are thrust, roll and pitch. Roll and pitch are those of a vehicle that has the surface's heading
-and the same thrust axis; `body_commands` turns them by the vehicle's own heading. So `random_yaw`, which
-draws the heading of each start, needs no other policy. Starts come from the upper half of the arena in all
-three directions, and its bounds in y count too.
+and the same thrust axis; `body_commands` turns them by the vehicle's own heading. Therefore a policy need not
+be changed for `random_yaw`, which draws the heading of each start. Starts are drawn from the upper half of
+the arena in all three dimensions, and its bounds in y apply as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 
 class SpaceLanding(SlopeLanding):
-    """The landing in space, on slopes that face any way."""
+    """The landing in space, on slopes that face any direction."""
 
     observation_names: tuple[str, ...] = SEEN
     observation_scale = SEEN_SCALE

@@ -1,4 +1,4 @@
-"""Starts of episodes: states, platforms and contact of k vehicles."""
+"""Starts of episodes: states, platforms and contact parameters of k vehicles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass
 class Start:
-    """Initial states of k episodes, their platforms and their contact."""
+    """Initial states of k episodes, with their platforms and contact parameters."""
 
     state: np.ndarray  # (k, 13)
     inclination: np.ndarray  # (k,) rad
@@ -55,7 +55,7 @@ class Start:
 
 
 def joined(starts: Sequence[Start]) -> Start:
-    """Return all starts in one, in their order; either all or none have an azimuth, and a contact."""
+    """Return all starts concatenated in order; either all or none have an azimuth and contact parameters."""
     parts: dict[str, Any] = {}
     for field in dataclasses.fields(Start):
         values = [getattr(start, field.name) for start in starts]

@@ -1,7 +1,7 @@
-"""Training starts of the touchdown: around the raised edge of the slab, and just over the slope.
+"""Training starts of the touchdown: around the raised edge of the slab, and just above the slope.
 
-Slopes and headings of the starts are drawn before; where platforms move, states are made over platforms in
-their usual place and then moved along.
+Slopes and headings of the starts are drawn before. For moving platforms, states are generated relative to
+platforms at their usual position and then moved with them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def around_edge(task: InclinedLanding, rng: np.random.Generator, start: Start) -
 
 
 def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_height: float) -> np.ndarray:
-    """Return states (k, 13) just over the slope, in motion; rest_height [m]: of a vehicle on its feet."""
+    """Return moving states (k, 13) just above the slope; rest_height [m]: that of a vehicle on its feet."""
     original, start = start, task.at_standstill(start)
     inclination = start.inclination
     k, v = len(start), task.vehicle
@@ -75,9 +75,8 @@ def close(task: InclinedLanding, rng: np.random.Generator, start: Start, rest_he
 
 
 def _into_space(rng: np.random.Generator, state: np.ndarray, start: Start, v: Vehicle) -> np.ndarray:
-    """Return states (k, 13) in the plane of their slopes, shifted across it and turned with the slopes.
-
-    They take the headings of the starts. In the plane they are unchanged.
+    """Return states (k, 13) of the plane, shifted across it and turned with the slopes and the headings of
+    the starts. For planar tasks they are unchanged.
     """
     if start.azimuth is None:
         return state
@@ -89,7 +88,7 @@ def _into_space(rng: np.random.Generator, state: np.ndarray, start: Start, v: Ve
 
 
 def _with_platforms(state: np.ndarray, start: Start, v: Vehicle, moving: bool = False) -> np.ndarray:
-    """Return states (k, 13) over platforms in their usual place, moved to the platforms of the starts.
+    """Return states (k, 13) over platforms at their usual position, moved to the platforms of the starts.
 
     moving: with the velocity of the platforms' centres.
     """

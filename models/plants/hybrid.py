@@ -362,7 +362,7 @@ def _size(x, y, z):
 
 @inlined
 def _moved(wx, wy, wz, x, y, z, dt):
-    """Return a bound [m] of a vehicle's motion in `dt` [s], from its velocities before and (x, y, z) after."""
+    """Return a bound [m] of the motion in `dt` [s], from the velocities before and (x, y, z) after."""
     return dt * (max(_size(wx, wy, wz), _size(x, y, z)) + _size(x - wx, y - wy, z - wz))
 
 
