@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, as_floats, is_whole
-from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, YAW, Z
@@ -171,11 +170,6 @@ def record_flights(
         )
         flights.append(flight)
     return flights
-
-
-def record_flight(policy: Policy, plant, start_state: np.ndarray, **options) -> Flight:
-    """Return the flight of `record_flights` from one start (13,)."""
-    return record_flights(policy, plant, start_state, **options)[0]
 
 
 @dataclasses.dataclass

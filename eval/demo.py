@@ -7,16 +7,16 @@ import io
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta
 
 from inclined_landing.eval.base.options import Look, RunFolder, Seed
 from inclined_landing.eval.pictures import picture, video
 from inclined_landing.eval.replay import command as replay
 
 POLICY = "landing"
+STARTS = 50  # random ones
 LOOK: dict[str, Any] = {"width": 640, "height": 360}
 
 _NEXT = """\
@@ -32,7 +32,6 @@ In Python:
 
 def command(
     out: RunFolder = Path("landing-demo"),
-    starts: Annotated[int, Meta(ge=1, le=1000)] = 50,
     seed: Seed = 0,
 ) -> None:
     """Fly the shipped landing policy: success table, video, picture and 3D page (half a minute).
@@ -41,7 +40,6 @@ def command(
 
     Args:
         out: new folder for landing.mp4, landing.gif, landing.png, and landing.html, an interactive 3D page.
-        starts: random starts to fly from.
         seed: seed for the random starts.
     """
     from inclined_landing.envs.flights import record_flights
@@ -58,7 +56,7 @@ def command(
     began = time.monotonic()
     policy = load_policy(POLICY)
     task = policy.task
-    drawn = task.sample(np.random.default_rng(seed), starts).state
+    drawn = task.sample(np.random.default_rng(seed), STARTS).state
     states = np.concatenate([hover_states(PAPER_STARTS, task.vehicle), drawn])
     print(f"flying the policy '{POLICY}' from {len(states)} starts ...", file=sys.stderr)
     flights = record_flights(policy, "mujoco", states, steps=task.judged_steps)

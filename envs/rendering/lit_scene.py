@@ -193,8 +193,9 @@ def _checker(xy: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     return _FLOOR[0] + mix[:, None] * (_FLOOR[1] - _FLOOR[0])
 
 
-def _grid(xz: np.ndarray, footprint: np.ndarray, line: float = 0.008) -> np.ndarray:
-    """Return the colours of grid lines every metre, antialiased over the footprint."""
+def _grid(xz: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Return the colours of grid lines every metre, 8 mm wide, antialiased over the footprint."""
+    line = 0.008
     distance = np.abs(np.mod(xz + 0.5, 1.0) - 0.5)
     wide = np.maximum(footprint, 1e-4)[:, None]
     cover = np.clip((0.5 * (line + wide) - distance) / wide, 0.0, 1.0)

@@ -21,9 +21,9 @@ def printer(console: Console | None = None) -> Console:
     return console
 
 
-def say(*sentences: str, style: str | None = None, console: Console | None = None) -> None:
+def say(*sentences: str, style: str | None = None) -> None:
     """Print sentences, wrapped on a terminal, and each as one line in a pipe or a file."""
-    console = printer(console)
+    console = printer()
     for sentence in sentences:
         console.print(sentence, style=style, soft_wrap=not console.is_terminal)
 
@@ -36,12 +36,12 @@ def new_table(title: str | None, *columns: str, labels: int = 1) -> Table:
     return result
 
 
-def show_table(table: Table, console: Console | None = None) -> None:
+def show_table(table: Table) -> None:
     """Print a table of `new_table` without wrapping its numbers.
 
     Columns that do not fit on the screen are printed below, with the same labels.
     """
-    console = printer(console)
+    console = printer()
     labels = [k for k, column in enumerate(table.columns) if column.justify == "left"]
     numbers = [k for k, column in enumerate(table.columns) if column.justify != "left"]
     heads = [str(column.header) for column in table.columns]
@@ -71,14 +71,4 @@ def show_table(table: Table, console: Console | None = None) -> None:
             part.add_row(*texts, end_section=row.end_section)
         console.print(part)
     if table.caption:
-        say(str(table.caption), console=console)
-
-
-def spread_cell(
-    spread: dict, digits: int = 2, factor: float = 1.0, ends: tuple[str, str] = ("p5", "p95")
-) -> str:
-    """Return a median with the ends of its range, from `statistics.spread`."""
-    if spread["median"] is None:
-        return "-"
-    middle, low, high = (f"{factor * spread[key]:z,.{digits}f}" for key in ("median", *ends))
-    return f"{middle} ({low} to {high})"
+        say(str(table.caption))

@@ -17,6 +17,7 @@ FREE_START = 0.3  # m of a way that may begin closer to it
 IMPACT_DISTANCE = 0.1  # m within which a touch may have happened unseen
 CONTACT_DISTANCE = 0.01  # m: closer counts as touching; the platform's height is known to 5 mm
 CEILING = 0.3  # m that a way keeps to the ceiling
+LEAD = 0.4  # m that a moving target is ahead of the vehicle before it waits
 _STEP = 0.05  # m between the points at which a way is checked
 
 
@@ -95,12 +96,12 @@ class Surroundings:
 
 
 class MovingTarget:
-    """A target that moves along a path at `speed` [m/s], and waits for a vehicle `lead` [m] behind."""
+    """A target that moves along a path at `speed` [m/s], and waits for a vehicle LEAD behind."""
 
-    def __init__(self, begin: np.ndarray, way: list[np.ndarray], speed: float, lead: float = 0.4):
+    def __init__(self, begin: np.ndarray, way: list[np.ndarray], speed: float):
         self.position = np.array(begin, float)
         self._way = [np.asarray(point, float) for point in way]
-        self._speed, self._lead = speed, lead
+        self._speed = speed
 
     @property
     def arrived(self) -> bool:
@@ -110,7 +111,7 @@ class MovingTarget:
     def advance(self, dt: float, vehicle: np.ndarray) -> np.ndarray:
         """Return the target's position (3,) after another dt [s], the vehicle being at (3,)."""
         remaining = self._speed * dt
-        while self._way and remaining > 0.0 and np.linalg.norm(self.position - vehicle) < self._lead:
+        while self._way and remaining > 0.0 and np.linalg.norm(self.position - vehicle) < LEAD:
             to = self._way[0] - self.position
             distance = float(np.linalg.norm(to))
             if distance > remaining:

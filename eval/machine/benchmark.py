@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inclined_landing.eval.base.options import Flag, NewFolder, PolicyName, Seed
+from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.models.base.errors import UserError
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ _TRAINING_STEPS = 100_000
 
 def command(
     *,
-    policy: PolicyName = "landing",
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -42,7 +41,6 @@ def command(
     """Measure the speed of steps, actions and training on this machine (about a minute).
 
     Args:
-        policy: policy whose actions are timed.
         seed: seed for actions and training.
         json: print only JSON on standard output.
         out: new folder for benchmark.json.
@@ -52,9 +50,8 @@ def command(
 
     report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
     report["load_before"] = os.getloadavg()
-    loaded = load_policy(policy)
     report["environments"] = step_rates(_REPEATS, seed)
-    report["action_us"] = action_times(loaded, _ACTIONS, seed)
+    report["action_us"] = action_times(load_policy("landing"), _ACTIONS, seed)
     report["training_steps_per_second"] = training_rate(_TRAINING_STEPS, seed)
     report["load_after"] = os.getloadavg()
     hand_over(report, _show, json, out)
@@ -125,24 +122,20 @@ def training_rate(steps: int, seed: int) -> float:
         return float(storage.read_json(Path(folder, "run", "metrics.json"), "metrics")["steps_per_second"])
 
 
-def machine_line(report: dict[str, Any]) -> str:
-    """Return the machine, its load and the versions of a measurement in one line."""
-    machine, loads = report["versions"], (report["load_before"][0], report["load_after"][0])
-    return (
+def _show(report: dict[str, Any]) -> None:
+    from inclined_landing.envs.shared.tables import new_table, say, show_table
+
+    rows, machine = report["environments"], report["versions"]
+    loads = report["load_before"][0], report["load_after"][0]
+    say(
         f"{machine['cpu']}, {machine['cores']} cores, load {loads[0]:.1f} before and {loads[1]:.1f} after; "
         f"Python {machine['python']}, MuJoCo {machine['mujoco']}, torch {machine['torch']}; "
         f"seed {report['seed']}. Median (smallest to largest)."
     )
-
-
-def _show(report: dict[str, Any]) -> None:
-    from inclined_landing.envs.shared.tables import new_table, say, show_table, spread_cell
-
-    rows = report["environments"]
-    say(machine_line(report))
     table = new_table(f"Control steps per second, {VEHICLES} vehicles", "plant", "steps per second")
     for row in rows:
-        table.add_row(row["plant"], spread_cell(row["steps_per_second"], 0, ends=("min", "max")))
+        rate = "{median:,.0f} ({min:,.0f} to {max:,.0f})".format(**row["steps_per_second"])
+        table.add_row(row["plant"], rate)
     show_table(table)
     say(
         f"This machine simulates {rows[0]['steps_per_second']['median']:,.0f} control steps per second "

@@ -67,11 +67,11 @@ def choices(names: Iterable[str], wanted: str) -> str:
     return f"choose from {len(names)} names, such as {', '.join(near)}"
 
 
-def first_of(texts: Sequence[str], longest: int = LONGEST_LIST) -> str:
+def first_of(texts: Sequence[str]) -> str:
     """Return names or clauses as part of a sentence: the first ones, and the number of further ones."""
     kept = list(texts[:1])
     for text in texts[1:]:
-        if sum(map(len, kept)) + len(text) > longest:
+        if sum(map(len, kept)) + len(text) > LONGEST_LIST:
             return f"{'; '.join(kept)}; and {len(texts) - len(kept)} more"
         kept.append(text)
     return "; ".join(kept)

@@ -320,11 +320,11 @@ REGIMES = ("hover", "climb", "lateral", "attitude_step", "near_surface", "low_ba
 CHANNELS = ("translation", "attitude", "yaw", "requests", "touchdown")
 
 
-def scaled(*fields: str, parameter: str = "scale"):
-    """Return the `apply` of an effect that multiplies vehicle fields (numbers or tuples) by its parameter."""
+def scaled(*fields: str):
+    """Return the `apply` of an effect that multiplies vehicle fields (numbers or tuples) by its scale."""
 
     def apply(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
-        factor = values.get(parameter, 1.0)
+        factor = values.get("scale", 1.0)
         changes: dict[str, Any] = {}
         for field in fields:
             old = getattr(vehicle, field)

@@ -10,7 +10,6 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-from inclined_landing.envs.shared.tables import spread_cell
 from inclined_landing.eval.base.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -47,8 +46,10 @@ def cell(value: Any) -> str:
             return ""
         low, high = (100 * end for end in value["interval"])
         return f"{value['count']} of {value['of']} [{low:.0f}, {high:.0f} %]"
+    if isinstance(value, dict) and value["median"] is None:
+        return "-"
     if isinstance(value, dict):
-        return spread_cell(value)
+        return "{median:z,.2f} ({p5:z,.2f} to {p95:z,.2f})".format(**value)
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)

@@ -24,6 +24,7 @@ from inclined_landing.models.base.errors import UserError
 
 _START = (0.10, 0.42, 0.75)  # tint of the vehicles at their starts
 _COLUMNS = 2
+STARTS = 8
 _PAGE, _LEFT, _RIGHT, _GAP = 7.4, 0.58, 0.10, 0.18  # in
 _FOOT = 0.66  # in; axis label and note
 _SCALE = 4.0  # of the drawn vehicles; a panel shows the whole width of the arena
@@ -34,12 +35,10 @@ def curriculum_figure(
     stages: Sequence[tuple[str, LandingConditions]],
     *,
     task: InclinedLanding | None = None,
-    starts: int = 8,
-    seed: int = 0,
 ) -> Figure:
     """Return a figure with one panel for each stage (title, conditions), in reading order.
 
-    A panel shows `starts` starts sampled by the task under these conditions, the box they come from,
+    A panel shows STARTS starts sampled by the task under these conditions, the box they come from,
     the goal pose in green with the goal box, and the platform once it is there.
     Raises UserError for no stages.
     """
@@ -63,8 +62,8 @@ def curriculum_figure(
             left = _LEFT + column * (width + _GAP)
             axes = panel(figure, left, _FOOT + (rows - 1 - row) * deep, width, height)
             task.conditions = conditions
-            rng = np.random.default_rng([seed, k])
-            _draw_stage(axes, task, sprites, task.sample(rng, starts).state, x, z)
+            rng = np.random.default_rng([0, k])
+            _draw_stage(axes, task, sprites, task.sample(rng, STARTS).state, x, z)
             axes.set_title(f"{k + 1}  {title}", loc="left", pad=4)
             axes.set_yticks(np.arange(np.ceil(2 * z[0]) / 2, z[1], 0.5))
             if column:

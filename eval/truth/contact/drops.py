@@ -12,6 +12,7 @@ from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.plants.recorder import STEP, Recorder, fly, impulses
 from inclined_landing.models.vehicle import Vehicle
 
+DURATION = 0.12  # s of a drop
 PHASES = 8  # drops of one kind, their touch spread evenly over one step
 
 
@@ -57,7 +58,7 @@ class Drops:
     pushed: np.ndarray  # s that the surface pushed; NaN where the vehicle stays down
     depth: np.ndarray  # m, deepest penetration
     peak: np.ndarray  # N, largest force
-    sampled: np.ndarray  # N s, sum of the sensors' forces up to the rebound or `duration`
+    sampled: np.ndarray  # N s, sum of the sensors' forces up to the rebound or DURATION
     recorded: np.ndarray  # N s, that of the recorder's, from the change of momentum
     impulse: np.ndarray  # N s, of the contact forces in the engine's stages; NaN where not asked for
 
@@ -67,7 +68,6 @@ def drop(
     speed: float,
     solrefs: np.ndarray | None = None,
     step: float = STEP,
-    duration: float = 0.12,
     stages: bool = False,
     thrust: float = 0.0,
 ) -> Drops:
@@ -91,7 +91,7 @@ def drop(
     lifted, up, pushed = np.zeros(n, bool), np.zeros(n), np.zeros(n)
     depth, peak, sampled, recorded = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     impulse = np.full(n, 0.0 if stages else np.nan)
-    for _ in range(round(duration / step)):
+    for _ in range(round(DURATION / step)):
         now = plant.state[:, VZ].copy()
         pushing = impulses(plant, command)[:, 2] if stages else np.nan
         mean = recorder.step(command).force[:, 0, 2]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 
-from inclined_landing.eval.base.options import Flag, PolicyName, RunFolder, Seed, VehicleFile
+from inclined_landing.eval.base.options import Flag, RunFolder, Seed, VehicleFile
 
 
 def command(
     *,
     out: RunFolder,
-    policy: PolicyName = "landing",
     vehicle: VehicleFile = None,
     seed: Seed = 0,
     quick: Flag = False,
@@ -21,7 +20,6 @@ def command(
 
     Args:
         out: new folder for report.html, report.json and the figures.
-        policy: landing policy for recorded commands and closed loops, a file or the name of a shipped one.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         seed: seed for commands and states.
         quick: use fewer commands, states and starts.
@@ -33,7 +31,7 @@ def command(
     from inclined_landing.eval.truth.report import publish
     from inclined_landing.models.parameters import load_vehicle
 
-    loaded = load_policy(policy, "landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
+    loaded = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
     with stages(9) as tick:
         sections, drawn = measured.measure(loaded, seed, quick, tick)

@@ -135,9 +135,9 @@ def bounds(v: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     return np.array([v.command_pwm_range[0], *-high[1:]]), high
 
 
-def full_steps(v: Vehicle, n: int, rng: np.random.Generator, hold: int = 10) -> np.ndarray:
-    """Return (STEPS, n, 4): new commands anywhere within the bounds every `hold` control steps."""
-    return np.repeat(rng.uniform(*bounds(v), (STEPS // hold, n, 4)), hold, axis=0)
+def full_steps(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (STEPS, n, 4): new commands anywhere within the bounds every ten control steps."""
+    return np.repeat(rng.uniform(*bounds(v), (STEPS // 10, n, 4)), 10, axis=0)
 
 
 def smooth(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -74,14 +74,14 @@ def drag_errors(v: Vehicle) -> dict[str, float]:
     return errors
 
 
-def lag_errors(v: Vehicle, integrator: str, pwm: float = 50_000.0) -> tuple[float, float]:
+def lag_errors(v: Vehicle, integrator: str) -> tuple[float, float]:
     """Return the errors of the lag state (relative) and height [m] after a PWM step from hover, no drag.
 
     Omega(t) = u/a + (Omega_0 - u/a) exp(-a t); the height is its double integral.
     """
     plant = engine(1, "kinematic", dataclasses.replace(v, drag_coefficients=NO_DRAG), integrator=integrator)
     commands = _hover(v)
-    commands[..., PWM] = pwm
+    commands[..., PWM] = pwm = 50_000.0
     flown = flying.fly(plant, commands)[:, 0]
     a, t = v.thrust_lag_rate, _times(v)
     # Omega(t) = u/a + (Omega_0 - u/a) exp(-a t);  m z'' = c_s Omega + c_d u - m g, integrated twice

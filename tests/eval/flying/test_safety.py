@@ -218,7 +218,7 @@ def assert_clear(around, begin, way, leaving):
 
 
 def test_a_target_waits_for_its_vehicle():
-    target = MovingTarget(np.zeros(3), [np.array([0.0, 0.0, 5.0])], 1.0, lead=0.4)
+    target = MovingTarget(np.zeros(3), [np.array([0.0, 0.0, 5.0])], 1.0)
     for _ in range(500):
         target.advance(0.02, np.zeros(3))
     assert 0.4 <= target.position[2] <= 0.43 and not target.arrived

@@ -13,7 +13,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
+from inclined_landing.eval.pictures.figures.curriculum import STARTS, curriculum_figure
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.learning import final_scores, learning_curves
 from inclined_landing.models.base.errors import UserError
@@ -215,11 +215,11 @@ def test_start_box_is_where_starts_come_from(conditions):
 def test_curriculum_figure_shows_its_conditions(options):
     task = make_task("landing", **options)
     before = task.conditions
-    axes = curriculum_figure(STAGES, task=task, starts=5).axes
+    axes = curriculum_figure(STAGES, task=task).axes
     assert task.conditions is before
     for panel, (title, conditions) in zip(axes, STAGES, strict=True):
         assert panel.get_title(loc="left").endswith(title)
-        assert len(by_gid(panel.images, "start")) == 5
+        assert len(by_gid(panel.images, "start")) == STARTS
         assert bool(by_gid(panel.patches, "slab")) == conditions.platform
         (box,) = by_gid(panel.patches, "goal box")
         assert box.get_width() == pytest.approx(2 * conditions.goal_size)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from inclined_landing.envs.flights import record_flight, record_flights
+from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.shared import statistics
 from inclined_landing.envs.shared.measures import STRICT, SUCCESS, TOUCHED
@@ -285,7 +285,7 @@ def test_the_policy_sees_what_motion_capture_shows(landing):
             return super().predict(observation)
 
     plant = make_plant("analytic", 1, vehicle)
-    flight = record_flight(Watching(landing, 0.0, 0.3), plant, pose(2.0)[0], steps=12)
+    (flight,) = record_flights(Watching(landing, 0.0, 0.3), plant, pose(2.0)[0], steps=12)
     expected = landing.observe(StepContext(flight.state[:-1]))
     np.testing.assert_array_equal(np.concatenate(seen)[2:], expected[:-2])
 
