@@ -18,9 +18,9 @@ EVERY = 20.0  # s between two lines on the progress of a training, at least, whe
 
 
 class TimeSpent:
-    """Seconds of training, evaluation and video apart, continued after a resume.
+    """Separate seconds of training, evaluation and video, continued after a resume.
 
-    `cpu` has the CPU seconds of the process for the training, summed over all cores.
+    `cpu` contains the CPU seconds of the process during training, summed over all cores.
     """
 
     def __init__(self, spent: dict[str, float] | None = None, cpu: float = 0.0):
@@ -95,7 +95,7 @@ class LearningCurve(BaseCallback):
         self.check_weights()
 
     def check_weights(self) -> None:
-        """Raise UserError when the network has become infinite."""
+        """Raise UserError if a weight of the network is not finite."""
         if not all(bool(tensor.isfinite().all()) for tensor in self.model.policy.parameters()):
             raise UserError(
                 f"training diverged at step {self.model.num_timesteps}: the network is no longer finite; "
@@ -140,8 +140,8 @@ class CriticFirst(BaseCallback):
 class Every(BaseCallback):
     """Calls `action(iteration)` before a rollout, every `interval` iterations from `first` on; 0: never.
 
-    At that moment the previous iteration's update is done, so that the policy, the vehicles and the
-    random states are consistent. `action` returns False to stop the training.
+    The previous iteration's update is then finished, so that the policy, the vehicles and the random states
+    are consistent. `action` returns False to stop the training.
     """
 
     def __init__(self, interval: int, action: Callable[[int], bool | None], per_iteration: int, first: int):
@@ -159,7 +159,7 @@ class Every(BaseCallback):
 
 
 class ProgressCallback(BaseCallback):
-    """A bar over environment steps with the curriculum's level; without a terminal, a line now and then."""
+    """A progress bar over environment steps with the curriculum's level; without a terminal, lines."""
 
     def __init__(self, total_steps: int, curriculum: Curriculum):
         super().__init__()
@@ -198,7 +198,7 @@ class ProgressCallback(BaseCallback):
             )
 
     def close(self, at_end: bool = False) -> None:
-        """Stop drawing; at_end: success ended the run before its maximum number of steps."""
+        """Stop drawing; at_end: whether success ended the run before its maximum number of steps."""
         if self.bar is not None:
             if at_end:
                 self.bar.update(self.item, total=self.bar.tasks[0].completed)

@@ -1,11 +1,11 @@
-"""checkpoint.pt: everything that a continuation needs, in one atomically written zip of data only.
+"""checkpoint.pt: everything needed to continue a run, in one atomically written zip of plain data.
 
-state.json   numbers and words: progress, random generators, curriculum, histories
+state.json   numbers and text: progress, random generators, curriculum, histories
 NAME.npy     arrays: network, optimizer, vehicles, episodes, random states
 best.zip     the policy of the best evaluation so far, if there was one
 
-Reading runs nothing from the file. Entries are not compressed, so that it takes no more memory than the
-file has bytes, and zip's checksums find a damaged byte.
+Reading executes nothing from the file. Entries are not compressed, so that reading takes no more memory than
+the size of the file, and zip's checksums detect damaged bytes.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def write(path: Path, saved: Checkpoint) -> None:
 
 
 def read(path: Path) -> Checkpoint:
-    """Read a checkpoint; raises UserError for a damaged or foreign file."""
+    """Read a checkpoint; raises UserError for a damaged file or one of another kind."""
     content = storage.read_bytes(path, "checkpoint", _LARGEST)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -103,7 +103,7 @@ def refused(path: Path, why: str) -> UserError:
 
 
 def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.ndarray]]:
-    """Return what an exact continuation of the training needs: numbers (JSON types) and arrays."""
+    """Return the numbers (JSON types) and arrays from which the training can be continued exactly."""
     _, key, position, has_gauss, gauss = np.random.get_state()  # noqa: NPY002 (SB3 shuffles with it)
     numbers = {
         "steps": int(model.num_timesteps),
@@ -124,7 +124,7 @@ def training_state(model: PPO, env: BatchVecEnv) -> tuple[dict, dict[str, np.nda
 
 
 def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
-    """Return the arrays that a new model has as well."""
+    """Return the arrays that a new model also has."""
     batch = env.env
     parts = {"policy": {name: tensor.numpy() for name, tensor in model.policy.state_dict().items()}}
     parts |= {"plant": batch.plant.save().arrays, "episodes": batch.episode_state()}
@@ -133,9 +133,10 @@ def _arrays(model: PPO, env: BatchVecEnv) -> dict[str, np.ndarray]:
 
 
 def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
-    """Carry a new model on to a checkpoint, for `learn(..., reset_num_timesteps=False)`; return its state.
+    """Set a new model to the state of a checkpoint, for `learn(..., reset_num_timesteps=False)`; return the
+    state.
 
-    Raises UserError for names, shapes or types that this model and this environment would not have written.
+    Raises UserError for names, shapes or types that do not belong to this model and this environment.
     """
     state, arrays, batch = schema.parse(saved.state, TrainingState), saved.arrays, env.env
     batch.reset()  # which makes room for the waves of moving platforms

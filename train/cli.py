@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def main(arguments: list[str] | None = None) -> int:
     """Run `landing-train` and return its exit code.
 
-    The code is 2 for wrong input, 3 for a run that ended without the wanted success, and 130, 143 and 129
-    after Ctrl-C, SIGTERM and the end of its terminal.
+    The code is 2 for wrong input, 3 for a run that ended without reaching the success rate, and 130, 143 and
+    129 after Ctrl-C, SIGTERM and the end of its terminal.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
 
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _train(arguments: list[str]) -> int:
-    """Do the work of `main` and return the exit code."""
+    """Run the command and return the exit code; called by `main`."""
     if arguments and arguments[0] == "--version":
         print(command_line.versions("landing-train"))
         return 0
@@ -87,7 +87,7 @@ def help_page(complete: bool) -> str:
 
 
 def _report(run: Run, metrics: dict) -> None:
-    """Report on a run that has ended, or say why there is no report."""
+    """Report on a run that has ended, or print why there is no report."""
     from inclined_landing.train.lookup import look_up
     from inclined_landing.train.run import VEHICLE
 

@@ -1,4 +1,4 @@
-"""The configuration of a training run: a field for each option of `landing-train`, and its defaults."""
+"""The configuration of a training run: a field for each option of `landing-train`, with its default."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
 
 
 def defaults(**conditions: Any) -> dict[str, Any]:
-    """Return the values of the rows of DEFAULTS that hold under these conditions."""
+    """Return the values of the rows of DEFAULTS that apply under these conditions."""
     values: dict[str, Any] = {}
     for wanted, row in DEFAULTS:
         if all(conditions[name.replace(" ", "_")] == value for name, value in wanted.items()):
@@ -267,18 +267,18 @@ class TrainConfig:
 
     @property
     def per_iteration(self) -> int:
-        """Environment steps of an iteration of a resolved configuration."""
+        """Number of environment steps in an iteration of a resolved configuration."""
         assert self.environments is not None and self.rollout is not None
         return self.environments * self.rollout
 
     def most_steps(self) -> int:
-        """Environment steps after which the run ends in any case; of a resolved configuration."""
+        """Number of environment steps after which a run of a resolved configuration ends in any case."""
         most = self.max_steps if self.steps is None else self.steps
         assert most is not None
         return most
 
     def as_json(self) -> dict:
-        """The configuration with JSON types only."""
+        """Return the configuration with JSON types only."""
         paths = {name: str(path) for name in ("out", *COPIED) if (path := getattr(self, name)) is not None}
         return dataclasses.asdict(self) | paths | {"net_arch": list(self.net_arch or ())}
 
@@ -287,7 +287,7 @@ class TrainConfig:
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
-    """Return a copy with every default filled in, whose values are checked; raises UserError."""
+    """Return a copy with every default filled in and all values checked; raises UserError."""
     from inclined_landing.envs.policy import trained_options, trained_task
     from inclined_landing.envs.tasks import import_task, is_path, task_class
 
@@ -365,7 +365,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
 
 
 def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, Any]:
-    """Return the fields in ENDING that say when the run ends; least: its usual min_steps."""
+    """Return the fields in ENDING that define the end of the run; least: its usual min_steps."""
     chosen = [flag_of(name) for name in ENDING[1:] if getattr(config, name) is not None]
     if config.steps is not None:
         if chosen:
@@ -393,7 +393,7 @@ def _ending(config: TrainConfig, training: Training, least: int) -> dict[str, An
 
 
 def _action_map(config: TrainConfig, policy: str | None, all_commands: bool) -> dict[str, Any]:
-    """Return what actions command, `pwm_centre` and `pwm_span`: as in the policy to start from."""
+    """Return `pwm_centre` and `pwm_span`, which are those of the policy to start from, if there is one."""
     from inclined_landing.envs.policy import action_map, trained_options
 
     centre: float | str | None = config.pwm_centre

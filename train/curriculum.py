@@ -1,7 +1,7 @@
-"""Curricula: the conditions that episodes start under, and when these change.
+"""Curricula: the conditions under which episodes start, and the rules by which these change.
 
-A curriculum is an object with a rule. It receives every finished episode, is asked once per rollout to
-`advance`, and is logged and checkpointed through `state` and `restore`. The environment reads its
+A curriculum is an object with a rule. It receives every finished episode, its method `advance` is called once
+per rollout, and it is logged and checkpointed through `state` and `restore`. The environment reads its
 `conditions` and never changes them.
 """
 
@@ -47,18 +47,18 @@ def rising_gamma(steps: int) -> float:
 
 
 def initial_gamma(gamma: float | str) -> float:
-    """Return the discount of the first rollout; the curriculum determines the others."""
+    """Return the discount of the first rollout; later ones are determined by the curriculum."""
     return rising_gamma(0) if gamma == RISING else float(gamma)
 
 
 class Curriculum:
-    """No curriculum: the task itself, constant discount, learning rate linear to zero.
+    """No curriculum: the task itself with constant discount and a learning rate that falls linearly to zero.
 
-    In a run ended by success it falls linearly within `settling` steps after the task was complete, because
-    policies that learn at full rate to the end are brittle, and stays at SETTLED, because the end is not
-    known beforehand.
+    In a run that is ended by success, the learning rate falls linearly during `settling` steps after the task
+    is complete, because policies that learn at the full rate until the end are brittle, and then stays at
+    SETTLED, because the end is not known in advance.
 
-    Other curricula override this; `stage` returns the conditions of the moment.
+    Other curricula override this; `stage` returns the present conditions.
     """
 
     name = "none"
@@ -73,11 +73,11 @@ class Curriculum:
         self._without: list[str] = []  # fields of the conditions that are the task's from the first step on
 
     def stage(self) -> Any:
-        """Return the conditions of the moment, before anything is left out; None where the task has none."""
+        """Return the present conditions before parts are omitted; None if the task has no conditions."""
         return self._the_task
 
     def stages(self) -> list[tuple[str, Any]]:
-        """Return titles and conditions of some moments; none where the task has no conditions."""
+        """Return titles and conditions of several stages; none if the task has no conditions."""
         found = []
         for title, attributes in self.moments:
             other = copy.copy(self)
@@ -86,11 +86,11 @@ class Curriculum:
         return [(title, conditions) for title, conditions in found if conditions is not None]
 
     def conditions(self) -> Any:
-        """Return the conditions of the next episodes; None where the task has none."""
+        """Return the conditions of the next episodes; None if the task has none."""
         return self.but_for_parts(self.stage())
 
     def leave_out(self, parts: list[str]) -> None:
-        """Give these parts, of PARTS, the task's values; without departure, leaving the arena truncates."""
+        """Set these PARTS to the task's values; without departure, leaving the arena truncates an episode."""
         stage = self.stage()
         fields = {field.name for field in dataclasses.fields(stage)} if stage is not None else set()
         known = [part for part, names in PARTS.items() if fields.issuperset(names)]
@@ -103,7 +103,7 @@ class Curriculum:
         self._without = [name for part in parts for name in PARTS[part]]
 
     def but_for_parts(self, stage: Any) -> Any:
-        """Return conditions in which the parts that the curriculum leaves out have the task's own values."""
+        """Return conditions in which the parts that the curriculum omits have the values of the task."""
         if not self._without:
             return stage
         task = type(stage)()
@@ -126,10 +126,10 @@ class Curriculum:
         return self.learning_rate_share(steps, None) <= SETTLED
 
     def skip(self) -> None:
-        """Start at the end of a curriculum that follows success, because the policy has learned the task."""
+        """Go to the end of a curriculum that adapts to success, because the policy has learned the task."""
 
     def learn_again(self) -> None:
-        """Go back to the initial learning rate, where it follows success: the policy improves no more."""
+        """Reset the learning rate, if it adapts to success, because the policy has stopped improving."""
         self.restarts += 1
 
     def gamma(self, steps: int) -> float:
@@ -155,23 +155,23 @@ class Curriculum:
 
 
 def _shown(c: LandingConditions) -> dict[str, float]:
-    """Return what the learning curves show of landing conditions."""
+    """Return the columns of the learning curves for landing conditions."""
     return {name: getattr(c, name) for name in ("start_reach", "tilt", "goal_size", "platform")}
 
 
 class AdaptiveCurriculum(Curriculum):
     """One difficulty variable, raised when the measured success of training episodes allows it.
 
-    With level l from 0 to 1: starts spread from 0.5 m to 3.3 m by l = 0.8, as does the motion of moving
-    platforms, the goal tilts by l = 0.6, the platform appears in a growing share of the episodes from l =
-    0.25 to 0.45, and the goal box shrinks from 0.25 to 0.10 from l = 0.4 on.
+    With level l from 0 to 1: the range of the starts grows from 0.5 m to 3.3 m until l = 0.8, as does the
+    motion of moving platforms, the goal reaches its full tilt at l = 0.6, the platform appears in a growing
+    share of the episodes from l = 0.25 to 0.45, and the goal box shrinks from 0.25 to 0.10 from l = 0.4 on.
 
     Rule, once per rollout: if the success rate of the last `window` episodes exceeds `gate`, l rises by
-    `step` and the window is emptied; above `floor`, l creeps up by `creep`; in a full window at or below
-    it, l goes back by `back`, as far as it takes: a policy that has learned to keep away from the platform
-    has to meet the goal without one again. Episodes solved within two steps do not count. The learning rate
-    stays constant until success at l = 1 exceeds the gate and then falls linearly to zero at the end of the
-    run, or to SETTLED and starts again if the run then improves no more short of success.
+    `step` and the window is emptied; above `floor`, l creeps up by `creep`; if it is at or below that in a
+    full window, l decreases by `back`, repeatedly if necessary, because a policy that has learned to avoid
+    the platform has to learn the goal without one again. Episodes solved within two steps are not counted.
+    The learning rate stays constant until the success rate at l = 1 exceeds the gate. It then falls linearly
+    to zero at the end of the run, or to SETTLED, and is reset if the run stops improving before it succeeds.
     """
 
     name = "adaptive"
@@ -252,7 +252,7 @@ class AdaptiveCurriculum(Curriculum):
 
 
 class FixedCurriculum(AdaptiveCurriculum):
-    """The same levels as a function of steps: level 1 at RAMP, where the adaptive one usually is."""
+    """The same levels as a function of steps: level 1 at RAMP, when the adaptive one usually reaches it."""
 
     name = "fixed"
     RAMP = 175_000  # environment steps
@@ -265,13 +265,13 @@ class FixedCurriculum(AdaptiveCurriculum):
 
 
 class PaperCurriculum(Curriculum):
-    """The paper's schedule, by episodes and steps, with the numbers of its authors' public training code.
+    """The paper's schedule by episodes and steps, with the numbers of its authors' public training code.
 
-    Starts within 0.2 m of the goal at first, growing by 1/6000 m per episode (in height by three
-    quarters of that, to 1.2 m at most); the goal box shrinks from 0.25 to 0.10 over episodes 2500 to
-    7500; the goal tilts by 1/6000 of the inclination per episode from 400 000 steps on; the platform
-    appears at 800 000 steps. Gamma rises from 0.97 to 0.99 over the same 800 000 steps. The learning
-    rate is constant and there are no training aids.
+    Starts are initially within 0.2 m of the goal, a range that grows by 1/6000 m per episode (in height by
+    three quarters of that, up to 1.2 m); the goal box shrinks from 0.25 to 0.10 over episodes 2500 to 7500;
+    the goal tilts by 1/6000 of the inclination per episode from 400 000 steps on; the platform appears at 800
+    000 steps. Gamma rises from 0.97 to 0.99 over the same 800 000 steps. The learning rate is constant and
+    there are no training aids.
     """
 
     name = "paper"
@@ -322,12 +322,12 @@ class PaperCurriculum(Curriculum):
 
 
 class EffortCurriculum(Curriculum):
-    """Set-point: no stages, but two training aids.
+    """Curriculum of the set-point task: no stages, but two training aids.
 
-    The task divides the effort by the distance to the goal, down to 1 mm: a policy that still
-    explores is punished hundredfold for being where it should be, and learns to stay away. In training
-    the divisor is at least 0.5 m. Episodes end after 150 steps, so that more of the data is approach.
-    The learning rate is constant for 60 % of the run and then falls linearly to zero.
+    The task divides the effort by the distance to the goal, down to 1 mm: a policy that still explores is
+    penalised a hundred times more at the goal and would learn to avoid it. In training the divisor is
+    therefore at least 0.5 m. Episodes end after 150 steps, so that a larger part of the data is from the
+    approach. The learning rate is constant for 60 % of the run and then falls linearly to zero.
     """
 
     name = "effort"
@@ -340,17 +340,17 @@ class EffortCurriculum(Curriculum):
 
 
 class TouchdownCurriculum(Curriculum):
-    """Touchdown: a schedule by steps, because the policy lands from the first step on.
+    """Curriculum of the touchdown task: a schedule by steps, because the policy lands from the first step on.
 
     The penalty of a hard touchdown grows to that of the task over the first half of a run of RAMP steps, so
-    that coming to rest is learned before gentleness. A share of the episodes begins just over the slope, from
-    0.2 down to none at RAMP. Three tenths begin around the raised edge, where most starts fail because the
-    edge has to be passed at once, and which uniform starts rarely cover. If slopes are drawn, three tenths
-    are among the steepest, the hardest to rest on. Friction and restitution are drawn for every episode,
-    mostly slippery and springy. Leaving the arena, falling to the floor or lying on the slab in another
-    attitude terminates the episode with a penalty: a truncation would bootstrap from states whose value the
-    critic never learned. The learning rate is constant for 40 % of the run and then falls linearly to zero;
-    only the critic learns at first (`warm_start.CRITIC_FIRST`).
+    that coming to rest is learned before a soft touchdown. A share of the episodes begins just above the
+    slope, falling from 0.2 to 0 at RAMP. Three tenths begin around the raised edge, where most failures occur
+    because the edge has to be passed immediately, and which uniform starts rarely cover. If slopes are drawn,
+    three tenths are among the steepest, on which it is most difficult to rest. Friction and restitution are
+    drawn for every episode, mostly low friction and high restitution. Leaving the arena, falling to the floor
+    or lying on the slab in another attitude terminates the episode with a penalty: a truncation would
+    bootstrap from states whose value the critic has never learned. The learning rate is constant for 40 % of
+    the run and then falls linearly to zero; only the critic learns at first (`warm_start.CRITIC_FIRST`).
     """
 
     name = "touchdown"
@@ -393,10 +393,10 @@ _CURRICULA: dict[str, Callable[[float | str], Curriculum]] = {
 def make_curriculum(
     name: str, task: str, gamma: float | str, without: str | None = None, *, drawn: bool = False
 ) -> Curriculum:
-    """Return a curriculum by name, one of those that the task names.
+    """Return a curriculum by name, one of those that the task lists.
 
-    gamma: the discount, or "paper" for one that rises as the paper's. without: parts to leave out, as
-    "tilt,goal". drawn: is it for drawn vehicles in the plane.
+    gamma: the discount, or "paper" for one that rises as in the paper. without: parts to omit, such as
+    "tilt,goal". drawn: whether it is for drawn vehicles in the plane.
     """
     kind = task_class(task)
     if name not in kind.curricula:

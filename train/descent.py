@@ -1,11 +1,11 @@
-"""A feedback law that touchdown training in 3D starts from: fly onto the platform and stop the motors.
+"""A feedback law, with which touchdown training in 3D starts, that lands and stops the motors.
 
-It has no memory, so that a network can imitate it. At every moment it replans: trajectories of least squared
-snap (polynomials of the seventh degree) that take `TIMES` s and end on the
-platform, sinking into it and going uphill, with the acceleration of a vehicle whose thrust is along the
-platform's normal and turns no more. It begins the cheapest of them, at a price for time, that keeps clear of
-the platform and within what a vehicle commands. If there is none, it flies to a place from which there
-is one, off the platform's normal and downhill of it. Reinforcement learning continues from there.
+It has no memory, so that a network can imitate it. It replans at every step with minimum-snap trajectories
+(polynomials of the seventh degree) that take `TIMES` s and end on the platform, moving into it and uphill,
+with the acceleration of a vehicle whose thrust is along the platform's normal and constant in direction.
+Among the trajectories that stay clear of the platform and within the limits of the commands, it follows the
+one with the lowest cost, which includes the time. If there is none, it flies to a point from which there is
+one, along the platform's normal and downhill of it. Reinforcement learning continues from there.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011; Mueller, Hehn
 and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015).
@@ -57,7 +57,7 @@ class Descent:
         self._half = v.slab_half_length + EDGE, 0.5 * v.platform_depth + EDGE
 
     def __call__(self, context: StepContext, idle: float) -> np.ndarray:
-        """Return actions (n, a) in n states over their platforms; idle: that of stopped motors."""
+        """Return actions (n, a) in n states over their platforms; idle: the action that stops the motors."""
         seen = surface.heading_frame(context.state, context.platform)
         place, velocity = seen[:, : Z + 1], seen[:, VX : VZ + 1]
         down = np.array([0.0, 0.0, -self._gravity])
@@ -100,9 +100,9 @@ class Descent:
         self, now: np.ndarray, end: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the beginnings (3, n, 3) of the best trajectories, acceleration and its first two
-        derivatives `AHEAD` s ahead; and whether there is one that is clear (n,).
+        derivatives `AHEAD` s ahead; and whether (n,) one of them is clear.
 
-        now, end (4, n, 3): place, velocity, acceleration and jerk; normal (n, 3): of the platforms.
+        now, end (4, n, 3): position, velocity, acceleration and jerk; normal (n, 3): of the platforms.
         """
         t = TIMES[:, None, None]
         scale = np.array([t**0, t, t**2, t**3])  # derivatives by the share of the time that is past
@@ -145,5 +145,5 @@ _SOLVED = np.linalg.inv(_ENDS[:, 4:])
 
 
 def _axes(roll: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-    """Return thrust axes (n, 3) of attitudes without yaw, and normals of surfaces they stand on."""
+    """Return the thrust axes (n, 3) of attitudes without yaw, which are also normals of surfaces."""
     return np.column_stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)])

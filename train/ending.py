@@ -1,4 +1,4 @@
-"""When a training run ends: after its steps, or when evaluations reach the wanted success."""
+"""The end of a training run: after its steps, or when evaluations reach the desired success rate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PATIENCE, RISING = 4, 0.01
 
 @dataclasses.dataclass(frozen=True)
 class Ending:
-    """The rule by which a run of this resolved configuration ends.
+    """The stopping rule of a run with a resolved configuration.
 
     history, evaluations: the run's lists of rows, which grow as it is trained.
     """
@@ -28,14 +28,15 @@ class Ending:
     evaluations: list[dict]
 
     def is_over(self, steps: int) -> bool:
-        """Return whether the run has come to its end after this many steps."""
+        """Return whether the run ends after this number of steps."""
         return self.reached(steps) or steps >= self.config.most_steps()
 
     def reached(self, steps: int) -> bool:
-        """Return whether the run has reached the wanted success, and its fewest steps.
+        """Return whether the run has reached the desired success rate and its minimum number of steps.
 
         A randomised run must reach it with the nominal vehicle and with varied ones. There may be no policy
-        that lands all of these, so after some restarts of the learning rate they need only rise no more.
+        that lands all of these, so after some restarts of the learning rate it is sufficient that the rate
+        has stopped rising.
         """
         if self.config.success is None or steps < (self.config.min_steps or 0):
             return False
@@ -43,11 +44,11 @@ class Ending:
         return self._succeeds(["nominal"] if plateau else VEHICLE_KINDS)
 
     def has_stalled(self) -> bool:
-        """Return whether evaluations rise no more before they reach the wanted success."""
+        """Return whether evaluations have stopped rising before they reach the desired success rate."""
         return self.config.success is not None and not self._succeeds(VEHICLE_KINDS) and self._rises_no_more()
 
     def words(self, steps: int, last: str) -> str:
-        """Return in one sentence how the run ended after these steps; last: its last evaluation in words."""
+        """Return a sentence on how the run ended after these steps; last: its last evaluation in words."""
         config = self.config
         if config.success is None:
             over = self.is_over(steps)  # whole iterations: a few steps more than those asked for
@@ -64,9 +65,9 @@ class Ending:
         return f"ended without {asked}: after {steps} steps{most} the last one gave {last}, and {level}"
 
     def _succeeds(self, kinds: Iterable[str]) -> bool:
-        """Return whether the last two evaluations, both after the curriculum, reach the wanted success.
+        """Return whether the last two evaluations, both after the curriculum, reach the desired success rate.
 
-        kinds: vehicles with which they must in a randomised run, keys of VEHICLE_KINDS.
+        kinds: vehicles for which they must reach it in a randomised run, keys of VEHICLE_KINDS.
         """
         config, last = self.config, self.evaluations[-2:]
         if len(last) < 2:

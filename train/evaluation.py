@@ -24,10 +24,10 @@ ENDING_STARTS = 256  # of evaluations that end a run
 
 
 class PeriodicEvaluation:
-    """Evaluate from new random starts each time, in the hybrid plant with RK4, without training aids.
+    """Evaluates from new random starts each time, in the hybrid plant with RK4, without training aids.
 
-    The starts have a random stream of their own. In a randomised run two of three flights have a vehicle with
-    one deviation, see `Ranges.each_alone`, and begin in hover; the score of all flights comes first, then
+    The starts have a separate random stream. In a randomised run two of three flights have a vehicle with one
+    deviation (see `Ranges.each_alone`) and begin in hover; the score of all flights comes first, followed by
     that of each kind.
     """
 
@@ -45,7 +45,7 @@ class PeriodicEvaluation:
             self.plant.assign(others, 1 + np.arange(len(others)) % len(self.plant.pool))
 
     def starts(self, number: int) -> Start:
-        """Return the starts of one of the run's evaluations, the first being 0."""
+        """Return the starts of one of the run's evaluations, numbered from 0."""
         starts = self.task.evaluation_starts(np.random.default_rng([self.seed, number]), self.plant.n)
         starts.state[:, LAG] *= self.plant.hover_share
         return starts
@@ -61,7 +61,7 @@ class PeriodicEvaluation:
         return score
 
     def words(self, score: dict) -> str:
-        """Return a result of `score` in a few words, of a randomised run for either kind of vehicle."""
+        """Return a result of `score` in a few words; for a randomised run, for both kinds of vehicles."""
         if not self.plant.pool:
             return self.task.score_words(score)
         parts = []
@@ -71,7 +71,7 @@ class PeriodicEvaluation:
         return ", ".join(parts)
 
     def rehearse(self) -> None:
-        """Call everything of the task that evaluation needs, on two flights of 20 steps; raises TaskError."""
+        """Call the methods that evaluation needs, on two flights of 20 steps; raises TaskError."""
         task = self.task
         idle = SimpleNamespace(task=task, predict=lambda seen: np.zeros((len(seen), len(task.action_names))))
         try:

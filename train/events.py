@@ -22,12 +22,12 @@ from inclined_landing.models.base.errors import UserError
 class EventFile(KVWriter):
     """A new event file of numbers, written in the calling thread.
 
-    TensorBoard's own writer has a thread, whose error on a full disk does not reach the caller. Raises
-    UserError, with the file's name, where the file cannot be written.
+    TensorBoard's own writer uses a thread, whose error on a full disk does not reach the caller. Raises
+    UserError, with the file's name, if the file cannot be written.
     """
 
     def __init__(self, folder: Path, resumed_at: int | None = None):
-        """resumed_at: steps of the checkpoint; hides what earlier files in the folder show after it."""
+        """resumed_at: steps of the checkpoint; later numbers in earlier files of the folder are hidden."""
         # TensorBoard reads files in the order of their names: the time in them tells two of one second apart.
         name = f"events.out.tfevents.{time.time():.6f}.{os.uname().nodename}.{secrets.token_hex(4)}"
         self.path = folder / name
@@ -42,7 +42,7 @@ class EventFile(KVWriter):
             self._add(Event(step=resumed_at + 1, session_log=SessionLog(status=SessionLog.START)))
 
     def write(self, key_values: dict[str, Any], key_excluded: dict, step: int = 0) -> None:
-        """Write the numbers of one iteration; what is excluded from TensorBoard's files is left out."""
+        """Write the numbers of one iteration, except those excluded from TensorBoard's files."""
         numbers = [
             Summary.Value(tag=key, simple_value=float(value))
             for key, value in sorted(key_values.items())

@@ -1,4 +1,4 @@
-"""Functions of evaluation that training looks up by name, so that it runs without evaluation installed."""
+"""Functions of `eval` that training looks up by name, so that it runs without that extra installed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MODULES = {
 
 
 def look_up(name: str) -> Callable[..., Any]:
-    """Return a function of evaluation by its name; raises UserError if one of its packages is missing."""
+    """Return a function of `eval` by its name; raises UserError if one of its packages is missing."""
     try:
         module = importlib.import_module(f"inclined_landing.eval.{_MODULES[name]}")
     except ModuleNotFoundError as error:

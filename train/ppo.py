@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO, fast or stock, on the batched environment, from a configuration."""
+"""PPO of Stable-Baselines3, compiled or original, on the batched environment, from a configuration."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "
 
 
 def check_memory(config: TrainConfig) -> None:
-    """Raise UserError when vehicles and rollout do not fit into the free memory."""
+    """Raise UserError if vehicles and rollout do not fit into the free memory."""
     assert config.history is not None and config.environments is not None
     needed = (_SAMPLE + _PAST * config.history) * config.per_iteration + _VEHICLE * config.environments
     free = psutil.virtual_memory().available
@@ -44,7 +44,7 @@ def check_memory(config: TrainConfig) -> None:
 
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
-    """Return the vehicles a run trains on, in the plant the configuration names."""
+    """Return the vehicles on which a run trains, in the configured plant."""
     options: dict[str, Any] = {"keep_out": config.keep_out}
     if config.plant != "analytic":
         options |= {"integrator": config.integrator, "threads": config.threads}
@@ -63,7 +63,7 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
 
 
 def pool_options(pool: Sequence[Vehicle], seed: int) -> dict[str, Any]:
-    """Return options of a plant whose vehicles are chosen from a pool; seed: of their disturbances."""
+    """Return options of a plant whose vehicles are selected from a pool; seed: seed of their disturbances."""
     moved = any(any(v.disturbance_acceleration) or any(v.disturbance_angular) for v in pool)
     return {"pool": pool} | ({"disturbance": seed} if moved else {})
 
@@ -83,21 +83,22 @@ def build_task(config: TrainConfig) -> Task:
 
 
 def build_curriculum(config: TrainConfig) -> Curriculum:
-    """Return the configured curriculum, at its beginning."""
+    """Return the configured curriculum in its initial state."""
     assert config.curriculum is not None and config.gamma is not None
     drawn = config.randomise is not None and config.dimensions != 3
     return make_curriculum(config.curriculum, config.task, config.gamma, config.without, drawn=drawn)
 
 
 def evaluation_seed(config: TrainConfig) -> int:
-    """Return the seed of the periodic evaluation's starts: never those of training or the frozen grid."""
+    """Return the seed of the periodic evaluation's starts, which training and frozen grid do not use."""
     return _EVALUATION_SEED + config.seed
 
 
 def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
     """Return a new PPO: tanh networks, scaled observation, Adam.
 
-    PyTorch is set up for small networks on a CPU: one thread is faster, denormals and checks cost time.
+    PyTorch is configured for small networks on a CPU: one thread is faster, and denormals and checks cost
+    time.
     """
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
@@ -110,9 +111,11 @@ def build_model(config: TrainConfig, env: BatchVecEnv) -> PPO:
 
 
 def ppo_kwargs(task: Task) -> dict:
-    """Return what `landing-train` gives to Stable-Baselines3's PPO for a task, for 64 environments.
+    """Return the arguments of Stable-Baselines3's PPO that `landing-train` uses for a task and 64
+    environments.
 
-    `PPO("MlpPolicy", env, **ppo_kwargs(task))`; rewards are scaled by 0.1, in the environment.
+    Use them as in `PPO("MlpPolicy", env, **ppo_kwargs(task))`; rewards must be scaled by 0.1 in the
+    environment.
     """
     return _arguments(TrainConfig(**{name: getattr(task.training, name) for name in _FROM_TRAINING}), task)
 

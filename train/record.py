@@ -1,4 +1,4 @@
-"""run.json, metadata and metrics: the record of a run in its folder, which `--resume` reads."""
+"""The record of a run in its folder, which `--resume` reads: run.json, metadata and metrics."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class NotNamed(UserError):
 
 
 def new_record(config: TrainConfig) -> dict:
-    """Return the content of run.json of a new run; raises UserError if its folder could not become one."""
+    """Return the content of run.json for a new run; raises UserError if its folder cannot be used."""
     folder = config.folder
     if os.path.isfile(folder / RECORD) and not os.path.isfile(folder / "metrics.json"):
         raise UserError(
@@ -59,9 +59,9 @@ def new_record(config: TrainConfig) -> dict:
 def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig, dict]:
     """Return configuration and run.json of the run to resume.
 
-    The limits of time are those of `config`, and its steps where it has any: the run then has that length.
-    The files that the run has copied are read there. given: options that were given at their defaults, as on
-    the command line.
+    Time limits are those of `config`; so are the steps if it sets them, which then are the length of the run.
+    Copied files are read from the run folder. given: the options given on the command line, even at their
+    defaults.
     """
     folder = config.folder
     path = folder / RECORD
@@ -115,7 +115,7 @@ def _check_named(config: TrainConfig, begun: TrainConfig) -> None:
 
 
 def _check_same(config: TrainConfig, begun: TrainConfig, given: Container[str]) -> None:
-    """Raise UserError where options were given with --resume that are not those of the run."""
+    """Raise UserError for options given with --resume that differ from those of the run."""
     for field in dataclasses.fields(TrainConfig):
         asked, recorded = getattr(config, field.name), getattr(begun, field.name)
         if field.name in (*FREE, "steps", "resume") or asked == recorded or str(asked) == str(recorded):
@@ -139,13 +139,13 @@ def cannot_continue(path: Path, error: UserError) -> UserError:
 
 
 def changed_entries(vehicle: Vehicle) -> dict:
-    """Return the entries in which a vehicle is not the shipped one, JSON types only."""
+    """Return the entries in which a vehicle differs from the shipped one, with JSON types only."""
     shipped, flown = dataclasses.asdict(load_vehicle()), dataclasses.asdict(vehicle)
     return json.loads(storage.to_json({k: value for k, value in flown.items() if value != shipped[k]}))
 
 
 def ranges_of(config: TrainConfig) -> dict:
-    """Return what differs from episode to episode, as the file states it."""
+    """Return the ranges that differ from episode to episode, as stated in the file."""
     return {} if config.randomise is None else read_ranges(config.randomise).given
 
 

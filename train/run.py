@@ -1,15 +1,15 @@
-"""One training run: from a configuration to a run folder with everything about it.
+"""One training run, from a configuration to a complete run folder.
 
 run.json         resolved configuration, command, versions
 vehicle.toml     the vehicle file, if one was given
 randomise.toml   the file of ranges, if one was given
 from.zip         the policy that it starts from, if one was given
-learning.csv     one row per iteration; the same curves stand in tensorboard/
-evaluations.csv  one row per periodic evaluation, hybrid plant, no training aids, own starts
+learning.csv     one row per iteration; tensorboard/ contains the same curves
+evaluations.csv  one row per periodic evaluation: hybrid plant, no training aids, separate starts
 checkpoint.pt    for --resume: policy, optimizer, vehicles, random states, histories
 best.zip         the policy of the best periodic evaluation
 final.zip        the policy at the end; this is the result
-metrics.json     what the run reached
+metrics.json     the results of the run
 """
 
 from __future__ import annotations
@@ -64,20 +64,20 @@ _BEFORE = {RECORD, *COPIED.values(), "tensorboard"}  # all that a run folder hol
 
 
 def train(config: TrainConfig) -> tuple[Path, dict]:
-    """Run a configuration to its end; returns the run folder and the metrics."""
+    """Train with a configuration until the end; return the run folder and the metrics."""
     run = Run(config)
     return run.folder, run.execute()
 
 
 class _Reached(Exception):
-    """The wanted success is reached."""
+    """Raised when the desired success rate is reached."""
 
 
 class Run:
-    """The state of one training run; `execute` carries it to its end.
+    """The state of one training run; `execute` runs it to the end.
 
-    Making one reads and checks everything, and changes nothing on disk. `metrics` is what a run that is
-    finished reached, otherwise None. given: as of `record.stored`.
+    The constructor reads and checks everything, and changes nothing on disk. `metrics` are the results of a
+    finished run, otherwise None. given: as in `record.stored`.
     """
 
     def __init__(self, config: TrainConfig, given: Container[str] = ()):
@@ -116,7 +116,7 @@ class Run:
             self.metrics = self._finished()
 
     def _make(self, fresh: bool) -> None:
-        """Make vehicles, model, curriculum and evaluation as they are at the beginning."""
+        """Make vehicles, model, curriculum and evaluation in their initial state."""
         config = self.config
         self.env = ppo.training_environment(config)
         self.task = self.env.env.task
@@ -135,7 +135,7 @@ class Run:
             self.evaluation.rehearse()
 
     def _restore(self, saved: Checkpoint) -> None:
-        """Carry the new model, vehicles and curriculum on to a checkpoint; UserError if it does not fit."""
+        """Set the new model, vehicles and curriculum to a checkpoint; raise UserError if it does not fit."""
         try:
             state = checkpoint.restore(self.model, self.env, saved)
             for name, value in self.record["config"].items():
@@ -256,11 +256,11 @@ class Run:
         self.clock.switch("training")
 
     def _words(self) -> str:
-        """Return the last evaluation in a few words, nothing before the first."""
+        """Return the last evaluation in a few words; empty before the first one."""
         return self.evaluation.words(self.evaluations[-1]) if self.evaluations else ""
 
     def checkpoint(self, iteration: int) -> None:
-        """Write everything that a continuation needs, in one atomically written file; then the curves."""
+        """Write everything needed to continue to one file, atomically; then write the curves."""
         numbers, arrays = checkpoint.training_state(self.model, self.env)
         state = numbers | {
             "config": self._as_recorded(),
@@ -276,7 +276,7 @@ class Run:
         self._write_histories()
 
     def _in_time(self, iteration: int) -> bool:
-        """Return False, with a checkpoint, when the wall time or the CPU time is used up."""
+        """Return False, after writing a checkpoint, if the wall time or the CPU time is used up."""
         limits = (self.config.max_seconds, self.config.max_cpu_seconds)
         used = (self.clock.total(), self.clock.cpu)
         if not any(limit is not None and time >= limit for time, limit in zip(used, limits)):
@@ -319,7 +319,7 @@ class Run:
         return metrics
 
     def _finished(self) -> dict | None:
-        """Return metrics.json of a run that has come to its end, otherwise None."""
+        """Return metrics.json of a finished run, otherwise None."""
         if not (self.folder / "final.zip").is_file() or not self.ending.is_over(self.model.num_timesteps):
             return None
         try:
@@ -356,7 +356,7 @@ class Run:
         return Policy(task=task, metadata={}, path=path, **actor_of(self.model))
 
     def _as_recorded(self) -> dict:
-        """Return the configuration that run.json records, with the time limits of this command."""
+        """Return the configuration in run.json, with the time limits of this command."""
         limits = ("max_seconds", "max_cpu_seconds")
         return self.record["config"] | {name: getattr(self.config, name) for name in limits}
 
@@ -366,7 +366,7 @@ class Run:
 
 
 def _read_checkpoint(folder: Path) -> Checkpoint | None:
-    """Return the checkpoint of the run to resume; None if it was stopped before the first."""
+    """Return the checkpoint of the run to resume; None if it was stopped before the first one."""
     if os.path.lexists(folder / CHECKPOINT):
         return checkpoint.read(folder / CHECKPOINT)
     if others := {p.name for p in folder.iterdir() if not storage.is_part(p)} - _BEFORE:

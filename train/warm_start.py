@@ -1,14 +1,14 @@
-"""Training that starts from a policy: of the same task with its exploration and its critic, or of another.
+"""Training that starts from a policy: of the same task, with its exploration and critic, or of another task.
 
-Touchdown starts from the landing policy, taught to cut the motors where it would hand over. A landing policy
-has never held the motors at idle, and exploration does not find fifteen idle steps in a row. So the actor
-takes over the landing policy's weights and then learns by imitation: the actions of the landing policy,
-except that motors go to idle in the goal box and close over the slope (the paper's motor cut, without its
-external signal). The states are those that the learner itself visits (DAgger). The comparison with the
-landing policy and a motor cut then shows what reinforcement learning adds.
+Touchdown training starts from the landing policy, which is first taught to cut the motors. A landing policy
+has never kept the motors at idle, and exploration does not find fifteen idle steps in a row. The actor
+therefore takes over the landing policy's weights and then imitates it, except that the motors go to idle in
+the goal box and close to the slope (the paper's motor cut, without its external signal). The states are those
+that the learner itself visits (DAgger). The comparison with the landing policy and a motor cut then shows the
+contribution of reinforcement learning.
 
-In space, over moving platforms too, touchdown starts from a feedback law instead (`descent`), imitated in
-the same way.
+In space, also over moving platforms, touchdown training starts instead from a feedback law (`descent`), which
+is imitated in the same way.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ _RATE, _NOISE = 1e-3, 0.2
 
 
 def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
-    """Return the policy to start from: one for `task`, or for the task whose policy its training starts with.
+    """Return the policy to start from: one for `task`, or for the task with whose policy its training starts.
 
-    name: a file or a shipped one, or `DESCENT` for the law; vehicle: the run's, where it is not the
+    name: a file or a shipped policy, or `DESCENT` for the law; vehicle: that of the run, if it is not the
     shipped one. Raises UserError for any other policy.
     """
     if name == DESCENT:
@@ -68,11 +68,12 @@ def teacher(name: str, task: Task, vehicle: Vehicle | None) -> Policy | Descent:
 def take_over(model: PPO, policy: Policy) -> None:
     """Copy a policy's weights into the model's actor; raises UserError if they do not fit.
 
-    For the same task, the exploration noise is copied too, and the critic if the file has it. The model
-    may be given a longer history than the policy: the weights of its new inputs are 0 at first. Where the
-    task commands other thrust for an action, the last layer is rewritten: action a becomes gain a + offset,
-    and the same PWM. Only what was beyond the old span, and cut there, is then cut at the new one. Where the
-    task centres observations elsewhere, as over a platform of another height, the first layers are rewritten.
+    For the same task, the exploration noise is copied too, and the critic if the file has it. The model may
+    have a longer history than the policy: the weights of its new inputs are initially 0. If the task commands
+    a different thrust for the same action, the last layer is rewritten: action a becomes gain a + offset,
+    which is the same PWM. Only actions that exceeded the old span are then clipped at the new one. If the
+    task centres observations differently, as over a platform of another height, the first layers are
+    rewritten.
     """
     actor = [layer for layer in model.policy.mlp_extractor.policy_net if isinstance(layer, torch.nn.Linear)]
     actor.append(model.policy.action_net)
@@ -104,7 +105,7 @@ def take_over(model: PPO, policy: Policy) -> None:
 
 
 def _check_task(policy: Policy, task: Task) -> None:
-    """Raise UserError where `task` gives its policies less than `policy` was trained with, or another PWM."""
+    """Raise UserError if `task` has fewer inputs than `policy` was trained with, or another PWM."""
     before = policy.task
     if before.observation_names != task.observation_names:
         others = sorted(set(before.observation_names) ^ set(task.observation_names))
@@ -130,7 +131,7 @@ def _check_task(policy: Policy, task: Task) -> None:
 
 
 def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list[tuple]) -> None:
-    """Raise UserError where the policy's network is not the model's; shapes: of the layers' weights."""
+    """Raise UserError if the policy's network differs from the model's; shapes: of the layers' weights."""
     if shapes != wanted or policy.activation != "Tanh" or policy.squashed:
         raise UserError(
             f"policy {policy.path} has a different network than training uses; it must be {wanted}"
@@ -140,7 +141,7 @@ def _check_network(policy: Policy, task: Task, shapes: list[tuple], wanted: list
 
 
 def _centre_shift(policy: Policy, task: Task) -> np.ndarray:
-    """Return what the policy's inputs (i,), scaled, have on top of the task's: another centre, or zeros."""
+    """Return the offset of the policy's scaled inputs (i,) from the task's: 0 for the same centre."""
     return (np.float32(input_centre(task)[: len(policy.centre)]) - policy.centre) / policy.scale
 
 
@@ -165,7 +166,7 @@ def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int, sh
 def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None = None) -> np.ndarray:
     """Return the actions (n, a) to imitate in n states, over their platforms.
 
-    observation (n, o): what the landing policy is given there, with its history where it has one.
+    observation (n, o): the landing policy's inputs, including its history if it has one.
     """
     task = landing.task
     v, state, platform = task.vehicle, context.state, context.platform
@@ -187,7 +188,7 @@ def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None
 
 
 def teach(model: PPO, env: BatchEnv, teacher: Policy | Descent, seed: int) -> None:
-    """Teach what a task needs besides the teacher's weights: in touchdown the motor cut, or the whole law."""
+    """Teach what a task needs beyond the teacher's weights: for touchdown the motor cut, or the law."""
     if isinstance(teacher, Descent):
         teach_law(model, env, lambda context, _: teacher(context, _IDLE), seed, _ROUNDS_OF_LAW)
     elif isinstance(env.task, InclinedTouchdown) and teacher.task.name != env.task.name:
@@ -202,9 +203,8 @@ def teach_law(
     seed: int,
     rounds: int = _ROUNDS,
 ) -> None:
-    """Teach the model's actor a law on the states it meets in `env`, whose conditions are set back.
-
-    law: actions (n, a) from the states and what the actor is given there (n, o).
+    """Teach the model's actor a law on the states that it visits in `env`, whose conditions are reset. law:
+    returns actions (n, a) from the states and the actor's inputs (n, o).
     """
     rng, shuffle = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     actor = model.policy

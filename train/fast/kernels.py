@@ -1,7 +1,7 @@
-"""PPO compiled: its loss and Adam on the networks of `layers`, by one thread or two.
+"""Compiled PPO: its loss and Adam for the networks of `layers`, in one or two threads.
 
 The loss is that of Stable-Baselines3: Schulman et al., Proximal Policy Optimization Algorithms, 2017, with
-advantages normalised in each minibatch, a global limit of the gradient's norm, and Kingma and Ba's Adam.
+advantages normalised in each minibatch, clipping of the global gradient norm, and Kingma and Ba's Adam.
 
 Symbols of the comments: policy pi with parameters theta, observation o, action a, advantage A, return R,
 value V, reward r, discount gamma.
@@ -29,7 +29,7 @@ _SPINS = 4000  # looks at the other core before it may work for somebody else
 
 
 class FixedNetwork(NamedTuple):
-    """A network to be evaluated."""
+    """A network for evaluation only."""
 
     weights: np.ndarray  # (w,) float32
     widths: np.ndarray  # (layers + 1,) uint64
@@ -210,7 +210,7 @@ def _actor_gradient(actor, rollout, rows, first, last, scaling, settings, statis
 
 @inlined
 def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, statistics):
-    """Write the gradient of the weighted mean square error of the values over rows[first:last], and that."""
+    """Write the weighted mean square error of the values over rows[first:last], and its gradient."""
     # L = weight mean((V - R)^2)
     w, widths, _, _, a, d, g = critic
     observations, _, _, _, returns = rollout
@@ -234,7 +234,7 @@ def _critic_gradient(critic, rollout, rows, first, last, scaling, settings, stat
 
 @inlined
 def _square(g):
-    """Return the square of the norm of g."""
+    """Return the squared norm of g."""
     total = 0.0
     for k in range(np.uint64(len(g))):
         total += g[k] * g[k]
@@ -243,7 +243,7 @@ def _square(g):
 
 @inlined
 def _adam(learner, share, settings):
-    """Take one step of Adam with `share` of the gradient."""
+    """Do one step of Adam with the gradient multiplied by `share`."""
     # g <- share dL/dw, m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2
     # w <- w - rate/(1 - b1^t) m/(sqrt(v)/sqrt(1 - b2^t) + epsilon)
     w, g, mean, square = learner.weights, learner.gradient, learner.moments[0], learner.moments[1]
@@ -285,7 +285,7 @@ def _arrived(typing, counter):
 
 @intrinsic
 def _yield(typing):
-    """Let another thread have the core."""
+    """Yield the core to another thread."""
 
     def generate(context, builder, signature, arguments):
         kind = ir.FunctionType(ir.IntType(32), [])
@@ -297,7 +297,7 @@ def _yield(typing):
 
 @inlined
 def _meet(counter, arrivals):
-    """Wait until counter[0] is `arrivals`, which this thread adds one to."""
+    """Add one to counter[0] and wait until it is `arrivals`."""
     _arrive(counter)
     spins = 0
     while _arrived(counter) < arrivals:
@@ -310,15 +310,13 @@ def _meet(counter, arrivals):
 def update(
     actor_part, critic_part, counter, norms, actor, critic, rollout, order, scaling, settings, statistics
 ):
-    """Take the steps of every minibatch of every epoch, for the actor, the critic or both.
+    """Do the updates of every minibatch of every epoch, for the actor, the critic or both.
 
-    Two threads may share it, one for each network: they meet once per minibatch, to add the squares of their
-    gradients. Whichever way, the same numbers are computed in the same order.
+    Two threads may share the work, one for each network; they synchronise once per minibatch, to add the
+    squared norms of their gradients. In either case the same numbers are computed in the same order.
 
-    counter (1,) int64, 0 at first, NOBODY if the other thread has failed.
-    norms (2, 2) float64, of even and odd minibatches.
-    actor, critic: each a `Learner`.
-    order: (epochs, N) uint64, which samples.
+    counter (1,) int64, initially 0, NOBODY if the other thread has failed. norms (2, 2) float64, of even and
+    odd minibatches. actor, critic: each a `Learner`. order: (epochs, N) uint64, the order of the samples.
     statistics: (minibatches, 5) float64, STATISTICS.
     """
     samples = np.uint64(order.shape[1])

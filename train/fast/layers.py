@@ -1,10 +1,10 @@
-"""Dense tanh networks compiled: products, forward and backward pass, in blocks of samples.
+"""Compiled dense tanh networks: products, forward and backward pass, in blocks of samples.
 
-A network is one vector of float32 weights, layer by layer (outputs, inputs) and then the bias, as torch has
-them, and the widths of its layers; an actor's ends with the logarithm of its standard deviations. Activations
-stand in blocks (width, BLOCK), samples last, so that every inner loop runs over a fixed number of neighbours.
-Products go by tiles of two rows and four columns, which fit into sixteen vector registers.
-Indices are unsigned, which saves the compiler a check for negative ones before each access.
+A network consists of one vector of float32 weights, for each layer (outputs, inputs) and then the bias, as in
+torch, and the widths of its layers; that of an actor ends with the logarithm of its standard deviations.
+Activations are stored in blocks (width, BLOCK), samples last, so that every inner loop runs over a fixed
+number of neighbours. Products are computed in tiles of two rows and four columns, which fit into sixteen
+vector registers. Indices are unsigned, which avoids a check for negative ones before each access.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _multiply(matrix, a, from_row, z, to_row):
 
 @inlined
 def _dot(d, d0, a, a0):
-    """Return the product of two rows of blocks, summed over the samples."""
+    """Return the scalar product of two rows of blocks over the samples."""
     total = np.float32(0)
     for s in range(_B):
         total += d[d0 + s] * a[a0 + s]
@@ -104,7 +104,7 @@ def _dot(d, d0, a, a0):
 
 @inlined
 def _add(g, p, x0, x1, x2, x3):
-    """Add four numbers to those of g from p on."""
+    """Add four numbers to those of g beginning at p."""
     g[p] += x0
     g[p + _1] += x1
     g[p + _2] += x2
@@ -148,7 +148,7 @@ def _outer(d, a, row, rows, from_row, columns, g, first):
 
 @inlined
 def tanh(z, first, count):
-    """Take the hyperbolic tangent of `count` numbers in place."""
+    """Replace `count` numbers by their hyperbolic tangents."""
     for k in range(first, first + count):
         x = z[k]
         # tanh(x) = x P(x^2)/Q(x^2)
@@ -162,7 +162,7 @@ def tanh(z, first, count):
 
 @inlined
 def load(inputs, rows, first, count, scaling, a):
-    """Write the scaled inputs (N, o) of `count` samples rows[first:] as a block into a; the rest of it 0."""
+    """Write the scaled inputs (N, o) of `count` samples rows[first:] to the block a, padded with 0."""
     centre, scale, limit = scaling
     for i in range(np.uint64(len(centre))):
         for s in range(_B):
@@ -175,7 +175,7 @@ def load(inputs, rows, first, count, scaling, a):
 
 @inlined
 def forward(w, widths, a):
-    """Write the activations of every layer behind the inputs in a; return the row where the outputs begin."""
+    """Write the activations of all layers after the inputs in a; return the row where outputs begin."""
     # a_l+1 = tanh(W_l a_l + b_l), the last layer without tanh
     row, first = _0, _0
     last = np.uint64(len(widths)) - _2
@@ -194,7 +194,7 @@ def forward(w, widths, a):
 
 @inlined
 def backward(w, widths, a, d, row, g):
-    """Add the gradient by the weights to g, from the loss's derivative by the outputs in d from `row` on."""
+    """Add the gradient with respect to the weights to g, from that with respect to the outputs in d."""
     # dL/dW_l = d_l+1 a_l^T, dL/db_l = d_l+1, d_l = (W_l^T d_l+1) (1 - a_l^2)
     first = _0
     layers = np.uint64(len(widths)) - _1

@@ -1,8 +1,8 @@
 """`FastPPO`: Stable-Baselines3's PPO with compiled rollouts and updates.
 
-Networks, optimizer, buffer, schedules, callbacks, logged values and files are SB3's, and so is the loss: on
-the same rollout and the same order of samples an update gives the same weights to rounding. A run may
-start with one of the two and continue with the other.
+Networks, optimizer, buffer, schedules, callbacks, logged values and files are those of SB3, and so is the
+loss: with the same rollout and the same order of samples, an update gives the same weights to rounding. A run
+can start with one implementation and continue with the other.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 
 
 class _FlatNetwork:
-    """One of the policy's networks with its weights in one vector; the tensors stay torch's."""
+    """One of the policy's networks with its weights in one vector; the tensors remain those of torch."""
 
     def __init__(self, layers: list[torch.nn.Linear], log_std: torch.Tensor | None = None):
         self.tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
@@ -42,20 +42,20 @@ class _FlatNetwork:
         self.weights = gather(self.tensors)
 
     def activations(self) -> np.ndarray:
-        """Return memory for one block of all layers' activations."""
+        """Return a buffer for one block of all layers' activations."""
         return np.empty(int(self.widths.sum()) * layers.BLOCK, np.float32)
 
     def forward(self) -> kernels.FixedNetwork:
-        """Return the network to be evaluated, with memory of its own."""
+        """Return the network for evaluation, with its own buffers."""
         return kernels.FixedNetwork(self.weights, self.widths, self.activations())
 
     def learner(self, optimizer: torch.optim.Adam) -> kernels.Learner:
-        """Return the network to be trained, with the optimizer's moments and memory of its own."""
+        """Return the network for training, with the optimizer's moments and its own buffers."""
         memory = self.activations(), self.activations(), np.empty_like(self.weights)
         return kernels.Learner(self.weights, self.widths, *self.moments(optimizer), *memory)
 
     def moments(self, optimizer: torch.optim.Adam) -> tuple[np.ndarray, np.ndarray]:
-        """Return Adam's two moments (2, w) and its steps (1,) until now."""
+        """Return Adam's two moments (2, w) and its number of steps (1,) so far."""
         states = [optimizer.state.get(tensor) for tensor in self.tensors]
         if not all(states):  # no gradient until now
             return np.zeros((2, len(self.weights)), np.float32), np.zeros(1)
@@ -63,7 +63,7 @@ class _FlatNetwork:
         return np.stack(both), np.array([float(states[0]["step"])])
 
     def store(self, optimizer: torch.optim.Adam, moments: np.ndarray, steps: np.ndarray) -> None:
-        """Write weights, moments and steps back into torch's tensors."""
+        """Write weights, moments and steps back to torch's tensors."""
         scatter(self.weights, self.tensors)
         for tensor in self.tensors:
             state = optimizer.state[tensor]
@@ -76,7 +76,7 @@ class _FlatNetwork:
 
 
 class Adam(torch.optim.Adam):
-    """torch's own, without the two seconds that its methods take to load a compiler only to disable it."""
+    """torch's Adam without the two seconds in which its methods load a compiler only to disable it."""
 
     add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
     state_dict = inspect.unwrap(torch.optim.Optimizer.state_dict)
@@ -89,7 +89,7 @@ def gather(tensors: list[torch.Tensor]) -> np.ndarray:
 
 
 def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
-    """Write a vector's numbers into the tensors in place."""
+    """Copy a vector's numbers to the tensors in place."""
     first = 0
     for tensor in tensors:
         tensor.detach().numpy()[...] = vector[first : first + tensor.numel()].reshape(tensor.shape)
@@ -99,7 +99,7 @@ def scatter(vector: np.ndarray, tensors: list[torch.Tensor]) -> None:
 def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] | None = None) -> None:
     """Call work(0) and work(1), on two threads if there are two.
 
-    When one of them fails or is interrupted, `let_go` must keep the other from waiting for it.
+    If one of them fails or is interrupted, `let_go` must keep the other from waiting for it.
     """
     if threads < 2:
         work(0)
@@ -133,8 +133,8 @@ def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] |
 class FastPPO(PPO):
     """PPO for two separate tanh networks, a normal distribution of actions and a CPU.
 
-    Raises UserError if the options ask for anything else. `threads` says how many cores compute it (one or
-    two; by default what there is), which changes no bit.
+    Raises UserError if the options ask for anything else. `threads` is the number of cores to use (one or
+    two; by default those available), which does not change a single bit of the result.
     """
 
     threads = min(2, CORES)
@@ -185,7 +185,7 @@ class FastPPO(PPO):
         return actor, _FlatNetwork([*list(mlp.value_net)[::2], policy.value_net])
 
     def _scaling(self) -> layers.Scaling:
-        """Return how the policy scales observations."""
+        """Return the policy's scaling of observations."""
         extractor = self.policy.features_extractor
         if isinstance(extractor, ScaledObservation):
             limit = np.float32(ScaledObservation.LIMIT)
@@ -261,7 +261,7 @@ class FastPPO(PPO):
         both(part, self.threads if middle else 1)
 
     def train(self) -> None:
-        """SB3's update on the rollout in the buffer."""
+        """Run SB3's update on the rollout in the buffer."""
         self.policy.set_training_mode(True)
         optimizer, buffer = self.policy.optimizer, self.rollout_buffer
         self._update_learning_rate(optimizer)
@@ -306,7 +306,7 @@ class FastPPO(PPO):
         self._record(statistics, batches, clip_range)
 
     def _record(self, statistics: np.ndarray, batches: int, clip_range: float) -> None:
-        """Log what SB3 logs."""
+        """Log the same values as SB3."""
         policy_loss, value_loss, entropy, kl, clipped = statistics.T
         loss = policy_loss[-1] + self.ent_coef * entropy[-1] + self.vf_coef * value_loss[-1]
         buffer = self.rollout_buffer

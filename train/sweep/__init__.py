@@ -1,4 +1,4 @@
-"""`landing-train sweep`: command lines for every seed, in parallel, and the resulting numbers.
+"""`landing-train sweep`: run command lines for every seed, in parallel, and summarise the numbers.
 
-`command` runs what `recipe` reads: each seed is a job (`jobs`), `result` summarises the numbers.
+`recipe` reads the file, `command` runs each seed as a job (`jobs`), and `result` summarises the numbers.
 """

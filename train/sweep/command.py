@@ -1,4 +1,4 @@
-"""`landing-train sweep`: the options, the parallel runs, the numbers."""
+"""`landing-train sweep`: options, parallel runs and numbers."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def command(
 ) -> int:
     """Run the command lines of a recipe for every seed and variant, and summarise numbers over the seeds.
 
-    Repeat the command to continue: finished commands are kept, interrupted trainings resumed. Exit code 1
-    means that a run failed.
+    Repeat the command to continue: finished commands are kept and interrupted trainings are resumed. The exit
+    code is 1 if a run failed.
 
     Args:
         recipe: recipe file, or name of a shipped recipe. Like a script, it runs any command in it.
@@ -89,7 +89,7 @@ class Sweep:
         self.together = job_of_all(recipe, folder, self.jobs.values())
 
     def check(self) -> None:
-        """Raise UserError for a command line that would not begin; options have their types and ranges."""
+        """Raise UserError for a command line that would be refused, with the options already checked."""
         first = list(self.jobs.values())[: len(self.recipe.variants)]  # other seeds differ in nothing
         for job in (*first, self.together):
             for line in job.lines:
@@ -106,7 +106,7 @@ class Sweep:
                     raise UserError(f"{shown(line, 100)}: {why}") from error
 
     def run(self, on: str, address: str | None, at_once: int) -> int:
-        """Do all jobs, write and print the numbers, and return the exit code."""
+        """Run all jobs, write and print the numbers, and return the exit code."""
         steps = {job.name: read(job) for job in self.jobs.values()}
         todo = [job for job in self.jobs.values() if not all(step.done for step in steps[job.name])]
         cores = len(os.sched_getaffinity(0))

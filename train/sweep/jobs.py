@@ -1,7 +1,7 @@
 """One run of a sweep: its command lines, each executed exactly once.
 
-SWEEP/steps/RUN.json records how they ended, RUN.log their output. A finished command is not repeated; an
-interrupted training is resumed, everything else is started again.
+SWEEP/steps/RUN.json records their exit codes, and RUN.log their output. A finished command is not repeated,
+an interrupted training is resumed, and everything else is started again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 
 class Step(msgspec.Struct):
-    """A command line of a job as the record has it."""
+    """A command line of a job as recorded."""
 
     line: str
     code: int | None = None  # None: it has not ended
@@ -46,14 +46,14 @@ class Step(msgspec.Struct):
 
     @property
     def done(self) -> bool:
-        """Return whether its result is there."""
+        """Return whether its result exists."""
         return self.code in DONE
 
 
 class Job(msgspec.Struct, frozen=True):
     """A run, or the commands over all runs together.
 
-    Its lines keep {out} and {sweep}, so that a moved sweep can be continued.
+    Its lines contain {out} and {sweep} unexpanded, so that a sweep can be continued after it was moved.
     """
 
     name: str
@@ -63,21 +63,21 @@ class Job(msgspec.Struct, frozen=True):
 
     @property
     def folder(self) -> Path:
-        """Return where its commands write, {out}."""
+        """Return the folder to which its commands write, {out}."""
         return Path(self.sweep, self.name)
 
     @property
     def record(self) -> Path:
-        """Return the file that says what is done."""
+        """Return the file that records finished commands."""
         return Path(self.sweep, STEPS, f"{self.name}.json")
 
     @property
     def log(self) -> Path:
-        """Return the file of what its commands printed."""
+        """Return the file with the output of its commands."""
         return self.record.with_suffix(".log")
 
     def words(self, line: str) -> list[str]:
-        """Return the words of a command line; raises UserError where the shell would not take it."""
+        """Return the words of a command line; raises UserError if a shell could not parse it."""
         places = {"out": str(self.folder), "sweep": self.sweep}
         try:
             words = shlex.split(filled(line, {name: shlex.quote(path) for name, path in places.items()}))
@@ -99,15 +99,15 @@ def jobs_of(recipe: Recipe, sweep: Path) -> dict[tuple[str, int], Job]:
 
 
 def job_of_all(recipe: Recipe, sweep: Path, jobs: Iterable[Job]) -> Job:
-    """Return the job that is done once of all runs."""
+    """Return the job that is run once for all runs together."""
     folders = {"runs": " ".join(f"{{sweep}}/{job.name}" for job in jobs)}
     return Job(TOGETHER, tuple(filled(line, folders) for line in recipe.together), str(sweep), os.getcwd())
 
 
 def read(job: Job) -> list[Step]:
-    """Return the steps of a job as they stand, one for each command line.
+    """Return the recorded steps of a job, one for each command line.
 
-    What was done with another command line, and what came after it, is not done. Raises UserError for a
+    Steps with another command line, and all later steps, count as not done. Raises UserError for a
     damaged record.
     """
     recorded = _recorded(job)
@@ -116,7 +116,7 @@ def read(job: Job) -> list[Step]:
 
 
 def forget(job: Job) -> None:
-    """Let nothing of a job be done, because what its commands read is made again."""
+    """Mark all steps of a job as not done, because the input of its commands is made again."""
     for step in _recorded(job):
         _remove_output(job, step)
     job.record.unlink(missing_ok=True)
@@ -129,18 +129,17 @@ def _recorded(job: Job) -> list[Step]:
 
 
 def _in_common(recorded: list[Step], job: Job) -> int:
-    """Return how many of the recorded steps, from the first on, have the lines of the job."""
+    """Return the number of leading recorded steps whose command lines are those of the job."""
     pairs = zip(recorded, job.lines)
     return sum(1 for _ in itertools.takewhile(lambda pair: pair[0].line == pair[1], pairs))
 
 
 def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Step]:
-    """Do the remaining steps of a job, until a command fails, and return its steps.
+    """Run the remaining steps of a job until a command fails, and return its steps.
 
-    threads: threads of each command. patience: for how long [s] another process that does the same job is
-    waited for.
-    leash: see `leashed`; None: one for this job. Raises UserError where another process still does the job,
-    or the folder of the sweep is not there.
+    threads: threads of each command. patience: how long [s] to wait for another process that runs the same
+    job. leash: see `leashed`; None makes one for this job. Raises UserError if another process still runs the
+    job, or if the folder of the sweep does not exist.
     """
     if leash is None:
         with leashed() as leash:
@@ -167,7 +166,7 @@ def work(threads: int, patience: float, leash: int | None, job: Job) -> list[Ste
 
 
 def failure(job: Job, steps: Sequence[Step]) -> str | None:
-    """Return what went wrong, in one sentence; None if nothing did."""
+    """Return a sentence on the failure of a job; None if it did not fail."""
     wrong = next((step for step in steps if not step.done), None)
     if wrong is None:
         return None
@@ -179,7 +178,7 @@ def failure(job: Job, steps: Sequence[Step]) -> str | None:
 
 @contextlib.contextmanager
 def leashed() -> Iterator[int]:
-    """Yield a pipe to be read; commands that are given it end with the context, or with this process."""
+    """Yield the read end of a pipe; commands that inherit it end with the context, or with this process."""
     leash, end = os.pipe()
     try:
         yield leash  # it stays open for what begins a command in the very end
@@ -188,7 +187,7 @@ def leashed() -> Iterator[int]:
 
 
 def _prepared(job: Job, step: Step, threads: int) -> list[str]:
-    """Return a command as it is run now: resumed, or with room made for its output."""
+    """Return the command to run now: a resumed one, or one whose old output has been removed."""
     words = job.words(step.line)
     training = words[0] == "landing-train"
     if training and step.begun and (_output(job, words) / "run.json").is_file():
@@ -200,7 +199,7 @@ def _prepared(job: Job, step: Step, threads: int) -> list[str]:
 
 
 def _remove_output(job: Job, step: Step) -> None:
-    """Remove what a command has written below the folder of its job, or as a training into that one."""
+    """Remove the output of a command below the folder of its job, or of a training in that folder itself."""
     words = job.words(step.line)
     out, folder = storage.real(_output(job, words)), storage.real(job.folder)
     if out.is_relative_to(folder) and (words[0] == "landing-train" or out != folder):
@@ -215,7 +214,7 @@ def _output(job: Job, words: Sequence[str]) -> Path:
 
 
 def _run(words: list[str], directory: str, log: int, threads: int, leash: int) -> tuple[int, float]:
-    """Run a command to its end and return its exit code and CPU time [s], with that of what it waited for."""
+    """Run a command to its end and return its exit code and CPU time [s], including its child processes."""
     # Unbuffered, so that the last line of the log is the last that was said; without the present folder among
     # those that are imported from, as the programs themselves are started.
     command = [sys.executable, "-u", "-P", "-m", __spec__.name, PROGRAMS[words[0]], *words[1:]]
@@ -234,7 +233,7 @@ def _run(words: list[str], directory: str, log: int, threads: int, leash: int) -
 
 
 def _main() -> None:
-    """Run the module that the words name as `python -m` does, and end it with the pipe on standard input."""
+    """Run a module with arguments as `python -m` does, and end it with the pipe on standard input."""
     pipe = os.dup(0)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
@@ -243,7 +242,7 @@ def _main() -> None:
 
 
 def _end_with(pipe: int) -> None:
-    """Wait for the end of a pipe without writers, then kill this program and what it has begun."""
+    """Wait until a pipe has no writers, then kill this program and its child processes."""
     os.read(pipe, 1)
     os.killpg(0, signal.SIGKILL)
 

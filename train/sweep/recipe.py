@@ -1,4 +1,4 @@
-"""Reader of recipes (TOML): command lines, their seeds, and the numbers to read from what they write.
+"""Reader of recipes (TOML): command lines, their seeds, and the numbers to read from their output.
 
 train/recipes/README.md is their manual.
 """
@@ -23,10 +23,8 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$")]
 
 
 class Number(Table, frozen=True, kw_only=True):
-    """A number that every run has, in a JSON file below its folder.
-
-    The file gives it at a path of keys with dots between, or, if the file holds the rows of a study, as an
-    entry of the first row with the given labels.
+    """A number that every run writes to a JSON file below its folder. It is at a path of keys separated by
+    dots or, if the file contains the rows of a study, an entry of the first row with the given labels.
     """
 
     title: Text
@@ -52,7 +50,7 @@ class Recipe(Table, frozen=True, kw_only=True):
     numbers: Annotated[dict[Name, Number], Meta(min_length=1)]
 
     def runs(self) -> list[tuple[str, int]]:
-        """Return variant and seed of every run, all variants of a seed after each other."""
+        """Return variant and seed of every run, ordered by seed."""
         return [(variant, seed) for seed in self.seeds for variant in self.variants]
 
 
@@ -63,7 +61,7 @@ def shipped() -> dict[str, Path]:
 
 
 def read_recipe(path: Path) -> Recipe:
-    """Read a recipe; raises UserError, one sentence naming the file and the entry, for whatever is wrong."""
+    """Read a recipe; raises UserError, naming file and entry, for anything that is wrong."""
     data = storage.read_toml(path, "recipe")
     try:
         recipe = schema.parse(data, Recipe)
@@ -85,12 +83,12 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def filled(text: str, values: Mapping[str, str]) -> str:
-    """Return a text with the names in braces that have a value filled in."""
+    """Return a text in which the names in braces are replaced by their values, if they have one."""
     return re.sub(r"\{([^{}]*)\}", lambda found: values.get(found[1], found[0]), text)
 
 
 def _check_names(texts: Iterable[str], known: Iterable[str]) -> None:
-    """Raise UserError for braces around anything but a known name."""
+    """Raise UserError for braces around anything other than a known name."""
     for text in texts:
         for name in re.findall(r"\{([^{}]*)\}", text):
             if name not in known:

@@ -1,12 +1,11 @@
-"""The numbers of a recipe over its seeds: read from the files of the runs, and summarised.
-
-A number is found as
+"""The numbers of a recipe over its seeds, read from the files of the runs and summarised. A number in a file
+can be
 
 - a number: mean with its bootstrap interval over the seeds;
 - true or false: the share of the seeds, with its Wilson interval;
 - a share as `statistics.proportion` writes it (`count` and `of`): the share of all flights of all seeds, with
   its Wilson interval;
-- null: the run never reached it. It counts as larger than every number.
+- null, if the run never reached it: it counts as larger than every number.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Measured(Table, frozen=True, kw_only=True):
     interval: tuple[float, float] | None  # 95 %, of the mean
 
     def range_words(self, number: Number) -> str:
-        """Return median and range with the unit, "99.6 (99.2 to 100) %"; of true and false the share."""
+        """Return median and range with the unit, "99.6 (99.2 to 100) %"; for true and false, the share."""
         there = [value for value in self.values if value is not None]
         never = len(self.values) - len(there)
         text = "–"
@@ -71,13 +70,13 @@ class Result(Table, frozen=True, kw_only=True):
     measured: tuple[Measured, ...]
 
     def cost(self) -> str:
-        """Return what the runs took, and on which machine, in one sentence."""
+        """Return a sentence with the CPU time of the runs and the machine."""
         least, most = (f"{end(self.cpu_seconds):.0f}" for end in (min, max))
         seconds = least if least == most else f"{least} to {most}"
         return f"A run took {seconds} s of CPU on {self.versions['cpu']}."
 
     def rows(self, recipe: Recipe) -> list[tuple[str, ...]]:
-        """Return the cells under HEADS of every number of every variant."""
+        """Return the cells of the columns HEADS for every number of every variant."""
         rows: list[tuple[str, ...]] = []
         for one in self.measured:
             number = recipe.numbers[one.number]
@@ -97,7 +96,7 @@ HEADS = ("variant", "number", "median (range)", "mean [95 %]", "each at least")
 
 
 def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
-    """Return kind and raw value of a number of one run; raises UserError where its file does not have it."""
+    """Return kind and raw value of a number of one run; raises UserError if its file does not contain it."""
     path = folder / number.file
     value = storage.read_json(path, f"number {name}: file")
     if number.row:
@@ -129,7 +128,7 @@ def _value_of_row(name: str, number: Number, path: Path, report: Any) -> tuple[K
 
 
 def sum_up(variant: str, name: str, number: Number, taken: list[tuple[Kind, Any]]) -> Measured:
-    """Return a number over the seeds, from what `take` gave for each; raises UserError where kinds differ."""
+    """Return a number over the seeds from what `take` returned; raises UserError if kinds differ."""
     kinds: set[Kind] = {kind for kind, value in taken if value is not None} or {"number"}
     if len(kinds) > 1:
         raise UserError(f"number {name} is {' in one run and '.join(sorted(kinds))} in another")
