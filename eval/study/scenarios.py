@@ -32,8 +32,6 @@ START = ((-2.5, 2.5), (-1.2, 1.2), (0.5, 1.1))
 class Scenario:
     """One scenario."""
 
-    title: str
-    source: str  # where the motion comes from
     seed: int  # of everything drawn
     inclination_deg: float = 0.0  # mean slope, falling towards the bow
     friction: float = 0.8  # between feet and platform
