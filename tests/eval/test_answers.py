@@ -42,7 +42,7 @@ LONG = {
     f"video landing {SMALL} --out {{place}}/a.mp4": r"1 of 1 flight succeeded; .*a\.mp4\.",
     "benchmark": r"This machine makes [\d,]+ control steps per second .*\.",
     "curves {place}/run --out {place}/a.png": r"1 run of setpoint; .* at the end: .*a\.png\.",
-    "demo --starts 2 --out {place}/out": rf"goal box in 5 of 5 flights {SHARE}; open .*html in .*\.",
+    "demo --out {place}/out": rf"goal box in 53 of 53 flights {SHARE}; open .*html in .*\.",
     "fly --simulated --yes --out {place}/out": r"reached the goal box .* slope; the logs are in .*out\.",
     "gap {place}/20/fit/*.csv --out {place}/out": r"Thrust over mass .*rotor drag.*report.html\.",
     "identify {place}/20/fit/*.csv --out {place}/out": r"\d+ of \d+ constants differ.*vehicle.toml\.",

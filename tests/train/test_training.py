@@ -119,21 +119,6 @@ KINDS = {  # the plain landing: test_stopped_by_the_clock_and_resumed_equals_uni
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_killed_and_resumed_equals_uninterrupted(kind, tmp_path, monkeypatch):
-    monkeypatch.setattr(warm_start, "CRITIC_FIRST", 1024)
-    monkeypatch.setattr(warm_start, "_STEPS", 20)
-    options = KINDS[kind] | {"steps": 128 * 24}  # 384 of each vehicle: every episode ends once at least
-    whole, _ = train(config(tmp_path / "whole", **options))
-    train_until(12, config(tmp_path / "cut", **options), monkeypatch)
-    # The configuration is the stored one, whatever is given now.
-    resumed, metrics = train(TrainConfig(out=tmp_path / "cut", resume=True))
-    assert metrics["steps"] == 128 * 24 and metrics["finished"]
-    assert_same_policy(whole / "final.zip", resumed / "final.zip")
-    steps = [pd.read_csv(folder / "learning.csv")["steps"].tolist() for folder in (whole, resumed)]
-    assert steps[0] == steps[1] == [128 * k for k in range(1, 25)]
-
-
 @pytest.mark.parametrize("kind", [*KINDS, "landing goes on"])
 def test_everything_that_a_run_has_is_restored(kind, tmp_path, monkeypatch):
     """A resumed run differs in nothing, of whatever class, from one that was never interrupted."""

@@ -27,11 +27,7 @@ from inclined_landing.eval.logs import FlightLog, check_log, read_log, write_log
 from inclined_landing.eval.logs.read import log_table
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from tests import ROOT
 from tests.log_files import a_log, firmware_values, sd_card, write_bag
-
-DATA = ROOT.parent / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"measured flights are not in {DATA}")
 
 HEADER = "t,x,y,z,roll,pitch,yaw,cmd_thrust_pwm,cmd_roll,cmd_pitch,cmd_yaw_rate"
 
@@ -843,32 +839,3 @@ def test_bags_are_read_without_what_a_flight_can_do_without(tmp_path, options, w
     assert re.search(words, " ".join(back.notes))
     kept = np.delete(np.arange(40), options.get("lost", ()))
     assert np.allclose(back.position, log.position[kept])
-
-
-# --- measured flights -------------------------------------------------------------------------------
-
-
-@needs_data
-@pytest.mark.parametrize(
-    ("folder", "missing"),
-    [
-        ("utias_fmpc", ("cmd_yaw_rate",)),
-        ("nanobench", ("cmd_yaw_rate",)),
-        ("crazypad", ("pitch", "cmd_roll", "cmd_pitch", "cmd_yaw_rate")),
-    ],
-)
-def test_measured_flights_are_recognised_and_used(folder, missing):
-    files = sorted((DATA / folder).glob("*.csv.gz"))[-3:]
-    assert files
-    for file in files:
-        log = read_log(file)
-        assert log.missing == missing and log.notes
-        assert np.isfinite(log.position).all() and log.command[:, 0].max() > 3e4
-        assert log.duration > 20
-
-
-@needs_data
-def test_a_flight_without_pose_is_refused_and_says_what_it_is_good_for(capsys):
-    assert main(["logs", str(DATA / "arp_sysid" / "arp_log10a.csv.gz")]) == 2
-    error = capsys.readouterr().err
-    assert "no position and no attitude were logged" in error and "the motors' lag" in error
