@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.answer.sizes import (
     loop_pieces,
     product,
     response,
-    thrust_over_weight,
+    thrust_of_names,
 )
 from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
@@ -52,7 +52,7 @@ def named_effects(
     """
     problem, pieces = found.problem, loop_pieces(found.problem, values)
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
-    total = thrust_over_weight(found, values)
+    total = thrust_of_names(found, values)
     cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
     result = []
     for name in (n for n in values if n not in pieces[1:]):

@@ -12,7 +12,7 @@ from scipy import stats
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
-from inclined_landing.eval.gap.model.columns import Column, ParameterColumn, Values, at_an_end
+from inclined_landing.eval.gap.model.columns import Candidates, Column, ParameterColumn, Values, at_an_end
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Estimate
 from inclined_landing.models import forces
@@ -122,26 +122,50 @@ def _propagated(
 def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
     """Return thrust over weight, over the modelled one, at the flights' usual command, and its interval.
 
-    The interval covers the other probable sets too. None where no named effect changes it, or one alone that
-    is this ratio.
+    The interval covers the other probable sets too, and what the flights of an identified vehicle left
+    uncertain of its own at this command. None where no named effect changes it, or one alone that is this
+    ratio.
     """
+    named = thrust_of_names(found, values)
+    if named is None or not found.problem.identified:
+        return named
+    value, (low, high) = named
+    half = max(0.5 * (high - low), value * _reference_half_width(found.problem))
+    return value, (value - half, value + half)
+
+
+def thrust_of_names(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
+    """Return `thrust_over_weight` with the identified vehicle's taken as known."""
     problem, names = found.problem, [name for name in WEIGHT if name in values]
     ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
     if not names or names == ratios[:1]:
         return None
-    usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
-
-    def thrust(at: Values) -> float:  # over the mass
-        changed = {n: at[n] for n in WEIGHT if n in at}
-        return float(problem.hover_acceleration(changed, usual)[2]) + gravity
-
-    gravity = problem.vehicle.environment_gravity
-    before = thrust({})
-    value, (low, high) = _jointly(found, values, names, lambda at: thrust(at) / before)
+    value, (low, high) = _jointly(found, values, names, lambda at: _thrust_ratio(problem, at))
     # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
-    apart = sum(one.probability * (thrust(one.values) / before - value) ** 2 for one in found.sets)
+    apart = sum(one.probability * (_thrust_ratio(problem, one.values) - value) ** 2 for one in found.sets)
     half = math.hypot(0.5 * (high - low), stats.norm.ppf(0.975) * math.sqrt(apart))
     return value, (value - half, value + half)
+
+
+def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) -> float:
+    """Return thrust over weight at the usual command, over the modelled one, of a vehicle with effects."""
+    usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
+    changed = Candidates(vehicle or problem.vehicle, problem.library)
+    its = {n: at[n] for n in WEIGHT if n in at}
+    gravity = problem.vehicle.environment_gravity
+    thrust, before = (float(c.hover_acceleration(v, usual)[2]) for c, v in ((changed, its), (problem, {})))
+    return (thrust + gravity) / (before + gravity)
+
+
+def _reference_half_width(problem: Problem) -> float:
+    """Return the half-width of the interval of the identified vehicle's own thrust over weight, over it."""
+    # Propagation of errors, as `_propagated`
+    names = [name for name in WEIGHT if name in problem.library]
+    columns = [c for c in problem.columns(names) if isinstance(c, ParameterColumn)]
+    moved = [problem.one_sided_difference({}, c) for c in columns]
+    slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])
+    variance = slope @ problem.vehicle_prior(columns)[1] @ slope
+    return float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(variance))
 
 
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:

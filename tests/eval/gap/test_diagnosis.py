@@ -2,12 +2,15 @@
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap
 from inclined_landing.eval.gap.answer import named as naming
+from inclined_landing.eval.gap.answer import sizes
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare, prepare_all
@@ -191,6 +194,26 @@ def test_thrust_over_weight_is_that_of_all_names_together():
     value, (low, high) = quick(flights(hidden, seed=9)).thrust_over_weight
     pwm = VEHICLE.hover_pwm / (1.0 - 0.04 / (VEHICLE.body_mass * VEHICLE.environment_gravity))
     assert low < value < high and low < 1.0 - 0.04 / (VEHICLE.thrust_per_pwm * pwm) < high
+
+
+def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):
+    """A bias of 0.01 N that its flights left uncertain is that share of the thrust, at the usual command."""
+    library = {name: LIBRARY[name] for name in ("thrust_bias", "mass")}
+    columns = tuple(Candidates.for_vehicle(VEHICLE, library).columns(library))
+    known = np.diag([0.01**2, 0.0])
+    nothing = ReferenceResidual({}, {})
+    reference = VehiclePosterior(columns, np.zeros(2), known, nothing, frozenset(library))
+    use = usable_flights(flights(count=2, seconds=3.0), (), VEHICLE, None)
+    problem = Problem.of(use.fitted, VEHICLE, library, reference)
+    usual = np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights]))
+    half = stats.t.ppf(0.975, problem.groups - 1) * 0.01 / (VEHICLE.thrust_per_pwm * usual)
+    for named, widened in ((0.001, 0.9 * half), (1.1 * half, 1.1 * half)):
+        answer = 0.9, (0.9 - named, 0.9 + named)
+        monkeypatch.setattr(sizes, "thrust_of_names", lambda found, values, answer=answer: answer)
+        value, (low, high) = sizes.thrust_over_weight(SimpleNamespace(problem=problem), {})
+        assert value == 0.9 and (high - low) / 2.0 == pytest.approx(widened, rel=1e-6)
+        alone = SimpleNamespace(problem=dataclasses.replace(problem, reference=None))
+        assert sizes.thrust_over_weight(alone, {}) == answer
 
 
 def test_what_the_reference_left_uncertain_is_estimated_again():
