@@ -1,1 +1,1 @@
-"""Evaluation: each subpackage holds commands of `landing-eval`, in modules of the same names."""
+"""Evaluation: each subpackage contains commands of `landing-eval`, in modules of the same names."""

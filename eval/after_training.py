@@ -1,4 +1,4 @@
-"""What `landing-train` looks up by name: the report on a run, with tables, figures and a video."""
+"""The report on a training run, with tables, figures and a video; `landing-train` looks it up by name."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _FILM_FPS = 25.0  # half as many as `landing-eval video` shows
 def report(folder: Path, metrics: dict, vehicle: Path | None, stages: Stages) -> None:
     """Write the table of `final.zip`, figures, a picture and a video of one flight into the run folder.
 
-    vehicle: the run's vehicle file, if it has one. stages: those of its curriculum.
+    vehicle: the run's vehicle file, if it has one. stages: the stages of its curriculum.
 
-    The table is flown without training aids, for landings in the hybrid plant from the frozen grid, which
-    training never saw; one number for each condition is added to metrics.json. All flights use the run's
-    vehicle.
+    The flights of the table have no training aids; those of landings start from the frozen grid, which
+    training never uses, in the hybrid plant. One number for each condition is added to metrics.json. All
+    flights use the run's vehicle.
     """
 
     def load(policy: str | Path) -> Policy:
@@ -94,7 +94,7 @@ def _study(final: Policy, metrics: dict, load: Callable[[str | Path], Policy]) -
 
 
 def _origin(task: Task, began: str, load: Callable[[str | Path], Policy]) -> Policy:
-    """Return the landing policy that a training started from; otherwise, as after a law, the paper's."""
+    """Return the landing policy from which a training started, or the paper's if there was none."""
     landed = began in SHIPPED or Path(began).exists()
     origin = load(began) if landed else None
     return load(NOMINAL) if origin is None or origin.task.name == task.name else origin

@@ -2,8 +2,8 @@
 
 A command and its module have the same name: `figure` of the package `pictures` is the function `command` in
 `pictures/figure`, a module or a package with a module `command`. Its signature and docstring are the options
-and the help. Its work is imported in its body, so that `--help` and wrong options are answered at once.
-Wrong input ends with one sentence on stderr and exit code 2.
+and the help. Slow imports are in its body, so that `--help` and wrong options are handled at once. Wrong
+input ends with one sentence on stderr and exit code 2.
 """
 
 from __future__ import annotations

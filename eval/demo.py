@@ -1,4 +1,4 @@
-"""`landing-eval demo`: the shipped landing policy flown, counted, filmed and pictured."""
+"""`landing-eval demo`: fly the shipped landing policy, count successes, and make a video and a picture."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What all commands share: options, progress, pages, claims, style. Imports no other subpackage."""
+"""Code shared by all commands: options, progress, pages, claims, style. It imports no other subpackage."""

@@ -11,7 +11,7 @@ from inclined_landing.envs.shared.statistics import number
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """`measured` lies between `low` and `high`; `why` says where the bounds come from."""
+    """A claim that `measured` is between `low` and `high`; `why` states the origin of the bounds."""
 
     name: str
     measured: float
@@ -27,7 +27,7 @@ class Claim:
 
     @property
     def shown(self) -> float:
-        """Return the measured value, 0 where it is a rounding error next to its bounds."""
+        """Return the measured value, or 0 if it is a rounding error compared with its bounds."""
         scale = max((abs(bound) for bound in (self.low, self.high) if math.isfinite(bound)), default=0.0)
         return 0.0 if abs(self.measured) < 1e-12 * scale else self.measured
 
@@ -64,7 +64,7 @@ class Table:
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Return the headings of the columns that hold numbers."""
+        """Return the headings of the columns that contain numbers."""
         first = self.rows[0] if self.rows else ()
         return tuple(head for head, cell in zip(self.heads, first) if isinstance(cell, numbers.Number))
 

@@ -1,4 +1,4 @@
-"""The fence of a flight: how close to the arena's ends a vehicle may come at its velocity."""
+"""The fence of a flight: the distance that a vehicle must keep from the arena's ends at its velocity."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ BRAKING = 0.5  # share of the acceleration commands allow that the set-point pol
 def stopping_distance(velocity: np.ndarray, vehicle: Vehicle, braking: float = BRAKING) -> np.ndarray:
     """Return the stopping distance (..., 3) [m] along each axis from a velocity (..., 3) [m/s].
 
-    v t + v^2 / (2 a). t: until braking is there; a control period, the age of the newest position (1/120 s),
-    the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5 s). a: a share,
-    `braking`, of the acceleration that the commands allow: g tan(30 deg) sideways; upwards g, less what the
-    lowest thrust of an action holds, half; downwards the highest thrust less g, about half.
+    It is v t + v^2 / (2 a). t is the time until braking begins: a control period, the age of the newest
+    position (1/120 s), the radio (10 ms) and the lag of the attitude loop (0.18 s) or of the thrust (1/15.5
+    s). a is a share, `braking`, of the acceleration that the commands allow: g tan(30 deg) sideways; upwards
+    g minus the lowest thrust of an action, about half of g; downwards the highest thrust minus g, also about
+    half of g.
     """
     g = vehicle.environment_gravity
     sideways = g * math.tan(vehicle.command_angle_limit)
@@ -36,7 +37,7 @@ def beyond_fence(
     margin: float = BOUND_MARGIN,
     braking: float = BRAKING,
 ) -> np.ndarray:
-    """Return (...,) bool: whether a vehicle in the air is too fast for its distance to an end of the arena.
+    """Return (...,) bool: whether a vehicle in the air is too fast for its distance from an end of the arena.
 
     position, velocity (..., 3) [m, m/s]; margin [m] kept in addition to the distance that it needs to stop,
     which is `stopping_distance` with `braking`.

@@ -1,7 +1,7 @@
-"""Options that commands share: the types of single ones, and groups of options.
+"""Options shared by several commands: types of individual options, and groups of options.
 
-A group is a dataclass that a command takes as one argument, `flown: Flat[Flown] = Flown()`; on the command
-line its fields are options like any other. Options shared with training are in `envs.shared.options`.
+A group is a dataclass that is one argument of a command, `flown: Flat[Flown] = Flown()`; on the command line
+its fields are ordinary options. Options shared with training are in `envs.shared.options`.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Flown:
     def load(self, policy: str) -> Policy:
         """Return the policy for this vehicle and platform.
 
-        Raises UserError when any of it is unknown or wrong.
+        Raises UserError if any of them is unknown or wrong.
         """
         from inclined_landing.envs.policy import load_policy
         from inclined_landing.envs.tasks import import_task, is_path
@@ -123,7 +123,7 @@ class Reading:
     where: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=VALUE")] = ()
 
     def options(self) -> dict[str, Any]:
-        """Return them as `read_log` takes them. Raises UserError for any other option."""
+        """Return the arguments for `read_log`. Raises UserError for invalid options."""
         units = _pairs(self.unit, "--unit", "COLUMN=UNIT, as in roll=deg")
         where = _pairs(self.where, "--where", "COLUMN=VALUE, as in name=cf1")
         return {"mapping": self.mapping, "units": units, "where": where}

@@ -17,7 +17,7 @@ from inclined_landing.eval.base.style import PNG_DPI, styled
 
 
 def render(package: str, template: str, **content) -> str:
-    """Return a package's template filled in; it may extend or import templates of this package."""
+    """Return a package's rendered template; it may extend or import templates of this package."""
 
     def source(name: str) -> str | None:
         for owner in (package, __package__):
@@ -50,8 +50,8 @@ def of_sections(
 ) -> str:
     """Return the page of sections: claims, or tables of a study.
 
-    images: PNG files by the names that sections have captions for; run: how it was made; facts: rows of what
-    was flown: of what, name, value, unit.
+    images: PNG files by the names used in the captions of sections; run: the command; facts: rows on the
+    flown vehicles and policies, each with subject, name, value and unit.
     """
     content = {"sections": sections, "title": title, "run": run, "versions": versions, "lead": lead}
     data = {name: embedded(image) for name, image in images.items()}

@@ -1,4 +1,4 @@
-"""Progress of a command: a bar on a terminal, elsewhere a line now and then."""
+"""Progress of a command: a bar on a terminal, otherwise occasional lines."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Tick(Protocol):
     """The function that a command calls as a stage begins or ends."""
 
     def __call__(self, words: str = "", done: float | None = None) -> None:
-        """Show the words; done: how many are done, if it is not one more."""
+        """Show the words; done: the number done, if it is not one more than before."""
 
 
 @contextlib.contextmanager
 def stages(total: float | None = None, what: str = "", done: float = 0) -> Iterator[Tick]:
     """Yield a function that is called at each of `total` stages, with words on it.
 
-    what: is counted, such as "cases"; done: how many are done already. Written to stderr. Without a terminal,
-    at most one line every EVERY seconds.
+    what: the unit of the count, such as "cases"; done: how many are already done. Output goes to stderr;
+    without a terminal, it is at most one line every EVERY seconds.
     """
     console, began = printer(Console(stderr=True, markup=False, highlight=False)), time.monotonic()
     last, before, count = began, done, done

@@ -1,4 +1,4 @@
-"""Starts as people name them, X,Z or X,Y,Z, and the usual ones of films and figures."""
+"""Starts in the form of the command line, X,Z or X,Y,Z, and the usual starts of films and figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _IN_SPACE = ((1.5, 0.6, 1.8), (0.0, -0.8, 2.0), (-1.5, 0.3, 1.6))
 
 
 def axes_of(task: Task) -> str:
-    """Return the axes that a start is given by: those along which the vehicle moves."""
+    """Return the axes of the coordinates of a start: those along which the vehicle moves."""
     return "xz" if task.is_planar else "xyz"
 
 
@@ -42,12 +42,12 @@ def parse_starts(texts: Sequence[str], task: Task) -> list[Point]:
 
 
 def start_words(task: Task, state: np.ndarray) -> str:
-    """Return the position of a state (13,) as starts are written."""
+    """Return the position of a state (13,) in the form of a start."""
     return ", ".join(f"{name} {state[STATE_NAMES.index(name)]:g}" for name in axes_of(task)) + " m"
 
 
 def read_point(text: str, option: str, axes: str, like: str = "") -> Point:
-    """Return the coordinates along `axes` [m] that an option gives; like: an example for the sentence."""
+    """Return the coordinates along `axes` [m] in an option; like: an example for the message."""
     try:
         point = tuple(float(number) for number in text.split(","))
     except ValueError:

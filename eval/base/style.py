@@ -1,4 +1,4 @@
-"""Fonts, colours and files that all figures share."""
+"""Fonts, colours and files of all figures."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _DEFAULTS: dict[Any, Any] = {n: v for n, v in matplotlib.rcParamsDefault.items()
 
 
 def literal(name: str) -> str:
-    """Return a name as matplotlib shows it: text between two dollars would be a formula."""
+    """Return a name escaped for matplotlib, in which text between two dollar signs is a formula."""
     return shown(name).replace("$", r"\$")
 
 
@@ -64,12 +64,12 @@ def colour(k: int) -> str:
 
 
 def marker(k: int) -> str:
-    """Return the marker of the k-th policy; it differs where a colour repeats."""
+    """Return the marker of the k-th policy; it differs if a colour repeats."""
     return _MARKERS[(k + k // len(_COLOURS)) % len(_MARKERS)]
 
 
 def styled():
-    """Return the context in which figures are made and saved, whatever a matplotlibrc says."""
+    """Return the context in which figures are made and saved, independent of any matplotlibrc."""
     return matplotlib.rc_context({**_DEFAULTS, **STYLE})
 
 
@@ -105,7 +105,7 @@ def legend_below(axes: Axes, **options) -> Legend:
 def save_figure(figure: Figure, path: str | Path) -> Path:
     """Write the figure as .png or .pdf, atomically; returns the path.
 
-    Raises UserError for another suffix and when the file cannot be written.
+    Raises UserError for any other suffix, and if the file cannot be written.
     """
     path = Path(path)
     kind = path.suffix.lower()

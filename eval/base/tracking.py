@@ -1,7 +1,7 @@
 """A reference trajectory with its commands as a file, and the position controller that tracks it.
 
-`landing-eval plan` simulates the controller under every candidate, and `landing-eval fly --plan` flies it:
-the promises of a plan hold for flights in this closed loop.
+`landing-eval plan` simulates the controller under every candidate, and `landing-eval fly --plan` uses the
+same controller, so that the predictions of a plan apply to its flights.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Trajectory:
         return float(self.t[-1])
 
     def row(self, time: float) -> int:
-        """Return the row in force at a time [s], the last one from the end on."""
+        """Return the row that applies at a time [s]; after the end, the last one."""
         return max(0, int(np.searchsorted(self.t, time + 1e-9, side="right")) - 1)
 
     def table(self) -> np.ndarray:
@@ -66,7 +66,7 @@ class Trajectory:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Return the trajectory of a file as `landing-eval plan` writes it.
+    """Return the trajectory in a file written by `landing-eval plan`.
 
     Raises UserError for a file of another kind, and for numbers that cannot be flown.
     """
@@ -152,6 +152,6 @@ class Tracker:
         )
 
     def heading_error(self, time: float, yaw: np.ndarray) -> np.ndarray:
-        """Return by how much (n,) [rad] a heading (n,) is behind the reference, within half a turn."""
+        """Return the lag (n,) [rad] of a heading (n,) behind the reference, within half a turn."""
         turn = self.reference.attitude[self.reference.row(time), 2] - yaw
         return (turn + math.pi) % (2.0 * math.pi) - math.pi

@@ -64,7 +64,7 @@ def _template_values(contract: dict, network: ExportNetwork, vectors: Vectors) -
 
 
 def _blocks(network: ExportNetwork) -> list[tuple[str, str]]:
-    """Return the constants in their order in the C source, in blocks with a comment."""
+    """Return the constants in the order of the C source, in blocks with a comment."""
     blocks = [("centres of the inputs", network.centre), ("scales of the inputs", network.scale)]
     for k, (weight, bias) in enumerate(zip(network.weights, network.biases), start=1):
         inputs, outputs = weight.shape

@@ -63,8 +63,8 @@ def command(
 def write(policy: Policy, format: str, out: str | Path) -> dict:
     """Write the export of a policy into the new folder `out`, atomically; return its contract.
 
-    format: one of FORMATS. Raises UserError for another one, for what the format does not hold, and when the
-    folder exists and is not empty or cannot be written.
+    format: one of FORMATS. Raises UserError for any other format, for a policy that the format cannot
+    represent, and if the folder exists and is not empty or cannot be written.
     """
     check_format(format)
     from inclined_landing.envs.shared.runs import staged_run

@@ -1,7 +1,7 @@
 """The contract of an export: the meaning of each input and output, and the origin of the policy.
 
-`contract.json` is made from the task, the policy and its metadata; `contract.schema.json` says its form, and
-`to_markdown` writes the same for people.
+`contract.json` is made from the task, the policy and its metadata; `contract.schema.json` is its schema, and
+`to_markdown` returns the same as readable text.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def load(name: str, task: str | None = None, vehicle: Vehicle | None = None) -> 
 
 
 def describe(policy: Policy, network: ExportNetwork) -> dict:
-    """Return the contract of a policy. Raises UserError where its task has its own mapping of actions."""
+    """Return the contract of a policy. Raises UserError if its task has its own mapping of actions."""
     task, space = policy.task, action_space(policy.task)
     given = {COMMAND_NAMES[channel.column] for channel in task.channels}
     _check_channels(policy)
@@ -127,7 +127,7 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
 
 
 def to_markdown(contract: dict) -> str:
-    """Return the contract as Markdown for people."""
+    """Return the contract as readable Markdown."""
     entry = contract["input"]
     names = list(zip(entry["names"], entry["centre"], entry["scale"]))
     return render("contract.md.j2", names=names, **contract)

@@ -1,16 +1,16 @@
-"""The network of a policy in float32, as every export holds it, and what one action of it costs.
+"""The float32 network of a policy that every export contains, and the cost of one action.
 
 The estimated times count the instructions of the loops of the C export as arm-none-eabi-gcc 12 -Os compiles
 them for a Cortex-M4F, each with the cycles of Arm's reference manual (DDI 0439D, tables 3-1 and 7-1). They
-are not measured on a vehicle, where interrupts and other tasks take their share.
+were not measured on a vehicle, where interrupts and other tasks also take time.
 
 One product of `dense`, of four at once: half a cycle for x (vldmia, 2), 2 for the weight (vldr), 3 for the
-product and sum (vfma), 1 to 1.5 for counting and branching (4 to 6): 6.5 to 7. Where the weight is waited
-for, 1 more; and at 168 MHz a line of four weights comes from flash after five wait states, 1.25 cycles each,
-where nothing is prefetched: 9.25 at most.
+product and sum (vfma), 1 to 1.5 for counting and branching (4 to 6): 6.5 to 7. Waiting for the weight adds up
+to 1; and at 168 MHz a line of four weights comes from flash after five wait states, 1.25 cycles each, if
+nothing is prefetched: 9.25 at most.
 
-One tanh of `activate`: 3 divisions of 14, 6 fused sums of 3, 29 other cycles, 89 with a branch of three; with
-nothing waited for, 80.
+One tanh of `activate`: 3 divisions of 14, 6 fused sums of 3, 29 other cycles, 89 with a branch of three;
+without waiting, 80.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ExportNetwork:
 
     @classmethod
     def from_policy(cls, policy: Policy) -> ExportNetwork:
-        """Return the network of a policy. Raises UserError where float32 cannot hold its numbers."""
+        """Return the network of a policy. Raises UserError if float32 cannot represent its numbers."""
         scale = policy.scale.astype(np.float32)
         if not (scale >= _SMALLEST).all() or not np.isfinite(scale).all():
             raise UserError(f"policy {policy.path} has an observation scale beyond the range of float32")
@@ -81,7 +81,7 @@ class ExportNetwork:
         return 2 * self.inputs + sum(w.size + b.size for w, b in zip(self.weights, self.biases))
 
     def cost(self) -> dict:
-        """Return what one action costs, for the contract: counts, and estimated times."""
+        """Return the cost of one action for the contract: operation counts and estimated times."""
         products = sum(w.size for w in self.weights)
         hidden, last = sum(self.sizes[:-1]), self.sizes[-1] * self.squashed
         tanh = self.activation == "Tanh"

@@ -1,6 +1,6 @@
 """The ONNX export: `policy.onnx`, from whole inputs (n, i) to actions (n, a), float32.
 
-An input with NaN or infinity has the actions NaN: an ONNX graph has no other way to refuse it.
+For an input with NaN or infinity the actions are NaN, because an ONNX graph cannot refuse it otherwise.
 """
 
 from __future__ import annotations

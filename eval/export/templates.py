@@ -15,7 +15,7 @@ _SPECIAL = re.compile(r"[\\`*<>|~$&#]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|\A\["
 
 
 def render(template: str, **content) -> str:
-    """Return a template of this package filled in, as plain text; in Markdown values are escaped."""
+    """Return a rendered template of this package as plain text; in Markdown values are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("inclined_landing.eval.export", ""),
         trim_blocks=True,
@@ -28,6 +28,6 @@ def render(template: str, **content) -> str:
 
 
 def escaped(value: object) -> str:
-    """Return any value as one printable line of Markdown, without formatting, link or HTML of its own."""
+    """Return any value as one printable line of Markdown, with formatting, links and HTML escaped."""
     # Character references instead of backslashes, which differ between dialects.
     return _SPECIAL.sub(lambda mark: f"&#{ord(mark[0])};", shown(value, LONGEST))

@@ -1,8 +1,8 @@
 """Test vectors: the expected outputs of an export, computed by the policy itself.
 
-They are one sequence: each observation is given to the policy after the ones before it, so that a history
-is tested too. Most states come from flights of the policy; the others are drawn wide of them, where inputs
-and actions meet their limits.
+They form one sequence: the policy receives the observations in order, so that its history is tested too. Most
+states come from flights of the policy; the others are drawn from a wider distribution, in which inputs and
+actions reach their limits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Vectors:
     commands: np.ndarray  # (m, 4)
 
     def table(self) -> dict:
-        """Return the test vectors as vectors.json has them."""
+        """Return the test vectors in the form of vectors.json."""
         return {
             "tolerance": TOLERANCE,
             "about": "successive steps of one flight, as far as a history is concerned",
@@ -44,7 +44,7 @@ class Vectors:
 
 
 def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Vectors:
-    """Return the policy's answers to observations (m, o) in sequence, of states (m, 13)."""
+    """Return the policy's actions for a sequence of observations (m, o) of states (m, 13)."""
     task, past = policy.task, History(policy.task, 1)
     inputs, actions = [], []
     for k, observation in enumerate(observations.astype(np.float32)):
@@ -60,7 +60,7 @@ def sequence(policy: Policy, states: np.ndarray, observations: np.ndarray) -> Ve
 
 
 def record(policy: Policy, seed: int = 0) -> Vectors:
-    """Return the test vectors of a policy. Raises UserError when its task cannot be flown."""
+    """Return the test vectors of a policy. Raises UserError if its task cannot be flown."""
     flights, wide = _sample_flights(policy, seed), _sample_wide(policy, np.random.default_rng(seed))
     states, observations = (np.concatenate(pair) for pair in zip(flights, wide))
     return sequence(policy, states, observations)

@@ -1,4 +1,4 @@
-"""How the flights of one command connect to their vehicle, simulated or real."""
+"""Connections of the flights of one command to their vehicle, simulated or real."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SimulatedConnection:
 
 
 class RealConnection:
-    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]; None: by the vehicle's own deck."""
+    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]; None uses the vehicle's own deck."""
 
     hang_limit = safety.HANG_LIMIT
 
@@ -65,7 +65,7 @@ class RealConnection:
         cflib.crtp.init_drivers()
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and positions of the vehicle, which is put back for every further flight."""
+        """Return radio, clock and positions of the vehicle, which the user puts back before every flight."""
         from cflib.crazyflie import Crazyflie
 
         if k > 0:
@@ -77,7 +77,7 @@ class RealConnection:
         return radio, self._clock, _positions(radio, self._capture)
 
     def dead_man_switch(self) -> DeadManSwitch:
-        """Return the context in which another process stops the motors should this one die."""
+        """Return the context in which another process stops the motors if this one dies."""
         return DeadManSwitch(self.uri)
 
 
@@ -85,7 +85,7 @@ Connection = SimulatedConnection | RealConnection
 
 
 def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
-    """Return the motion capture or the vehicle's own position; closes the link of one that cannot say it."""
+    """Return the motion capture or the vehicle's own position; if there is none, close the link."""
     if capture is not None:
         return capture
     try:
@@ -99,7 +99,7 @@ def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
 def checked_pilot(connection: Connection, k: int, plan: FlightPlan, dry: bool) -> Iterator[Pilot]:
     """Yield the pilot of flight k once its preflight checks have passed and the user has armed it.
 
-    Raises UserError where a check fails.
+    Raises UserError if a check fails.
     """
     radio, clock, mocap = connection.connect(k, plan, dry)
     try:

@@ -2,14 +2,14 @@
 
 `KalmanFilter` has three states of each axis: position, velocity, acceleration. The acceleration is a
 first-order Gauss-Markov process (R. A. Singer, "Estimating Optimal Tracking Filter Performance for Manned
-Maneuvering Targets", IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970): it forgets with the
-time constant of the attitude loop, and its size is that of the accelerations which the commands allow. Time
-between measurements is whatever it was; through dropouts the state is predicted and its variance grows.
+Maneuvering Targets", IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970): its correlation time
+is the time constant of the attitude loop, and its size that of the accelerations that the commands allow.
+Measurements may arrive at any interval; during dropouts the state is predicted and its variance grows.
 
-`Estimator` adds the attitude to it, and `ConsistencyMonitor` asks whether the motion that is measured fits
-the forces on the vehicle: a marker left behind, or a rigid body found in the wrong place, gives positions
-that are fresh, noisy and wrong. The vehicle's accelerometer and attitude say how it accelerates; what that
-adds up to must be found in the measured velocity.
+`Estimator` adds the attitude to it, and `ConsistencyMonitor` checks whether the measured motion is consistent
+with the forces on the vehicle: a marker left behind, or a rigid body found in the wrong place, gives
+positions that are new, noisy and wrong. The vehicle's accelerometer and attitude determine its acceleration,
+whose integral must agree with the measured velocity.
 """
 
 from __future__ import annotations
@@ -68,10 +68,8 @@ class KalmanFilter:
     def update(self, time: float, position: np.ndarray, impact: bool = False) -> bool:
         """Update the state with a position (3,) [m] measured at `time` [s]; return False if it is rejected.
 
-        impact: something to touch is near, and the velocity may have changed at once.
-
-        Rejected are positions that are not finite, not newer than the last one, or outside
-        `FilterNoise.gate`.
+        impact: a surface is near, so the velocity may have changed instantly. Positions are rejected if they
+        are not finite, not newer than the last one, or outside `FilterNoise.gate`.
         """
         position = np.asarray(position, float)
         if not (math.isfinite(time) and np.isfinite(position).all()):
@@ -135,8 +133,8 @@ def transition(dt: float, correlation: float) -> np.ndarray:
 def process_noise(dt: float, acceleration: float, correlation: float) -> np.ndarray:
     """Return the process noise covariance (3, 3) of the random acceleration over dt [s].
 
-    The integral of the response to white jerk, by Gauss-Legendre quadrature: positive semidefinite for any
-    dt, and exact to rounding for those between two measurements.
+    It is the integral of the response to white jerk, by Gauss-Legendre quadrature: positive semidefinite for
+    any dt, and exact to rounding for those between two measurements.
     """
     # Q = 2 sigma^2 / T  int_0^dt  r(s) r(s)' ds,  r the last column of the transition matrix.
     ages = 0.5 * dt * (_NODES + 1.0)
@@ -167,7 +165,7 @@ class ClockOffset:
         self._offset = math.inf
 
     def date(self, stamp: int, arrival: float) -> float:
-        """Return the pilot's time [s] of a packet of vehicle time `stamp` [ms], by its `arrival` [s]."""
+        """Return the pilot's time [s] of a packet with vehicle time `stamp` [ms], from its `arrival` [s]."""
         # offset = min over packets of (arrival - stamp): the one with the shortest delay
         offset = arrival - 1e-3 * stamp
         if abs(offset - self._offset) > RESTART:
@@ -178,7 +176,7 @@ class ClockOffset:
 
 @dataclasses.dataclass(frozen=True)
 class StateEstimate:
-    """The estimated state of the vehicle at one moment, and the age of its measurements."""
+    """The estimated state of the vehicle at one time, and the age of its measurements."""
 
     time: float  # s
     state: np.ndarray  # (13,) as tasks observe it; NaN where nothing is known, rates and lag 0
@@ -201,8 +199,8 @@ class StateEstimate:
 class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
-    heading [rad]: where the nose points when the first attitude comes; used while no pose has an attitude.
-    None: the vehicle's own heading is the arena's.
+    heading [rad]: direction of the nose when the first attitude arrives; used while no pose has an attitude.
+    None: the vehicle's own heading is relative to the arena.
     """
 
     def __init__(self, noise: FilterNoise, heading: float | None = 0.0):
@@ -289,10 +287,10 @@ class Estimator:
 
 
 class ConsistencyMonitor:
-    """The velocity (3,) [m/s] by which forces and measured motion have parted, forgotten in `TIME_CONSTANT`.
+    """The velocity (3,) [m/s] by which forces and measured motion disagree, forgotten in `TIME_CONSTANT`.
 
-    In flight it is not 0 by drag (0.5 m/s2 at 3 m/s), a level that is off (0.17 m/s2 per degree), an
-    accelerometer that is (0.2 m/s2), and a filter that is late by 20 ms.
+    In flight it differs from 0 because of drag (0.5 m/s2 at 3 m/s), errors of the level calibration (0.17
+    m/s2 per degree) and the accelerometer (0.2 m/s2), and a filter that is late by 20 ms.
     """
 
     def __init__(self, gravity: float):
@@ -300,7 +298,7 @@ class ConsistencyMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Set the mismatch to zero: at the start, and while anything but the rotors supports the vehicle."""
+        """Set the mismatch to zero, at the start and while something else than the rotors supports it."""
         self._parted = np.zeros(3)
         self._before: tuple[float, np.ndarray] | None = None
 
@@ -310,10 +308,10 @@ class ConsistencyMonitor:
         return float(np.linalg.norm(self._parted))
 
     def update(self, time: float, velocity: np.ndarray, up: np.ndarray, lift: float) -> None:
-        """Add the estimate at `time` [s] to the comparison; NaN is skipped, as is an unseen LONGEST_STEP.
+        """Add the estimate at `time` [s] to the comparison; NaN and gaps beyond LONGEST_STEP are skipped.
 
-        velocity (3,) [m/s]; up (3,): the body's z axis in the arena; lift: acceleration along it as an
-        accelerometer shows it [g].
+        velocity (3,) [m/s]; up (3,): the body's z axis in the arena; lift: acceleration along it as measured
+        by an accelerometer [g].
         """
         if not (np.isfinite(velocity).all() and np.isfinite(up).all() and math.isfinite(lift)):
             return

@@ -1,9 +1,9 @@
-"""The log of a flight: the documented CSV of eval/logs, written as it goes and named when it is finished.
+"""The log of a flight: the documented CSV of eval/logs, written continuously and renamed at the end.
 
-A row is a position of motion capture; the vehicle's attitude is interpolated to its time between neighbours
-of its own, commands and voltage are the last ones sent and received, for as long as the reader bridges, but
-motors that were stopped stay so. Through holes of the motion capture commands have rows without a position.
-Until it is finished the file is called NAME.unfinished.csv: what a killed process leaves is a log too.
+Each row is a position from motion capture. The vehicle's attitude is interpolated to its time; commands and
+voltage are the last ones sent and received, held for as long as the reader bridges gaps, except that stopped
+motors stay stopped. During gaps of the motion capture, commands have rows without a position. Until it is
+finished the file is called NAME.unfinished.csv, so that a killed process leaves a usable log.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ REORDER_WINDOW = 0.5  # s that a measurement may come after a later one: rows ar
 class FlightLogWriter:
     """Writer of the log at `path`; a context, in which `begin` starts it. A log that never begins is removed.
 
-    Raises UserError where the file is there already, and where it cannot be written: once, and from `finish`.
-    What is added in between is ignored.
+    Raises UserError if the file already exists, and if it cannot be written: once, and again from `finish`.
+    Data added in between are ignored.
     """
 
     def __init__(self, path: Path):
@@ -103,7 +103,7 @@ class FlightLogWriter:
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
-        """Raise UserError, which names the file, where it cannot be written."""
+        """Raise UserError, naming the file, if it cannot be written."""
         try:
             yield
         except OSError as error:
@@ -122,7 +122,7 @@ class FlightLogWriter:
             self._write(self._newest - REORDER_WINDOW)
 
     def _write(self, until: float) -> None:
-        """Write the rows up to `until`, and discard what no later row needs."""
+        """Write the rows up to `until`, and discard data that no later row needs."""
         tracks = self._tracks
         if self._written == -math.inf and tracks["command"]:
             # The log begins with the first command.

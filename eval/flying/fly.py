@@ -68,10 +68,10 @@ class FlightOptions:
     no_platform: Flag = False
 
     def load(self) -> tuple[Policy | PlannedFlight, Policy, list[tuple[float, float]]]:
-        """Return what is flown, the set-point policy and the starts (x, z) [m].
+        """Return the planned flight or landing, the set-point policy and the starts (x, z) [m].
 
-        Raises UserError for a policy that is for another task or another slope, and for a planned flight that
-        cannot be flown in the arena.
+        Raises UserError for a policy for another task or slope, and for a planned flight that cannot be flown
+        in the arena.
         """
         from inclined_landing.envs.policy import load_policy, trained_task
         from inclined_landing.envs.tasks import make_task

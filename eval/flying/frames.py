@@ -5,11 +5,11 @@ roll -y.
 
 Crazyflie: angles of R = Rz(yaw) Ry(pitch) Rx(roll), in degrees. cflib's `send_setpoint` packs -pitch, and the
 firmware keeps pitch inverted in its attitude loop and in the log variable `stateEstimate.pitch`
-(stabilizer.c, the legacy body frame): given to `send_setpoint` positive pitch accelerates forward, read from
-the log it brakes. A positive yaw rate of `send_setpoint` turns clockwise (crtp_commander_rpyt.c).
+(stabilizer.c, the legacy body frame): in `send_setpoint` positive pitch accelerates the vehicle forward, in
+the log it is a backward tilt. A positive yaw rate of `send_setpoint` turns clockwise (crtp_commander_rpyt.c).
 
-A command says where the thrust shall point in the frame of the arena: it is turned into the vehicle's
-heading, so that a policy which knows no heading can fly a vehicle that has one.
+A command defines the direction of the thrust in the frame of the arena. It is rotated by the vehicle's
+heading, so that a policy that does not observe a heading can fly a vehicle with any.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def logged_rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def in_heading(command: np.ndarray, heading: float) -> np.ndarray:
-    """Return a command (4,) whose roll and pitch are of heading 0 as one in a heading [rad]."""
+    """Return a command (4,) for heading 0 converted to one in a heading [rad]."""
     turned = about_z(-heading) @ thrust_direction(command[ROLL_COMMAND], command[PITCH_COMMAND])
     result = np.array(command, float)
     result[[ROLL_COMMAND, PITCH_COMMAND]] = tilt(turned)
@@ -102,9 +102,9 @@ def wrapped(angle: float) -> float:
 def radio_setpoint(command: np.ndarray, angle_limit: float) -> tuple[float, float, float, int]:
     """Return the arguments of cflib's `send_setpoint`: roll, pitch [deg], yaw rate [deg/s], thrust.
 
-    command (4,): PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading. Roll and pitch are cut to
-    angle_limit [rad], the thrust to what the firmware takes. Raises ValueError for a command that is NaN or
-    infinite.
+    command (4,): PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading. Roll and pitch are
+    clipped to angle_limit [rad], the thrust to the range of the firmware. Raises ValueError for a command
+    that is NaN or infinite.
     """
     if not np.isfinite(command).all():
         raise ValueError("a command is NaN or infinite")

@@ -1,7 +1,7 @@
 """The interfaces between a pilot and its vehicle: a clock, a motion capture and a radio link.
 
-Each has two sides: the real clock sleeps, real cameras stream and cflib sends; the simulated clock advances
-the simulated vehicle, and motion capture and link are that one's.
+Each has two implementations: the real clock sleeps, real cameras stream and cflib sends; the simulated clock
+advances the simulated vehicle, which provides motion capture and link.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 
 
 class FlightClock(Protocol):
-    """A monotonic time [s] with an origin of its own."""
+    """A monotonic time [s] with an arbitrary origin."""
 
     def now(self) -> float:
         """Return the present time [s]."""
         ...
 
     def wait_until(self, moment: float) -> None:
-        """Return at `moment` [s], at once where it has passed.
+        """Return at `moment` [s], or immediately if it has passed.
 
-        The simulated clock delivers what arrives meanwhile, in the caller's thread; with the real one it
-        arrives in cflib's own thread.
+        The simulated clock delivers packets that arrive meanwhile in the caller's thread; with the real one
+        they arrive in cflib's own thread.
         """
         ...
 
@@ -52,7 +52,7 @@ class MeasuredPose:
 
 
 class MotionCapture(Protocol):
-    """A source of poses; when it sees nothing, it keeps returning its last pose with its old time."""
+    """A source of poses; if the vehicle is not visible, the last pose is returned with its old time."""
 
     def latest(self) -> MeasuredPose | None:
         """Return the newest pose; None before the first one."""

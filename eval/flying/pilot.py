@@ -1,13 +1,14 @@
 """The pilot: one flight from the floor to the slope, or along a planned flight.
 
-Phases: the set-point policy takes off and flies to the start (approach); near it and slow for some time, the
-landing policy has the vehicle (landing) until the goal box is entered, where the motors are cut, or until it
-rests on the slope by its own command (touchdown). A planned flight is tracked instead (plan), and the
-set-point policy then sets the vehicle down (retreat). Whatever `safety` names ends the flight by its
-reaction: motors off, or the set-point policy sets the vehicle down next to the platform (retreat).
+Phases: the set-point policy takes off and flies to the start (approach); after it has been near it and slow
+for some time, the landing policy flies the vehicle (landing) into the goal box, where the motors are cut, or
+until it rests on the slope with motors stopped by the policy (touchdown). Alternatively a planned flight is
+tracked (plan), after which the set-point policy sets the vehicle down (retreat). Every cause in `safety` ends
+the flight by its reaction: motors off, or the set-point policy sets the vehicle down next to the platform
+(retreat).
 
-The pilot holds the heading at 0 unless a plan turns. In the landing, which is planar, it also holds y at 0 by
-the set-point policy's roll.
+The pilot holds the heading at 0 unless a plan turns. In the landing, which is planar, it also holds y at 0
+with the set-point policy's roll.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ DRY_RUN, DRY_RUN_PERIOD = 30.0, 0.5  # s: how long it is, and how often it print
 class Pilot:
     """The pilot of one connected vehicle; a new one for every flight.
 
-    say: called with every line of what happens. hang_limit [s]: see `Watchdog`. guarded: whether the process
-    is there that stops the motors should this one die.
+    say: called with every line of output. hang_limit [s]: see `Watchdog`. guarded: returns whether the
+    process that stops the motors if this one dies is running.
     """
 
     def __init__(
@@ -129,8 +130,8 @@ class Pilot:
     def fly(self, log: FlightLogWriter | None = None) -> FlightReport:
         """Fly, and return the report; whatever happens, the motors are off afterwards.
 
-        log: begins with the flight, and is the caller's to finish. `check` must have passed. Errors and
-        interruptions end up in the report, not in the caller.
+        log: begins with the flight; the caller has to finish it. `check` must have passed. Errors and
+        interruptions are recorded in the report and not raised.
         """
         if self._target is None:
             raise ValueError("the checks must have passed before a flight")
@@ -192,7 +193,7 @@ class Pilot:
                 self._end(None, "dry run")
 
     def _step(self, time: float, late: float) -> None:
-        """Run one control step, which comes so late [s]: safety checks, then a command."""
+        """Run one control step, `late` [s] after its time: safety checks, then a command."""
         if not (self.report.unguarded or self._guarded()):
             self.report.unguarded = True
             self._print("the watchdog process, which would stop the motors should this one die, is gone")
@@ -259,7 +260,7 @@ class Pilot:
         )
 
     def _check_consistency(self, time: float, state: np.ndarray) -> None:
-        """Compare motion with forces while nothing but air is in contact with the vehicle."""
+        """Compare motion with forces while the vehicle touches nothing."""
         attitude = self._estimator.attitude
         rotation = None if attitude is None else self._estimator.to_arena(attitude)
         if not self._airborne or rotation is None or self.surroundings.in_contact(state):
@@ -361,7 +362,7 @@ class Pilot:
             self.report.outcome = outcome or (cause.name if cause else "")
 
     def _motors_off(self) -> None:
-        """Stop the motors; failures in here are ignored, so that nothing keeps the motors on."""
+        """Stop the motors; failures are ignored, so that nothing keeps the motors on."""
         cause = self.report.cause
         peaceful = self.phase is Phase.OVER and (cause is None or cause.reaction is Reaction.LAND)
         if peaceful:
@@ -406,7 +407,7 @@ class Pilot:
     # --- what is heard -----------------------------------------------------------------------------
 
     def _receive(self) -> None:
-        """Read motion capture and radio, and pass the news to estimator and log."""
+        """Read motion capture and radio, and pass new data to estimator and log."""
         pose = self.mocap.latest()
         if pose is not None and pose.time > self._pose_time:
             self._pose_time = pose.time

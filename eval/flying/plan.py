@@ -1,4 +1,4 @@
-"""The purpose of one flight: a landing by its policy, or a planned flight with its obstacles."""
+"""The purpose of one flight: a landing by a policy, or a planned flight with its obstacles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CHECKED = 5  # every so many rows: 0.15 m at the largest speed
 
 @dataclasses.dataclass(frozen=True)
 class PlannedFlight:
-    """A planned flight in a room; present: whether the platform stands there."""
+    """A planned flight in a room; present: whether the platform is there."""
 
     reference: Trajectory
     vehicle: Vehicle
@@ -60,7 +60,7 @@ class FlightPlan:
 
     @property
     def surroundings(self) -> Surroundings:
-        """What stands in the room."""
+        """The obstacles in the room."""
         if isinstance(self.landing, PlannedFlight):
             return Surroundings(self.landing.vehicle, self.landing.inclination, self.landing.present)
         task = self.landing.task
@@ -69,7 +69,7 @@ class FlightPlan:
 
 
 def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool = True) -> PlannedFlight:
-    """Return the planned flight of a file of `landing-eval plan`.
+    """Return the planned flight in a file of `landing-eval plan`.
 
     Raises UserError for one that does not begin and end at rest, that no vehicle can fly, whose columns
     contradict each other, that leaves the fence or touches something.
@@ -96,7 +96,7 @@ def read_planned(path: Path, vehicle: Vehicle, inclination: float, present: bool
 
 
 def _impossible(r: Trajectory, v: Vehicle) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield what no flight of the vehicle does, and the rows (m,) that do it."""
+    """Yield each violation of the vehicle's limits, with the rows (m,) in which it occurs."""
     low, high = v.command_pwm_range
     yield f"commands a PWM outside {low:g} to {high:g}", _outside(r.command[:, 0], low, high)
     tilt = np.hstack([r.command[:, 1:3], r.attitude[:, :2]])
@@ -155,5 +155,5 @@ class PlanTracking:
         return command
 
     def heading_error(self, since: float, yaw: float) -> float:
-        """Return by how much a heading [rad] is behind the plan's."""
+        """Return the angle by which a heading [rad] lags behind the plan's."""
         return float(self._tracker.heading_error(since, np.array([yaw]))[0])

@@ -1,4 +1,4 @@
-"""Policies as the pilot uses them: an estimated state in, a command out, by the task's own maps."""
+"""Policies for the pilot: from an estimated state to a command, through the mappings of the task."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PolicyRunner:
 
 
 class SetpointFollower:
-    """The set-point policy flying to any target: it observes its state relative to the task's goal."""
+    """The set-point policy for any target: it observes the state shifted to the task's goal."""
 
     def __init__(self, policy: Policy):
         self.actor = PolicyRunner(policy)
@@ -75,7 +75,7 @@ class SetpointFollower:
 
 
 class PolicyLanding:
-    """A landing by its policy. The pilot holds the heading, and y for policies that ask for no roll."""
+    """A landing by a policy. The pilot holds the heading, and y for policies that do not command roll."""
 
     phase = Phase.LANDING
     turns = False  # are heading and yaw rate the pilot's, and commands of heading 0
@@ -93,9 +93,10 @@ class PolicyLanding:
         self._idle_steps = 0
 
     def step(self, since: float, state: np.ndarray, resting: bool) -> np.ndarray | str:
-        """Return the command (4,) at a state (13,), or the outcome where the goal is reached.
+        """Return the command (4,) at a state (13,), or the outcome if the goal is reached.
 
-        since [s]: the landing began; resting: the vehicle lies still on something. Raises InvalidAction.
+        since [s]: start of the landing; resting: whether the vehicle is at rest on something. Raises
+        InvalidAction.
         """
         size = self._task.goal_size
         if size is not None and self._task.in_goal(state[None], size, self._runner.platform)[0]:

@@ -1,6 +1,6 @@
-"""Where positions come from: motion capture systems, a Lighthouse deck.
+"""Sources of positions: motion capture systems and the Lighthouse deck.
 
-Motion capture is reached by the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
+Motion capture is read with the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
 Set up the axes of the system like the arena's: x along the slope's direction, z up, metres, and the rigid
 body's origin in the vehicle's centre of mass, its axes along the vehicle's.
 
@@ -72,9 +72,9 @@ def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionC
 class TrackedBody:
     """One rigid body of a motion capture system.
 
-    system: with `waitForNextFrame()` and `rigidBodies`, as the library's are; latency [s]: of the system,
-    from exposure to arrival. A thread waits for the frames; where that fails, poses end, and the pilot
-    notices.
+    system: has `waitForNextFrame()` and `rigidBodies`, as in the library; latency [s]: of the system, from
+    exposure to arrival. A thread waits for the frames; if that fails, no more poses arrive, which the pilot
+    detects.
     """
 
     def __init__(self, system: Any, body: str, clock: FlightClock, latency: float = 0.0):
@@ -133,10 +133,10 @@ class OnboardPosition:
         return self._pose
 
     def add_position(self, time: float, position: np.ndarray) -> None:
-        """Add a position (3,) [m] of the vehicle's estimate that it had at `time` [s]."""
+        """Add a position (3,) [m] of the vehicle's estimate at `time` [s]."""
         if self._believed and np.isfinite(position).all():
             self._pose = MeasuredPose(time, position)
 
     def add_variance(self, variance: np.ndarray) -> None:
-        """Add what the vehicle's filter says of its velocity, (3,) [m2/s2]."""
+        """Add the variance (3,) [m2/s2] of the velocity in the vehicle's filter."""
         self._believed = bool(np.isfinite(variance).all() and math.sqrt(max(variance)) < UNSURE)

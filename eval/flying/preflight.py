@@ -41,8 +41,8 @@ def preflight_checks(
 ) -> list[Check]:
     """Return all preflight checks from RECORDING_TIME seconds of measurements at rest.
 
-    source: name of the source of the poses; attitudes: how many came; status: voltage [V], NaN where none
-    came, and whether the vehicle is locked; stand: height of what it stands on [m].
+    source: name of the source of the poses; attitudes: number received; status: voltage [V], NaN if none was
+    received, and whether the vehicle is locked; stand: height of its stand [m].
     """
     (voltage, locked), v = status, surroundings.vehicle
     positions = np.array([pose.position for pose in poses]).reshape(-1, 3)

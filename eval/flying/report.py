@@ -44,7 +44,7 @@ class FlightReport:
 
 
 def summary(report: FlightReport, plan: FlightPlan, log: Path | None) -> dict[str, Any]:
-    """Return a report as it is written to fly.json."""
+    """Return a report in the form of fly.json."""
     fields = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     for name in ("cause", "retreat"):
         fields[name] = fields[name] and fields[name].name

@@ -78,7 +78,7 @@ class FlightStatus:
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """What ends a flight early; `SafetyMonitor.conditions` says when, except for the pilot's own causes."""
+    """A cause that ends a flight early; `SafetyMonitor.conditions` defines all but the pilot's own."""
 
     name: str
     when: str
@@ -176,7 +176,7 @@ class SafetyMonitor:
         self._high = np.array([v.arena_x[1], v.arena_y[1], v.arena_z[1]])
 
     def cause(self, now: FlightStatus) -> Cause | None:
-        """Return the first cause that holds; in a retreat only those that switch the motors off."""
+        """Return the first cause whose condition is met; in a retreat only one that stops the motors."""
         self._listen(now)
         named = {cause.name: cause for cause in CAUSES}
         for name, holds in self.conditions(now, self._silence):
@@ -189,7 +189,7 @@ class SafetyMonitor:
         return None
 
     def _told(self, cause: Cause, now: FlightStatus) -> Cause:
-        """Return what makes a cause hold: itself, a late control step or a silent link."""
+        """Return the reason of a cause: the cause itself, a late control step or a silent link."""
         e = now.estimate
         ages = {"pose_age": e.pose_age - now.late, "attitude_age": e.attitude_age - now.late}
         punctual = dataclasses.replace(now, estimate=dataclasses.replace(e, **ages))
@@ -201,7 +201,7 @@ class SafetyMonitor:
     def conditions(self, now: FlightStatus, silence: float) -> Iterator[tuple[str, bool]]:
         """Yield the causes that are checked, in the order of CAUSES, and whether they are met now.
 
-        silence [s]: for so long the next command may not arrive.
+        silence [s]: time for which the next command may not arrive.
         """
         e, strict = now.estimate, now.phase in (Phase.LANDING, Phase.PLAN)
         yield "link lost", not now.linked
@@ -244,15 +244,15 @@ class SafetyMonitor:
     def _next_command(now: FlightStatus, silence: float) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity (3,) at which the next command may arrive.
 
-        A link that is silent for some time may be so again, and meanwhile the vehicle continues under its
-        last command, with the present acceleration.
+        A link that was silent for some time may be silent again; meanwhile the vehicle continues with its
+        last command and the present acceleration.
         """
         e, t = now.estimate, silence
         position, velocity = e.state[X : Z + 1], e.state[VX : VZ + 1]
         return position + velocity * t + 0.5 * e.acceleration * t**2, velocity + e.acceleration * t
 
     def _is_beyond_fence(self, now: FlightStatus, silence: float) -> bool:
-        """Return whether the vehicle has less room than it needs to brake, and the margin."""
+        """Return whether the remaining distance is less than the braking distance plus the margin."""
         position, velocity = self._next_command(now, silence)
         if not now.airborne:
             velocity[2] = max(0.0, velocity[2])  # on what it stands

@@ -22,7 +22,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 
 class Surroundings:
-    """Platform and floor as obstacles; inclination of the platform [rad], present: does it stand there."""
+    """Platform and floor as obstacles; inclination of the platform [rad], present: whether it is there."""
 
     def __init__(self, vehicle: Vehicle, inclination: float, present: bool = True):
         self.vehicle = vehicle
@@ -52,8 +52,8 @@ class Surroundings:
     def path_to(self, home: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
         """Return waypoints (3,) [m]: up from `home`, across at one height, to `start`.
 
-        The height is the lowest from the start's on at which the way is clear. Raises UserError where none
-        is.
+        The height is the lowest, from that of the start upwards, at which the way is clear. Raises UserError
+        if there is none.
         """
         for height in np.arange(max(home[2], start[2]), self._highest, _STEP):
             points = [np.array([*home[:2], height]), np.array([*start[:2], height]), np.asarray(start, float)]
@@ -63,7 +63,7 @@ class Surroundings:
         raise UserError(f"no path from {a} to {b} m avoids the platform")
 
     def path_down(self, here: np.ndarray) -> list[np.ndarray]:
-        """Return waypoints (3,) [m] from `here` to a free place and below its floor, downhill side first."""
+        """Return waypoints (3,) [m] from `here` to a free place and below the floor, first downhill."""
         downhill = -1.0 if self.inclination < 0.0 else 1.0
         free_x = self.vehicle.slab_half_length + 2 * CLEAR
         free = not self.present or abs(here[0]) > free_x - CLEAR
@@ -96,7 +96,7 @@ class Surroundings:
 
 
 class MovingTarget:
-    """A target that moves along a path at `speed` [m/s], and waits for a vehicle LEAD behind."""
+    """A target that moves along a path at `speed` [m/s], and waits for a vehicle more than LEAD behind."""
 
     def __init__(self, begin: np.ndarray, way: list[np.ndarray], speed: float):
         self.position = np.array(begin, float)

@@ -1,4 +1,4 @@
-"""The Crazyflie behind its radio link: its URI, cflib, connecting, what it logs, set-points, stopping."""
+"""The radio link to the Crazyflie: URI, cflib, connecting, logging, set-points, stopping."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _REMEDIES = {  # by scheme, where a vehicle does not answer
 def check_uri(uri: str) -> None:
     """Raise UserError for a URI that cflib does not understand or would misread.
 
-    cflib flies an unknown rate at 2M, and puts zeros before a short address.
+    cflib uses 2M for an unknown rate, and pads a short address with zeros.
     """
     if udp := re.fullmatch(r"udp://([^/?#@:\s]+:[0-9]{1,5})", uri):
         _resolve(udp[1])
@@ -76,7 +76,7 @@ class Status:
 
 
 class CflibLink:
-    """cflib's `Crazyflie` as a `Link`. Its callbacks come in cflib's own thread."""
+    """cflib's `Crazyflie` as a `Link`. Its callbacks run in cflib's own thread."""
 
     def __init__(self, crazyflie: Any):
         self.crazyflie, self.connected = crazyflie, False
@@ -150,7 +150,7 @@ class CflibLink:
 
 
 class Radio:
-    """The radio link as a pilot uses it. What arrives waits in `received`.
+    """The radio link for the pilot. Received data wait in `received`.
 
     dry: nothing that moves a motor is sent.
     """
@@ -163,11 +163,11 @@ class Radio:
 
     @property
     def lost(self) -> str | None:
-        """Why the link is lost; None while it is not."""
+        """The reason why the link is lost; None while it is not."""
         return self.link.lost
 
     def connect(self, uri: str) -> None:
-        """Open the link and start the logs. Raises UserError where that fails."""
+        """Open the link and start the logs. Raises UserError if that fails."""
         end = self.clock.now() + CONNECTING
         self.link.open(uri)
         while not self.link.connected:
@@ -211,7 +211,7 @@ class Radio:
         return to
 
     def received(self) -> list[Attitude | Status]:
-        """Return what has arrived since the last call, in order."""
+        """Return the data received since the last call, in order."""
         fresh = []
         with contextlib.suppress(IndexError):
             while True:
@@ -230,8 +230,8 @@ class Radio:
     def send(self, command: np.ndarray) -> None:
         """Send a set-point: PWM, roll, pitch [rad], yaw rate [rad/s] in the vehicle's heading.
 
-        From the first one on the firmware's emergency watchdog runs: without notice the motors stop after 1 s
-        (not 2 s after the last set-point), and the vehicle flies again only when switched off and on.
+        The first one starts the firmware's emergency watchdog: without notice the motors stop after 1 s (not
+        2 s after the last set-point), and the vehicle has to be switched off and on before it flies again.
         """
         setpoint = frames.radio_setpoint(command, self.angle_limit)
         if self.dry:
@@ -245,9 +245,8 @@ class Radio:
             self.link.stop()
 
     def emergency_stop(self) -> None:
-        """Switch the motors off whatever fails: the vehicle stays locked until it is power-cycled.
-
-        Each command is tried for itself.
+        """Switch the motors off even if something fails: the vehicle stays locked until it is power-cycled.
+        Each command is tried independently.
         """
         if self.dry:
             return

@@ -1,9 +1,9 @@
-"""Stop the motors when the control loop hangs, its process dies, or a signal interrupts it.
+"""Stopping of the motors when the control loop hangs, its process dies, or a signal interrupts it.
 
-The loop is watched by a thread, the process by another process: after `kill -9`, a crash in a library, or
-when the kernel runs out of memory, nothing of the pilot runs any more, and the firmware holds the last thrust
-until its own watchdog ends it 1 s later. But the kernel closes the pipe to the other process at once. `python
--m inclined_landing.eval.flying.watchdog URI` is that process.
+A thread monitors the loop, and another process monitors this process: after `kill -9`, a crash in a library,
+or if the kernel runs out of memory, no code of the pilot runs any more, and the firmware holds the last
+thrust until its own watchdog stops it 1 s later. The kernel, however, closes the pipe to the other process at
+once. `python -m inclined_landing.eval.flying.watchdog URI` is that process.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal
 class Watchdog:
     """Calls `stop` once, from its own thread, when `feed` was not called for `limit` s of real time.
 
-    Use as a context; `triggered` says whether it did. No thread gets past a hang inside cflib's own lock:
-    then the firmware stops the motors, 1 s after the last notice.
+    Use it as a context; `triggered` tells whether it did. No thread can pass a hang inside cflib's own lock;
+    in that case the firmware stops the motors 1 s after the last notice.
     """
 
     def __init__(self, limit: float, stop: Callable[[], None]):
@@ -68,7 +68,7 @@ class Watchdog:
 class DeadManSwitch:
     """Context in which the motors of the vehicle at `uri` are stopped when this process dies.
 
-    Raises UserError on entering where the other process does not start.
+    Raises UserError on entering if the other process does not start.
     """
 
     def __init__(self, uri: str):
@@ -128,7 +128,7 @@ def uninterruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _handlers(handler) -> Iterator[None]:
-    """Handle the signals of a terminal by `handler`; outside the main thread do nothing."""
+    """Set `handler` for the signals of a terminal; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -141,7 +141,7 @@ def _handlers(handler) -> Iterator[None]:
 
 
 def stop(uri: str) -> None:
-    """Send stop commands to the vehicle at `uri` for a while. Raises what cflib does without a link."""
+    """Send stop commands to the vehicle at `uri` for a while. Raises cflib's error without a link."""
     import cflib.crtp
     from cflib.crtp.crtpstack import CRTPPacket
 
@@ -164,7 +164,7 @@ def stop(uri: str) -> None:
 
 
 def main(uri: str) -> None:
-    """Wait for the end of standard input; stop the motors where it ends without the agreed last word."""
+    """Wait for the end of standard input; stop the motors if it ends without the agreed last word."""
     import cflib.crtp
 
     cflib.crtp.init_drivers()

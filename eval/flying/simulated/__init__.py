@@ -1,1 +1,1 @@
-"""A simulated Crazyflie: MuJoCo's vehicle behind the firmware's rules, a radio and motion capture."""
+"""A simulated Crazyflie: the MuJoCo vehicle with the firmware's rules, a radio and motion capture."""

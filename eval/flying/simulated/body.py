@@ -1,7 +1,7 @@
-"""The vehicle itself: MuJoCo's plant in steps of 4 ms, and what its sensors show.
+"""The vehicle itself: the MuJoCo plant in steps of 4 ms, and its sensors.
 
 Axes here are the project's: body x forward, y left, z up, R = Rz(yaw) Rx(roll) Ry(pitch), positive pitch
-leans towards +x. The firmware's are others, and only `firmware_attitude` and `plant_command` know of them:
+leans towards +x. The firmware uses others, which only `firmware_attitude` and `plant_command` convert:
 
 - its angles are those of Rz(yaw) Ry(pitch) Rx(roll);
 - its pitch is inverted, in set-points and in logs ("legacy CF2 body coordinate system", `kalman_core.c`,
@@ -40,8 +40,8 @@ class Body:
     """One simulated vehicle next to the platform, initially on the floor with its motors off.
 
     start: x, y [m] on the floor; heading [rad]; inclination of the platform [rad], None for the vehicle
-    file's, and whether it stands there; seed of the disturbance of the air.
-    Raises UserError for a start outside the arena or under the platform.
+    file's, and whether it is present; seed of the disturbance of the air. Raises UserError for a start
+    outside the arena or under the platform.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ def plant_command(setpoint: FirmwareSetpoint) -> tuple[float, float, float, floa
 
 
 def _between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
-    """Return the state interpolated linearly at a share of the step, angles the short way."""
+    """Return the state interpolated linearly at a share of the step, angles along the shorter way."""
     change = after - before
     change[ROLL : YAW + 1] = (change[ROLL : YAW + 1] + math.pi) % (2 * math.pi) - math.pi
     return before + share * change

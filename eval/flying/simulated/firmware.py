@@ -1,4 +1,4 @@
-"""The rules by which the firmware of a Crazyflie 2.1 flies and refuses to fly.
+"""The rules of the Crazyflie 2.1 firmware for flying and for refusing to fly.
 
 Behaviour, names and numbers follow bitcraze/crazyflie-firmware at 2a18fc2 (August 2026): `supervisor.c`,
 `supervisor_state_machine.c`, `platform_defaults.h`, `commander.c`, `crtp_commander_rpyt.c`,
@@ -108,7 +108,7 @@ class Firmware:
         return True
 
     def stop_now(self) -> None:
-        """Stop in an emergency; only a restart undoes it."""
+        """Do an emergency stop; only a restart ends it."""
         self.emergency = True
 
     def notice(self, time: float) -> None:
@@ -130,7 +130,7 @@ class Firmware:
     def step(self, time: float, up: float, norm: float) -> FirmwareSetpoint:
         """Return the set-point of motors and attitude loops from `time` on.
 
-        up: acceleration along the body's z, as an accelerometer shows it [g]; norm: its size [g].
+        up: acceleration along the body's z, as measured by an accelerometer [g]; norm: its norm [g].
         """
         setpoint = self.setpoint if self.state in _CAN_FLY else FirmwareSetpoint()
         if setpoint.thrust > 0.0:
@@ -153,7 +153,7 @@ class Firmware:
     def _transitions(self, time: float, age: float) -> Iterator[tuple[State, bool]]:
         """Yield the transitions from the present state in their order, and whether their conditions hold.
 
-        age [s]: of the set-point. One is taken per period, the first that holds.
+        age [s]: of the set-point. In each period the first transition whose condition holds is made.
         """
         late, too_late = age > WATCHDOG_LEVELS, age > WATCHDOG_STOPS
         silent = self._last_notice is not None and time >= self._last_notice + EMERGENCY_WATCHDOG

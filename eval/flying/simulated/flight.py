@@ -1,7 +1,7 @@
 """A flight of the simulated Crazyflie in virtual time: its link, its clock and its motion capture.
 
-What arrives is delivered in the thread that waits on the clock. Setting up (connecting, parameters, logs)
-takes no time and loses nothing. The link's signs are those of cflib's calls.
+Packets are delivered in the thread that waits on the clock. Setting up (connecting, parameters, logs) takes
+no time and loses no packets. The link's signs are those of cflib's calls.
 
     flight = fly_simulated(seed=7)
     radio = Radio(flight.link, flight.clock, angle_limit=0.5)
@@ -33,7 +33,7 @@ class SimulatedLink:
         self._world = world
 
     def open(self, uri: str = URI) -> None:
-        """Connect, at once; without a link say that it is lost."""
+        """Connect immediately; if there is no link, report that it is lost."""
         self._world.on_link_lost = self._is_lost
         if self._world.link_up:
             self.connected = True

@@ -1,6 +1,6 @@
 """The sensors of a simulated vehicle: attitude, rates, forces, voltage, position.
 
-The position is what `stateEstimate` shows, in the arena's frame. The sizes of the errors are estimates, see
+The position is that of `stateEstimate`, in the arena's frame. The sizes of the errors are estimates, see
 Taffanel et al., "Lighthouse Positioning System: Dataset, Accuracy, and Precision for UAV Research", 2021.
 """
 
@@ -41,7 +41,7 @@ class DeckQuality:
 
 
 class Lighthouse:
-    """The deck's estimate of one flight. blind: it sees nothing any more, and the filter integrates."""
+    """The deck's estimate in one flight. blind: it receives nothing, so the filter only integrates."""
 
     def __init__(self, body: Body, random: np.random.Generator):
         self.blind = False
@@ -75,8 +75,8 @@ class Lighthouse:
 class OnboardSensors:
     """The vehicle's own measurements. sign: -1 for inverted roll and pitch.
 
-    The yaw of the onboard estimate is 0 where the vehicle was switched on: it knows no north, but by a
-    Lighthouse deck. Without a deck it knows no position: that is 0.
+    The yaw of the onboard estimate is 0 at the heading at which the vehicle was switched on, unless it has a
+    Lighthouse deck. Without a deck its position is 0.
     """
 
     angle_noise = 0.1  # deg, standard deviation

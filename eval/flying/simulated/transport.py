@@ -14,8 +14,8 @@ from inclined_landing.eval.flying.interfaces import MeasuredPose
 class LinkQuality:
     """Latency and losses of the radio, the same in both directions.
 
-    The Crazyradio sends a packet again until it is acknowledged, so what goes wrong on the air is mostly a
-    delay. The figures are estimates: bitcraze's own measurements give round trips of 4 to 10 ms at 2 Mbit/s.
+    The Crazyradio resends a packet until it is acknowledged, so transmission errors mostly cause delays. The
+    figures are estimates: bitcraze's own measurements give round trips of 4 to 10 ms at 2 Mbit/s.
     """
 
     latency: float = 0.003  # s, from call to arrival, when the first attempt succeeds
@@ -27,7 +27,7 @@ class LinkQuality:
 
 
 class LinkDirection:
-    """One direction of the link. down: nothing gets through; storm: share of packets lost on top."""
+    """One direction of the link. down: nothing gets through; storm: additional share of lost packets."""
 
     def __init__(self, link: LinkQuality, random: np.random.Generator):
         self.link = link
@@ -66,9 +66,8 @@ class CameraQuality:
 class SimulatedMotionCapture:
     """The simulated `MotionCapture`, with its faults.
 
-    blind: no pose; frozen: the last one again and again, with new times; stuck: the place where it was, with
-    fresh noise; shift (3,) [m]: another marker taken for the vehicle's; turned: the attitude shown the wrong
-    way round.
+    blind: no pose; frozen: the last pose repeatedly, with new times; stuck: a constant position with new
+    noise; shift (3,) [m]: another marker is mistaken for the vehicle's; turned: the attitude is reversed.
     """
 
     def __init__(self, cameras: CameraQuality, random: np.random.Generator):

@@ -99,7 +99,7 @@ class LogBlock:
 class World:
     """A simulated Crazyflie with its surroundings, from the moment it is switched on.
 
-    on_link_lost is called with a reason where the link is given up. Raises UserError for an impossible
+    on_link_lost is called with a reason when the link is given up. Raises UserError for an impossible
     setting.
     """
 
@@ -154,7 +154,8 @@ class World:
             self.schedule(arrival, lambda: received(self.time))
 
     def log(self, variables: Sequence[str], period: float, arrived: Arrived) -> None:
-        """Log variables every `period` [s] from now on. Raises KeyError for one that the vehicle has not."""
+        """Log variables every `period` [s] from now on. Raises KeyError for a variable that does not
+        exist."""
         for name in variables:
             if name not in LOGGED:
                 raise KeyError(name)
@@ -166,7 +167,7 @@ class World:
         return not (self.up.down or self.down.down)
 
     def advance(self, until: float) -> None:
-        """Advance to `until` [s], with everything that is due meanwhile in its order."""
+        """Advance to `until` [s], executing everything that is due meanwhile in order."""
         while True:
             queued = self._queue[0][0] if self._queue else math.inf
             due = min(queued, self._frame, *(block.next for block in self.logs))
@@ -194,7 +195,7 @@ class World:
     # --- what faults do --------------------------------------------------------------------------
 
     def begin(self, fault: Fault) -> None:
-        """Begin a fault now, whatever event it was to wait for."""
+        """Begin a fault now, regardless of its event."""
         self.begun_faults.append((self.time, fault.name))
         match fault.name:
             case "link-lost":
@@ -235,7 +236,7 @@ class World:
         self.up.storm = self.down.storm = share
 
     def _lose_link(self) -> None:
-        """Let no packet through any more; report it as cflib's radio driver does without acknowledgements."""
+        """Block all packets; report it as cflib's radio driver does without acknowledgements."""
         self.up.down = self.down.down = True
         end = self.time + self.up.link.attempts * self.up.link.again
         self.schedule(end, lambda: self.on_link_lost("Too many packets lost"))
@@ -243,7 +244,7 @@ class World:
     # --- what happens by itself ------------------------------------------------------------------
 
     def _send_log(self, block: LogBlock, time: float) -> None:
-        """Send the values of a block, which travel as floats, with the vehicle's time in milliseconds."""
+        """Send the values of a block as floats, with the vehicle's time in milliseconds."""
         now, stamp = self.sensors.values(block.next), int(1000.0 * block.next)
         values = {name: float(np.float32(now[name])) for name in block.variables}
         block.next += block.period
