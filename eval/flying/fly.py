@@ -8,7 +8,7 @@ import logging
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from msgspec import Meta
@@ -22,6 +22,8 @@ from inclined_landing.eval.base.options import (
     Seed,
     Starts,
     VehicleFile,
+    only_with,
+    only_without,
 )
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
@@ -35,13 +37,8 @@ if TYPE_CHECKING:
     from inclined_landing.eval.flying.report import FlightReport
 
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
-
-
-def _reject(why: str, **options: object) -> None:
-    """Raise UserError for an option that does not apply here."""
-    for name, value in options.items():
-        if value is not None:
-            raise UserError(f"--{name.replace('_', '-')} is {why}")
+_REAL, _BY_CAMERAS = only_without("simulated"), only_with("position", "mocap")
+_SIMULATED, _PLANNED, _LANDING = only_with("simulated"), only_with("plan"), only_without("plan")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,11 +58,11 @@ class FlightOptions:
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]")] = None
     setpoint: PolicyName = "setpoint"
-    start: Starts = ()
+    start: Annotated[Starts, _LANDING] = ()
     inclination: Degrees = None
     arena: VehicleFile = None
     plan: VehicleFile = None
-    no_platform: Flag = False
+    no_platform: Annotated[Flag, _PLANNED] = False
 
     def load(self) -> tuple[Policy | PlannedFlight, Policy, list[tuple[float, float]]]:
         """Return the planned flight or landing, the set-point policy and the starts (x, z) [m].
@@ -114,28 +111,20 @@ class VehicleOptions:
     Args:
         uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
         mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body.
-        mocap_latency: latency of that system from exposure to arrival, in seconds (default: 0).
+        mocap_latency: latency of that system from exposure to arrival, in seconds.
         position: source of positions, motion capture or the vehicle's own Lighthouse deck.
-        stand: height of the vehicle's stand in metres (default: 0).
+        stand: height of the vehicle's stand in metres.
         heading: direction of the nose in degrees from x, if motion capture shows no attitude.
         yes: skip the confirmation; only for a simulator, at --uri udp://...
     """
 
-    uri: Annotated[str | None, tyro.conf.arg(metavar="URI")] = None
-    mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY")] = None
-    mocap_latency: Annotated[Annotated[float, Meta(ge=0, le=0.1)] | None, tyro.conf.arg(metavar="S")] = None
-    position: Annotated[str, tyro.conf.arg(metavar="{mocap,onboard}")] = "mocap"
-    stand: Annotated[Annotated[float, Meta(ge=0.0, le=2.0)] | None, tyro.conf.arg(metavar="M")] = None
-    heading: Annotated[Annotated[float, Meta(ge=-360, le=360)] | None, tyro.conf.arg(metavar="DEG")] = None
+    uri: Annotated[str | None, tyro.conf.arg(metavar="URI"), _REAL] = None
+    mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY"), _REAL, _BY_CAMERAS] = None
+    mocap_latency: Annotated[float, Meta(ge=0, le=0.1), tyro.conf.arg(metavar="S"), _REAL, _BY_CAMERAS] = 0.0
+    position: Literal["mocap", "onboard"] = "mocap"
+    stand: Annotated[float, Meta(ge=0.0, le=2.0), tyro.conf.arg(metavar="M"), _REAL] = 0.0
+    heading: Annotated[float, Meta(ge=-360, le=360), tyro.conf.arg(metavar="DEG"), _REAL, _BY_CAMERAS] = 0.0
     yes: Flag = False
-
-    def check(self) -> None:
-        """Raise UserError for options that cannot be combined."""
-        if self.position not in ("mocap", "onboard"):
-            raise UserError(f"--position must be mocap or onboard, not {shown(repr(self.position), 40)}")
-        if self.position == "onboard":
-            options = {"mocap": self.mocap, "mocap_latency": self.mocap_latency, "heading": self.heading}
-            _reject("only for --position mocap", **options)
 
     def connection(self) -> Connection:
         """Return the connection to the vehicle. Raises UserError if none is stated."""
@@ -152,7 +141,7 @@ class VehicleOptions:
             raise UserError(
                 "--yes is only for a simulator (--uri udp://...); a real flight is confirmed by typing a word"
             )
-        return RealConnection(self.uri, self.mocap, self.mocap_latency or 0.0, confirms=not self.yes)
+        return RealConnection(self.uri, self.mocap, self.mocap_latency, confirms=not self.yes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,28 +156,17 @@ class SimulationOptions:
     """
 
     simulated: Flag = False
-    vehicle: Annotated[str | None, tyro.conf.arg(metavar="nominal|hidden|FILE")] = None
-    fault: FaultNames = ()
-    seed: Annotated[Seed | None, tyro.conf.arg(metavar="SEED")] = None
+    vehicle: Annotated[str, tyro.conf.arg(metavar="nominal|hidden|FILE"), _SIMULATED] = "nominal"
+    fault: Annotated[FaultNames, _SIMULATED] = ()
+    seed: Annotated[Seed, _SIMULATED] = 0
 
-    def check(self) -> None:
-        """Raise UserError for options without --simulated."""
-        if not self.simulated:
-            options = {"vehicle": self.vehicle, "fault": self.fault or None, "seed": self.seed}
-            _reject("only for simulated vehicles; add --simulated", **options)
-
-    def connection(self, flight: FlightOptions, real: VehicleOptions) -> Connection:
+    def connection(self, flight: FlightOptions, lighthouse: bool) -> Connection:
         """Return the connection to simulated vehicles, each next to the platform of its flight."""
         from inclined_landing.eval.flying.connection import SimulatedConnection
         from inclined_landing.eval.flying.simulated.body import named_vehicle
         from inclined_landing.eval.flying.simulated.faults import Fault
         from inclined_landing.eval.flying.simulated.world import Setting
 
-        stated = {"uri": real.uri, "mocap": real.mocap, "mocap_latency": real.mocap_latency}
-        _reject(
-            "only for real vehicles, not for --simulated", **stated, stand=real.stand, heading=real.heading
-        )
-        lighthouse = real.position == "onboard"
         for text in self.fault:
             if lighthouse and text.startswith(("mocap-", "marker-", "attitude-turned")):
                 raise UserError(
@@ -197,13 +175,13 @@ class SimulationOptions:
                 )
         angle = None if flight.inclination is None else math.radians(flight.inclination)
         setting = Setting(
-            named_vehicle(self.vehicle or "nominal"),
+            named_vehicle(self.vehicle),
             inclination=angle,
             platform=not flight.no_platform,
             lighthouse=lighthouse,
         )
         faults = tuple(Fault.parse(text) for text in self.fault)
-        return SimulatedConnection(setting, faults, self.seed or 0)
+        return SimulatedConnection(setting, faults, self.seed)
 
 
 def command(
@@ -231,14 +209,11 @@ def command(
     from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight
     from inclined_landing.eval.flying.report import describe, describe_all, summary
 
-    real.check()
-    simulation.check()
-    if flight.plan is not None:
-        _reject("only for landings, not for --plan", policy=flight.policy, start=flight.start or None)
-    elif flight.no_platform:
-        raise UserError("--no-platform is only for planned flights; a landing needs the platform")
+    if flight.plan is not None and flight.policy is not None:
+        raise UserError("--plan is flown instead of a landing: name no policy beside it")
     landing, setpoint, starts = flight.load()
-    connection = simulation.connection(flight, real) if simulation.simulated else real.connection()
+    onboard = real.position == "onboard"
+    connection = simulation.connection(flight, onboard) if simulation.simulated else real.connection()
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what it logs is said in a sentence
     description = {
         "command": "fly",
@@ -246,15 +221,15 @@ def command(
         "plan": None if flight.plan is None else str(flight.plan),
         "simulated": simulation.simulated,
         "position": real.position,
-        "seed": simulation.seed,
+        "seed": simulation.seed if simulation.simulated else None,
     }
     folder = out or runs.dated("fly")
     results: list[dict[str, Any]] = []
     reports: list[FlightReport] = []
     with runs.owned(folder):
         for k in range(flights):
-            heading = math.radians(real.heading or 0.0)
-            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand or 0.0, heading)
+            heading = math.radians(real.heading)
+            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand, heading)
             what = "landing" if flight.plan is None else "plan"
             print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:z.4g}, z {plan.start[1]:.4g} m")
             log = None if dry_run else FlightLogWriter(folder / f"flight_{k + 1:02d}.csv")

@@ -47,7 +47,7 @@ def command(
     gif: Annotated[Flag, _GIF] = False,
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
     until: Until = "rest",
-    compare: Compare = (),
+    compare: Annotated[Compare, only_without("vehicle")] = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Render a video of flights, one after the other.
@@ -81,8 +81,6 @@ def command(
     if look.width % 2 or look.height % 2:
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     look = checked_look(look)
-    if compare and flown.vehicle is not None:
-        raise UserError("--compare cannot be combined with --vehicle")
     loaded = flown.load(policy)
     others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in compare}
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)

@@ -15,6 +15,12 @@ from inclined_landing.train.sweep.command import command as sweep
 COMMANDS = {name: cli.find(name) for name in cli.COMMANDS} | {"sweep": sweep}
 # Lines with an option that has no effect there: the option is the last one.
 REFUSED = [
+    "fly --plan a.csv --start 0,2",
+    "fly --no-platform",
+    *(f"fly --simulated --{option}"
+      for option in ("uri a", "mocap a", "mocap-latency 0", "stand 0", "heading 3")),
+    *(f"fly --position onboard --{option}" for option in ("mocap a", "mocap-latency 0", "heading 3")),
+    *(f"fly --{option}" for option in ("vehicle hidden", "fault a", "seed 3")),
     "mission --start 0,0,2 --missions 5",
     "mission --start 0,0,2 --seed 3",
     "mission --no-film",
@@ -33,6 +39,7 @@ REFUSED = [
       for option in ("ranges a", "draws 3", "starts 3", "seed 3", "scenario a", "flights 3")),
     "video landing --out a.gif --gif",
     "video landing --out a.mp4 --seed 3",
+    "video landing --out a.mp4 --vehicle a --compare b",
     "video landing --out a.mp4 --compare a --drawn 3",
     "video landing --out a.mp4 --start 0,2 --drawn 3",
 ]  # fmt: skip
