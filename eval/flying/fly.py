@@ -210,7 +210,7 @@ def command(
     from inclined_landing.eval.flying.report import describe, describe_all, summary
 
     if flight.plan is not None and flight.policy is not None:
-        raise UserError("--plan is flown instead of a landing: name no policy beside it")
+        raise UserError("--plan is flown instead of a landing; name no policy with --plan")
     landing, setpoint, starts = flight.load()
     onboard = real.position == "onboard"
     connection = simulation.connection(flight, onboard) if simulation.simulated else real.connection()
