@@ -1,4 +1,4 @@
-"""Spreads a study's landings over its parameters, and simulates any chunk of them."""
+"""The distribution of a study's landings over its parameters, and the simulation of chunks of them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from inclined_landing.models.attitude import STATE_SIZE
 def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the parameters by name, arrays (n,) [SI], and the index (n,) of the start state.
 
-    Parameters that the study does not name have their defaults. A factorial runs through its levels
-    in the file's order, the last fastest, and flies every start state at each; a Latin hypercube
-    draws the start states too.
+    Parameters that are not in the study have their defaults. A factorial iterates over its levels in the
+    file's order, the last parameter fastest, with every start state at each level; a Latin hypercube draws
+    the start states too.
     """
     n = study.total
     values = {name: np.full(n, p.default) for name, p in known_parameters(study.vehicle).items()}
@@ -50,9 +50,9 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
 
 
 def run_chunk(study: Study, threads: int, rows: range) -> pa.Table:
-    """Return the landings of these numbers of the study, a function of the arguments alone.
+    """Return the landings with these numbers; the result depends only on the arguments.
 
-    The number of threads (0: all) changes nothing; nor do the other rows, for the landings of one.
+    The number of threads (0: all) does not change the result, and a landing does not depend on other rows.
     """
     values, start = design(study)
     p = {name: column[rows].copy() for name, column in values.items()}

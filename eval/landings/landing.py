@@ -1,20 +1,20 @@
 """Simulation of landings and classification of their outcomes.
 
-A landing starts in a given state over or at the slope and is watched at every engine step, for a fixed
-time or until its outcome is certain: over the slab's edge, or still on the slab for `REST_TIME` without
-motors. The motors stop at the first control tick at which the cut is due, thrust command and attitude torque
-together (the torques come from the motors too); the thrust decays with its lag.
+A landing starts in a given state above or at the slope and is followed at every engine step, for a fixed time
+or until its outcome is certain: over the slab's edge, or motionless on the slab for `REST_TIME` without
+motors. The motors stop at the first control tick at which the cut is due, thrust and attitude torque together
+(the motors produce both); the thrust decays with its lag.
 
 Outcomes, in the order of the tests:
 
 - *misses*: the slab is never touched, or another surface is touched first, or the slab is hit from the side;
-- *rests*: at the end still, on the feet and nothing else, on the slab;
-- *tips over*: tilted by more than 60 deg from the slope's normal while over the slab, or in the end on
-  the slab on something else than its feet;
+- *rests*: motionless at the end, on the feet and nothing else, on the slab;
+- *tips over*: tilted by more than 60 deg from the slope's normal while over the slab, or at the end on the
+  slab but not on its feet;
 - *slides off*: over the slab's edge with the feet down, or still in motion with the feet down at the end;
 - *bounces off*: over the edge through the air, or in the air at the end.
 
-The feet are down when the lowest is less than 2 mm over the surface. Contact itself is not a criterion,
+The feet are down when the lowest is less than 2 mm above the surface. Contact itself is not a criterion,
 because a sliding vehicle chatters, and repeatedly leaves the surface by a tenth of a millimetre.
 """
 
@@ -176,7 +176,7 @@ def _initial_values(n: int) -> RunningValues:
 
 @numba.njit(cache=True)
 def _update_period(steps, active, constants, running):
-    """Fold one control period of the active landings into their running values."""
+    """Update the running values of the active landings by one control period."""
     for i in range(len(active)):
         row = active[i]
         sin, cos = math.sin(constants.surface[row]), math.cos(constants.surface[row])
@@ -294,7 +294,7 @@ def _on_feet(r: RunningValues) -> np.ndarray:
 
 
 def _stays(r: RunningValues, now: float, cut: np.ndarray) -> np.ndarray:
-    """Return (n,) bool: which vehicles lie still on the slab, where they will be found at the end.
+    """Return (n,) bool: which vehicles are motionless on the slab, so that they will remain there.
 
     cut (n,) [s]: when their motors stopped.
     """

@@ -39,7 +39,7 @@ class Map:
 
     @property
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the middles of the columns (a,) and rows (b,)."""
+        """Return the centres of the columns (a,) and rows (b,)."""
         return 0.5 * (self.x_edges[1:] + self.x_edges[:-1]), 0.5 * (self.y_edges[1:] + self.y_edges[:-1])
 
     @property
@@ -81,12 +81,12 @@ def _edges(values: np.ndarray, bins: int) -> tuple[np.ndarray, bool]:
 
 
 def _cells(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return the cell that each value is in."""
+    """Return the cell of each value."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
 def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the line tan(inclination) = friction in the map's units; None where it says nothing.
+    """Return the line tan(inclination) = friction in the map's units; None if it does not apply.
 
     fixed: values [SI] of the parameters that do not vary.
     """
@@ -109,10 +109,10 @@ def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndar
 
 
 def boundary(one: Map, along: str) -> list[dict]:
-    """Return where half of the landings rest, walking along "x" in each row or along "y" in each column.
+    """Return where half of the landings rest, along "x" in each row or along "y" in each column.
 
     One entry for each row or column: its `place` on the other axis and its crossings, each with
-    `rests_above`: do more than half rest on the upper side. Report units.
+    `rests_above`: whether more than half rest on the upper side. Values are in report units.
     """
     walked, places = one.centres if along == "x" else one.centres[::-1]
     lines = one.smooth() if along == "x" else one.smooth().T
@@ -139,7 +139,7 @@ def map_words(one: Map, fixed: dict[str, float]) -> str:
 
 
 def map_figure(one: Map, fixed: dict[str, float]) -> Figure:
-    """Return the figure of a map: most frequent outcome, and share at rest, boundaries on both."""
+    """Return the figure of a map: most frequent outcome and share at rest, both with the boundaries."""
     total = one.counts.sum(axis=2)
     with styled():
         figure = Figure(figsize=(8.6, 4.75), layout="constrained")

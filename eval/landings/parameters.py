@@ -1,6 +1,6 @@
 """Parameters of landing studies, and the start of a landing under them; SI inside, file units outside.
 
-A new parameter is its entry in `known_parameters` and what it does in `touchdown_states` or `configure`.
+A new parameter needs an entry in `known_parameters` and its effect in `touchdown_states` or `configure`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ UNITS = {
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One thing that may vary. Bounds and default in SI units."""
+    """A parameter of a study. Bounds and default are in SI units."""
 
     name: str
     label: str
@@ -54,15 +54,15 @@ class Parameter:
         return UNITS[self.kind][self.unit]
 
     def title(self) -> str:
-        """Label with unit, for axes."""
+        """Return the axis label with unit."""
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
 
 
 @functools.cache
 def known_parameters(vehicle: Vehicle | None = None) -> dict[str, Parameter]:
-    """Return the parameters that may vary by name, with the defaults of a vehicle (the shipped one).
+    """Return the parameters by name, with the defaults of a vehicle (the shipped one).
 
-    A default of NaN is the contact spring of the vehicle file.
+    A default of NaN stands for the contact spring of the vehicle file.
 
     Signs are those of a slope seen from its foot: speeds and offsets are positive downhill, attitude
     errors and pitch rates positive towards level, so that the uphill feet touch first.
@@ -113,7 +113,7 @@ def touchdown_states(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
 
 
 def steady_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
-    """Return PWM (n,) whose steady thrust is the given share of the weight."""
+    """Return the PWM (n,) at which the steady thrust is the given share of the weight."""
     # PWM = share m g / (thrust per PWM)
     force = p["thrust"] * p["mass"] * vehicle.environment_gravity
     return np.clip(force / vehicle.thrust_per_pwm, 0.0, vehicle.command_pwm_range[1])
@@ -122,8 +122,8 @@ def steady_pwm(p: dict[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
 def configure(plant: MujocoPlant, p: dict[str, np.ndarray]) -> None:
     """Set mass and contact of every vehicle.
 
-    Fields are always expanded and derived constants always computed, so that a landing's bits do not
-    depend on what the others of its batch vary.
+    Fields are always expanded and derived constants always computed, so that the bits of a landing do not
+    depend on the parameters of others in its batch.
     """
     plant.batch.expand("body_mass")[:, plant.model.body("crazyflie").id] = p["mass"]
     plant.batch.set_const()

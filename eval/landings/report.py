@@ -1,4 +1,4 @@
-"""What is made of a study's landings: shares, quantiles, sensitivities, maps and sentences."""
+"""The evaluation of a study's landings: shares, quantiles, sensitivities, maps and sentences."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ SENSITIVITIES = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensitivities(View):
-    """How the outcomes depend on each varied parameter."""
+    """The dependence of the outcomes on each varied parameter."""
 
     varied: tuple[str, ...]
     seed: int
@@ -85,7 +85,7 @@ class Sensitivities(View):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Boundaries(View):
-    """Where half of the landings rest, on the maps of a study, in report units."""
+    """The boundaries at which half of the landings rest on the maps of a study, in report units."""
 
     drawn: Mapping[tuple[str, str], maps.Map]
 
@@ -102,7 +102,7 @@ class Boundaries(View):
 
 
 def count(study: Study, landings: pd.DataFrame) -> Results:
-    """Return what is counted of the landings of a study, a table with parameters, results and `outcome`."""
+    """Return the statistics of a study's landings, from a table with parameters, results and `outcome`."""
     known = known_parameters(study.vehicle)
     landings = landings.assign(**{name: landings["outcome"] == name for name in OUTCOMES})
     outcome = landings["outcome"].map(OUTCOMES.index).to_numpy()
@@ -134,7 +134,7 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
 
 
 def facts(study: Study) -> list[Row]:
-    """Return the parameters of a study in report units, and how its landings are simulated."""
+    """Return the parameters of a study in report units, and the settings of the simulation."""
     found, given = [fact("study", "question", study.question)], {p.name: p for p in study.parameters}
     for name, entry in known_parameters(study.vehicle).items():
         value, p = entry.default / entry.factor, given.get(name)
@@ -170,7 +170,7 @@ def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], ou
 
 
 def _remarks(study: Study, results: Results) -> list[str]:
-    """Return the shares of the outcomes, and which parameters decide on rest."""
+    """Return sentences on the shares of the outcomes and the parameters that determine rest."""
     parts = []
     for measure in SHARES:
         row = results.one(measure)

@@ -1,9 +1,9 @@
 """A landing study run in chunks, here or on Ray, with its results in a folder.
 
-While it runs, the folder holds `study.json` (the study resolved, written first) and `parts/`, one
-Parquet file for each finished chunk, each whole or not there. In the end the parts become
-`results.parquet`, and the rest is made from it. A study that was interrupted, even by kill -9, goes
-on with --resume and ends with the same bits.
+While it runs, the folder contains `study.json` (the complete study, written first) and `parts/` with one
+Parquet file for each finished chunk, written atomically. At the end the parts are joined to
+`results.parquet`, from which the other files are made. A study that was interrupted, even by kill -9,
+continues with --resume and produces the same bits.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CHUNK = 500  # landings
 
 
 def begun(wanted: Study, out: Path, resume: bool) -> Study:
-    """Return the study with its start states, written into its folder, or as far as it is recorded there."""
+    """Return the study with its start states, written to its folder or read from there."""
     if resume:
         storage.remove_parts(out)
         return _resumed(wanted, out)
@@ -47,7 +47,7 @@ def begun(wanted: Study, out: Path, resume: bool) -> Study:
 
 
 def landed(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
-    """Return all landings of a study, simulated as far as the folder does not hold them."""
+    """Return all landings of a study; those that are not in the folder are simulated."""
     table = _read(out / RESULTS, range(study.total))
     return _simulated(study, out, engine, address) if table is None else table
 
@@ -55,7 +55,7 @@ def landed(study: Study, out: Path, engine: str, address: str | None) -> pa.Tabl
 def with_starts(study: Study) -> Study:
     """Return the study with the states at which its policy enters the goal box, from the frozen grid.
 
-    Raises UserError when the policy is not for landing or never gets there.
+    Raises UserError if the policy is not for landing or never reaches the box.
     """
     if study.policy is None:
         return study
@@ -79,7 +79,7 @@ def with_starts(study: Study) -> Study:
 
 
 def _resumed(wanted: Study, out: Path) -> Study:
-    """Return the study to continue, start states included."""
+    """Return the study to continue, including its start states."""
     record = storage.read_json(out / RECORD, "record")
     try:
         starts, fingerprint = record["study"]["starts"], record["fingerprint"]
@@ -94,7 +94,7 @@ def _resumed(wanted: Study, out: Path) -> Study:
 
 
 def _read(path: Path, landings: range) -> pa.Table | None:
-    """Return the table in `path` if it is there, undamaged, and holds these landings."""
+    """Return the table in `path` if it exists, is undamaged and contains these landings."""
     try:
         with path.open("rb") as file:  # pyarrow takes no file name that is not UTF-8
             table = pq.read_table(file, page_checksum_verification=True)
@@ -106,7 +106,7 @@ def _read(path: Path, landings: range) -> pa.Table | None:
 
 
 def _simulated(study: Study, out: Path, engine: str, address: str | None) -> pa.Table:
-    """Simulate the chunks that are missing, and return all landings, which are written too."""
+    """Simulate the missing chunks, and write and return all landings."""
     chunks = [range(k, min(k + CHUNK, study.total)) for k in range(0, study.total, CHUNK)]
     parts = {rows: out / PARTS / f"{k:05d}.parquet" for k, rows in enumerate(chunks)}
     missing = [rows for rows, part in parts.items() if _read(part, rows) is None]

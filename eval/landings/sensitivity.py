@@ -21,9 +21,9 @@ def rows(
 
     `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
     standardised: change of the log odds for one standard deviation of the parameter.
-    `index_*`: for `rests` and each output (n,), the share of the variance that goes with this
-    parameter alone (first-order Sobol index, by the variance between bins, corrected for their number),
-    with a 95 % bootstrap interval; NaN outputs are left out.
+    `index_*`: for `rests` and each output (n,), the share of the variance that this parameter alone explains
+    (first-order Sobol index, from the variance between bins, corrected for their number), with a 95 %
+    bootstrap interval; NaN outputs are omitted.
     """
     odds = _logistic(parameters, rests)
     targets = {"rests": rests.astype(float)} | outputs
@@ -38,7 +38,7 @@ def rows(
 
 
 def _bins(x: np.ndarray) -> np.ndarray:
-    """Return the bin number (n,): the level, or one of 20 bins with equally many landings."""
+    """Return the bin number (n,): the level, or one of 20 bins with the same number of landings."""
     levels, number = np.unique(x, return_inverse=True)
     if len(levels) <= _LEVELS:
         return number
@@ -61,7 +61,7 @@ def _share(bins: np.ndarray, y: np.ndarray) -> float:
 def _first_order(
     bins: np.ndarray, y: np.ndarray, rng: np.random.Generator
 ) -> tuple[float | None, tuple[float, ...]]:
-    """Return the index and the ends of its interval; None and nothing where there is none."""
+    """Return the index and the ends of its interval; None and an empty list if it is undefined."""
     known = np.isfinite(y)
     bins, y = bins[known], y[known]
     if len(y) < 2 * (_LEVELS + 1):

@@ -40,20 +40,20 @@ class Varied(Table, frozen=True):
 
 
 class Start(Table, frozen=True):
-    """[start]: where landings begin, instead of at a touchdown."""
+    """Table [start]: where landings begin, if not just above the slope."""
 
     policy: str | None = None
 
 
 class Simulation(Table, frozen=True):
-    """[simulation], in s."""
+    """Table [simulation], in s."""
 
     duration: Annotated[float, Meta(ge=0.2, le=20)] = 2.0
     timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
 
 
 class StudyFile(Table, frozen=True):
-    """What a study file holds."""
+    """The content of a study file."""
 
     sampling: Literal["factorial", "latin-hypercube"]
     parameters: Annotated[dict[str, Varied], Meta(min_length=1)]
@@ -68,7 +68,7 @@ class StudyFile(Table, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Levels:
-    """The values [SI] of one parameter: one is fixed, several are a list or a range with a count."""
+    """The values [SI] of one parameter: a single fixed value, a list, or a range with a count."""
 
     name: str
     values: tuple[float, ...]
@@ -90,7 +90,7 @@ class Range:
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """A study, resolved: everything that its landings depend on."""
+    """A study with all defaults filled in: everything on which its landings depend."""
 
     title: str
     question: str
@@ -106,7 +106,7 @@ class Study:
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
 
     def fingerprint(self) -> str:
-        """Return a hash of everything that the results depend on: study, vehicle, engine."""
+        """Return a hash of everything on which the results depend: study, vehicle, engine."""
         data = dataclasses.asdict(self)
         for name in ("title", "question", "maps"):
             del data[name]
@@ -135,7 +135,7 @@ def shipped() -> dict[str, Path]:
 def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
     """Read a study file, or a shipped study by name, for a vehicle (default: the shipped one).
 
-    Raises UserError, one sentence naming the file and the entry, for whatever is wrong.
+    Raises UserError, naming file and entry, for anything that is wrong.
     """
     path = shipped().get(str(name), Path(name))
     if not os.path.lexists(path):
@@ -148,7 +148,7 @@ def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
 
 
 def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
-    """Return the study of a file in SI units; raises UserError where its entries contradict each other."""
+    """Return the study of a file in SI units; raises UserError if its entries contradict each other."""
     hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
     if hypercube != (file.samples is not None):
         raise UserError("a Latin hypercube needs samples; a factorial takes none")
@@ -189,7 +189,7 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
 
 
 def _parameter(parameter: Parameter, entry: Varied, hypercube: bool) -> Levels | Range:
-    """Return a parameter in SI units; raises UserError where its entry is not one of a kind."""
+    """Return a parameter in SI units; raises UserError if its entry has no valid form."""
     name, unit = parameter.name, entry.unit
     units = UNITS[parameter.kind]
     if unit not in units:

@@ -1,4 +1,4 @@
-"""Flight logs: one form in memory, readers for several kinds of file, and checks in words."""
+"""Flight logs: one representation in memory, readers for several file formats, and checks."""
 
 from typing import TYPE_CHECKING
 

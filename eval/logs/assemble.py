@@ -47,11 +47,11 @@ def assemble(
 ) -> FlightLog:
     """Return one flight from its channels.
 
-    Rows are those of x. Placeholders are left out. Other measurements are interpolated between neighbours at
-    most `longest_bridged` apart, commands and contact are held for as long; rows beyond are dropped. All
-    changes are noted. euler: convention of the angles, "ZXY" or "ZYX".
+    Rows are at the times of x. Placeholders are omitted. Other measurements are interpolated between
+    neighbours at most `longest_bridged` apart, commands and contact are held for the same time; other rows
+    are dropped. All changes are noted. euler: convention of the angles, "ZXY" or "ZYX".
 
-    Raises UserError when position, attitude or thrust command are missing.
+    Raises UserError if position, attitude or thrust command are missing.
     """
     notes = list(notes)
     for key in _EULER[:2] + _COMMANDED_TILT:
@@ -127,9 +127,10 @@ def _commanded_angles(channels: Mapping[str, Channel], euler: str) -> dict[str, 
 def _rotations(
     path: str, channels: Mapping[str, Channel], keys: tuple[str, ...], notes: list[str]
 ) -> dict[str, Channel]:
-    """Return quaternions w, x, y, z without the zeros that loggers write for none, of continuous sign.
+    """Return quaternions w, x, y, z of continuous sign, without the zeros that loggers write for missing
+    ones.
 
-    With a quaternion of zeros a position of zeros is none either. Raises UserError for other numbers.
+    A position of zeros with a quaternion of zeros is also missing. Raises UserError for other numbers.
     """
     parts = [channels[key] for key in keys]
     t = parts[0].t
@@ -180,7 +181,7 @@ def _at(
 
 
 def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) -> dict[str, np.ndarray]:
-    """Return by name what a flight may lack, (m, k) at t, where it is logged throughout; note what is not."""
+    """Return the optional columns by name, (m, k) at t, that are logged throughout; note the others."""
     found = {}
     for what, keys, method in (
         ("velocity", _VELOCITY, _interpolate),
@@ -197,7 +198,7 @@ def _optional(t: np.ndarray, channels: Mapping[str, Channel], notes: list[str]) 
 
 
 def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.ndarray) -> Iterator[str]:
-    """Yield which rows were dropped, and whether anything was resampled to the clock of x."""
+    """Yield notes on dropped rows, and on columns resampled to the clock of x."""
     inside = np.flatnonzero(complete)
     span = inside[-1] - inside[0] + 1
     if span > len(inside):
@@ -211,7 +212,7 @@ def _describe_rows(channels: Mapping[str, Channel], t: np.ndarray, complete: np.
 
 
 def _require_columns(path: str, channels: Mapping[str, Channel], quaternion: bool) -> None:
-    """Raise UserError where position, attitude or thrust command are missing."""
+    """Raise UserError if position, attitude or thrust command are missing."""
     missing = [key for key in _POSITION if key not in channels]
     if missing:
         raise UserError(
@@ -251,7 +252,7 @@ def _check_angle(path: str, key: str, channel: Channel) -> None:
 
 
 def _without_turns(key: str, channel: Channel, notes: list[str]) -> Channel:
-    """Return angles that are logged from 0 to a whole turn as those from -pi to pi; noted."""
+    """Return angles that are logged from 0 to 2 pi in the range from -pi to pi, with a note."""
     value = channel.value[np.isfinite(channel.value)]
     low, high = value.min(initial=0.0), value.max(initial=0.0)
     jumps = np.abs(np.diff(value)) > np.pi
@@ -262,7 +263,7 @@ def _without_turns(key: str, channel: Channel, notes: list[str]) -> Channel:
 
 
 def _clean(path: str, key: str, channel: Channel, notes: list[str]) -> Channel:
-    """Return a channel without rows that are not numbers or lone outliers, and with one value per instant."""
+    """Return a channel without invalid rows and isolated outliers, and with one value per instant."""
     finite = np.abs(channel.value) < LARGEST_VALUE
     lost = int((~finite).sum())
     if lost == len(finite):
@@ -296,7 +297,7 @@ def _clean(path: str, key: str, channel: Channel, notes: list[str]) -> Channel:
 
 
 def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float, float]) -> np.ndarray:
-    """Return the rows of implausible values among plausible ones; none where there are more than a few."""
+    """Return the rows of implausible values among plausible ones; none if there are more than a few."""
     low, high = possible
     rows = np.flatnonzero(finite)
     beyond = (value[rows] < low) | (value[rows] > high)
@@ -307,7 +308,7 @@ def _find_outliers(value: np.ndarray, finite: np.ndarray, possible: tuple[float,
 
 
 def _interpolate(channel: Channel, t: np.ndarray, longest: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values at t, and a mask of where their neighbours are near enough; (m,) each."""
+    """Return the values at t, and a mask of those whose neighbours are near enough; (m,) each."""
     if len(channel.t) == len(t) and np.array_equal(channel.t, t):
         return channel.value, np.ones(len(t), bool)
     if len(channel.t) < 2:
@@ -322,7 +323,7 @@ def _interpolate(channel: Channel, t: np.ndarray, longest: float = 0.0) -> tuple
 
 
 def _hold(channel: Channel, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the last value sent at or before t, and a mask of where one is near enough; (m,) each."""
+    """Return the last value sent at or before t, and a mask of those that are near enough; (m,) each."""
     if not len(channel.t):
         return np.full(len(t), np.nan), np.zeros(len(t), bool)
     last = np.searchsorted(channel.t, t + 1e-9, side="right") - 1

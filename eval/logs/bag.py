@@ -27,9 +27,9 @@ _PART = re.compile(r"(\w+)(?:\[(\d+)\])?")
 def read(path: Path, patterns: Sequence[str]) -> Record:
     """Return the columns of a bag that match `patterns` (`topic:field.path`, `*` in the topic).
 
-    A message is dated by the stamp in its header; without one, by when the bag received it, which is
-    noted. An element that an array lacks in some messages is NaN there. Unreadable columns are in
-    `unreadable`, each with its reason. Raises UserError when the bag cannot be opened.
+    The time of a message is the stamp in its header or, if there is none, the time at which the bag received
+    it, which is noted. An element that an array lacks in some messages is NaN there. Unreadable columns are
+    in `unreadable`, each with a reason. Raises UserError if the bag cannot be opened.
     """
     columns: dict[str, np.ndarray] = {}
     unreadable: dict[str, str] = {}
@@ -70,8 +70,8 @@ def _read_topic(
 ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], dict[str, str]]:
     """Return the stamps and times of receipt (m,) of a topic's messages [s], and each field's values (m,).
 
-    A stamp is NaN where there is none. The last: why, by field, for those without numbers.
-    Raises UserError, without the path, for messages that cannot be decoded.
+    A missing stamp is NaN. The last result contains reasons by field for those without numbers. Raises
+    UserError, without the path, for messages that cannot be decoded.
     """
     stamps, received, wrong = [], [], {}
     values: dict[str, list[float]] = {field: [] for field in fields}
@@ -96,7 +96,7 @@ def _read_topic(
 
 
 def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str]) -> dict[str, np.ndarray]:
-    """Return the times of each topic's messages (m,) [s], by topic: of their stamps, or of receipt."""
+    """Return the times (m,) [s] of the messages by topic, from their stamps or times of receipt."""
     stamped = {
         topic: bool((stamps > 0.0).all() and np.ptp(stamps) <= LONGEST)
         for topic, (stamps, _) in clocks.items()
@@ -118,7 +118,7 @@ def _date(clocks: Mapping[str, tuple[np.ndarray, np.ndarray]], notes: list[str])
 
 
 def _messages(reader: AnyReader, topic: str) -> Iterator[tuple[object, int]]:
-    """Yield the messages of a topic and when the bag received them [ns]."""
+    """Yield the messages of a topic with their times of receipt [ns]."""
     connections = [c for c in reader.connections if c.topic == topic]
     stored = reader.messages(connections=connections)
     for count in itertools.count(1):

@@ -1,4 +1,4 @@
-"""From the columns of a file to channels: canonical names and units, each on its clock."""
+"""Conversion of the columns of a file to channels with canonical names and units, each on its clock."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def channels_of(
 
     stated: unit per canonical column, as given by the user; it overrides the file's units row and the
         mapping's unit.
-    Raises UserError when the record cannot be used, or a unit is wrong.
+    Raises UserError if the record cannot be used or a unit is wrong.
     """
     if column_map.refuse:
         raise UserError(f"{record.path}: {column_map.refuse}")
@@ -72,7 +72,7 @@ def channels_of(
 def _on_its_clock(
     column_map: ColumnMap, record: Record, stated: Mapping[str, str], notes: list[str]
 ) -> Record:
-    """Return a table whose columns all have the times of its time column, with rows in order of time."""
+    """Return a table sorted by time, in which all columns have the times of its time column."""
     where = record.path
     wanted = {source.columns[0]: source.unit for source in column_map.sources("t")}
     record = clock.with_clock(_as_named(column_map, record), wanted, stated.get("t"))
@@ -103,7 +103,7 @@ def _on_its_clock(
 
 
 def _as_named(column_map: ColumnMap, record: Record) -> Record:
-    """Return a table with columns that are wanted under names that differ by case or have a unit; noted."""
+    """Return a table with columns renamed that differ in case or contain a unit, with a note."""
     columns, stated, notes = dict(record.columns), dict(record.units), []
     for canonical in column_map.columns:
         sources = column_map.sources(canonical)
@@ -129,7 +129,7 @@ def _as_named(column_map: ColumnMap, record: Record) -> Record:
 def _channel(
     canonical: str, column_map: ColumnMap, record: Record, stated: Mapping[str, str], notes: list[str]
 ) -> Channel | None:
-    """Return the channel of the first source that the record has; None, noted, where it cannot be read."""
+    """Return the channel of the first source in the record; None, with a note, if it cannot be read."""
     problems = []
     names = list(record.columns)
     for source in column_map.sources(canonical):
@@ -180,7 +180,7 @@ def _channel(
 def _combined(
     canonical: str, source: Source, found: list[str], record: Record, notes: list[str]
 ) -> np.ndarray:
-    """Return the column of a source (m,), or the sum, mean or mean square of several, noted."""
+    """Return the column of a source (m,), or the sum, mean or mean square of several, with a note."""
     if source.column is not None:
         return record.columns[found[0]]
     value = np.sum([record.columns[name] ** (2 if source.mean_square else 1) for name in found], axis=0)
@@ -190,10 +190,10 @@ def _combined(
 
 
 def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, Channel]:
-    """Return roll and pitch from what an attitude controller was given and what it commanded.
+    """Return roll and pitch computed from the set-point and output of an attitude controller.
 
-    An angle that the gyro contradicts is left out. Raises UserError where what it takes is not in the record,
-    or both angles are left out.
+    An angle that contradicts the gyro is omitted. Raises UserError if the record lacks the inputs, or if both
+    angles are omitted.
     """
     result = {}
     for k, (angle, sources) in enumerate((("roll", pid.roll), ("pitch", pid.pitch))):
@@ -225,7 +225,7 @@ def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, C
 
 
 def _values(record: Record, source: Source, canonical: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and SI values of a source that the mapping needs. Raises UserError where it is missing."""
+    """Return times and SI values of a source that the mapping needs. Raises UserError if it is missing."""
     name = find(list(record.columns), source.columns[0], record.path)
     if name is None:
         raise UserError(f"{record.path}: no column {source.columns[0]}")
@@ -234,7 +234,7 @@ def _values(record: Record, source: Source, canonical: str) -> tuple[np.ndarray,
 
 
 def _gyro_agreement(time: np.ndarray, angle: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
-    """Return correlation and root mean square difference [rad] of the turning by angles and rates (m,)."""
+    """Return correlation and rms difference [rad] of the rotations from angles and from rates (m,)."""
     rows = max(1, round(GYRO_SPAN / float(np.median(np.diff(time)))))
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
     by_angle, by_gyro = (x[rows:] - x[:-rows] for x in (angle, turned))
@@ -245,7 +245,7 @@ def _gyro_agreement(time: np.ndarray, angle: np.ndarray, rate: np.ndarray) -> tu
 
 
 def _requests(mixer: Mixer, record: Record) -> dict[str, Channel]:
-    """Return the requests of the motors from the outputs of the rate controllers; none where one lacks."""
+    """Return the commands of the motors from the outputs of the rate controllers; none if one is missing."""
     outputs = (mixer.thrust, mixer.roll, mixer.pitch, mixer.yaw)
     found = [name for output in outputs if (name := find(list(record.columns), output, record.path))]
     if len(found) < len(outputs):

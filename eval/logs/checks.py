@@ -1,4 +1,4 @@
-"""Plausibility checks of flights: findings in words, each with a decision."""
+"""Plausibility checks of flights: findings as sentences, each with a decision."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ LEAST_HOVER = 0.4  # of the full command: the Crazyflies of public flights hover
 def check_log(log: FlightLog) -> tuple[Finding, ...]:
     """Return all findings about one flight, the worst first.
 
-    Single columns are checked first; a flight that passes is checked for signs, axes, units and clocks, by
-    its motion.
+    Single columns are checked first; if they pass, signs, axes, units and clocks are checked by the motion.
     """
     (log,) = as_logs([log])
     findings = list(_check_repeats(log))
@@ -45,7 +44,7 @@ def check_log(log: FlightLog) -> tuple[Finding, ...]:
 
 
 def _check_repeats(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings on the rows with placeholders, and with poses that only repeat the row before."""
+    """Yield findings on rows with placeholders, and on poses that only repeat the previous row."""
     tables = {MEASURED: np.hstack([log.position, log.attitude]), COMMANDS: log.command}
     if log.velocity is not None:
         tables["vx", "vy", "vz"] = log.velocity
@@ -70,7 +69,7 @@ def _check_repeats(log: FlightLog) -> Iterator[Finding]:
 
 
 def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
-    """Return the flight without its bad data, its limits noted; raise UserError when it is refused."""
+    """Return the flight without bad data and with its limits noted; raise UserError if it is refused."""
     findings = check_log(log)
     refused = [finding for finding in findings if finding.decision == "refuse"]
     if refused:
@@ -80,9 +79,9 @@ def enforce(log: FlightLog, where: str | None = None) -> FlightLog:
 
 
 def check_fleet(logs: Sequence[FlightLog]) -> tuple[Finding, ...]:
-    """Return findings on whether the flights are of one vehicle, judged by its hover command.
+    """Return findings on whether the flights are of one vehicle, according to the hover commands.
 
-    Where every log has the battery voltage, by command times voltage if that brings them closer.
+    If every log has the battery voltage, command times voltage is compared if that agrees better.
     """
     if len(logs) < 2:
         return ()
@@ -140,7 +139,7 @@ def _hover_commands(logs: Sequence[FlightLog]) -> tuple[list[float], str]:
 def hover_command(log: FlightLog) -> float:
     """Return the command at a specific force of one g, from a linear fit over the rows in the air.
 
-    NaN where these last less than a second, and where it is the thrust of rotor speeds that are wrong.
+    The result is NaN if these last less than a second, or if thrust comes from wrong rotor speeds.
     """
     parts = motion.motion(log)
     if not parts or (log.thrust_is_measured and values.failed_speed_sensors(log)):

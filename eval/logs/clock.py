@@ -1,4 +1,4 @@
-"""The clock of a table: which column it is, in which unit, where it wraps, and its rows in order."""
+"""The clock of a table: its column and unit, wrap-arounds, and the order of rows."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LATEST_ROW = 1.0  # s that rows may come late and are still sorted
 
 
 def named(names: Iterable[str]) -> str | None:
-    """Return the column whose name means time, the most likely of several; None without.
+    """Return the column whose name means time, the most likely of several, or None.
 
     Seconds and nanoseconds of a stamp are `secs + nsecs`.
     """
@@ -44,10 +44,10 @@ def named(names: Iterable[str]) -> str | None:
 
 
 def with_clock(record: Record, wanted: Mapping[str, str | None], stated: str | None) -> Record:
-    """Return the record with a clock: where it lacks the columns that are wanted, time by another name.
+    """Return the record with a clock; if the expected columns are missing, time under another name.
 
     A unit that neither name nor file states is inferred from the time step; a clock that wraps is unwrapped.
-    wanted: the mapping's columns and their units. stated: the unit as the user says. What was done is noted.
+    wanted: the mapping's columns and their units. stated: the unit stated by the user. Changes are noted.
     """
     here = next((name for name in wanted if name in record.columns), None)
     name = here or named(record.columns)
@@ -91,7 +91,7 @@ def _check_counts(record: Record, name: str, values: np.ndarray) -> None:
 
 
 def _unit_by_step(t: np.ndarray, longest: float) -> str:
-    """Return the first unit in which rows follow one another within `longest` seconds; s where none is."""
+    """Return the first unit in which rows are at most `longest` seconds apart; s if there is none."""
     steps = np.diff(np.sort(t[np.isfinite(t)]))
     steps = steps[steps > 0.0]
     step = np.median(steps) if len(steps) else 0.0
@@ -112,10 +112,10 @@ def _unwrapped(t: np.ndarray, scale: float) -> tuple[np.ndarray, int]:
 
 
 def order(t: np.ndarray, columns: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return the rows (m,) by their time where they are in order of arrival; None where they need no sorting.
+    """Return the rows (m,) sorted by time if they are in order of arrival; None if no sorting is needed.
 
-    That is safe where each column's own rows are in order, as of log blocks that share a table, or come late
-    by less than LATEST_ROW. None too where a clock went back: then there are two rows for an instant.
+    Sorting is safe if the rows of each column are in order, as for log blocks that share a table, or late by
+    less than LATEST_ROW. The result is also None if a clock went back, because an instant then has two rows.
     """
     if not np.isfinite(t).all() or (np.diff(t) >= 0.0).all():
         return None

@@ -50,12 +50,12 @@ def command(source: Flat[LogSource], *, json: Flag = False) -> None:
 
 
 def _refused(findings: Sequence[Finding]) -> bool:
-    """Return whether the worst of some findings, the first, refuses the flight."""
+    """Return whether the first finding, which is the worst, refuses the flight."""
     return bool(findings) and findings[0].decision == "refuse"
 
 
 def _answer(found: Sequence[Sequence[Finding]], fleet: Sequence[Finding]) -> str:
-    """Return in one sentence how many logs can be used, by the findings of each and of all together."""
+    """Return a sentence on how many logs can be used, from the findings on each and on all together."""
     decisions = [{finding.decision for finding in findings} for findings in found]
     usable = [seen for seen in decisions if "refuse" not in seen]
     limited = sum("limit" in seen for seen in usable)

@@ -1,7 +1,7 @@
-"""Columns that are one signal under two names: a set-point called a measurement, a motor logged as another.
+"""Detection of one signal under two names: a set-point as a measurement, or a motor logged as another.
 
-No measurement equals its command to the last digit, and no motor is asked for what another one is, but in
-flights of one axis, in which two pairs of motors do the same.
+A measurement never equals its command to the last digit, and two motors never have the same command, except
+in flights about one axis, in which pairs of motors are equal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SET_POINT = re.compile(
 
 
 def same_share(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the share of their changes after which two columns (m,) are equal, up to the sign; 0 for few."""
+    """Return the share of changes after which two columns (m,) are equal up to the sign; 0 for few."""
     known = np.isfinite(a) & np.isfinite(b)
     a, b = np.abs(a[known]), np.abs(b[known])
     changes = (np.diff(a) != 0.0) | (np.diff(b) != 0.0)
@@ -40,10 +40,10 @@ def same_share(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def check_columns(record: Record, channels: Mapping[str, Channel]) -> None:
-    """Raise UserError for a measurement that equals another column of its file which is a set-point.
+    """Raise UserError for a measurement that equals a set-point in another column of its file.
 
-    channels: those of the record, by canonical name. A column is a set-point if a command is read from it, or
-    if it is called one.
+    channels: those of the record, by canonical name. A column is a set-point if a command is read from it or
+    its name says so.
     """
     commands = {channels[key].column for key in _COMMANDED if key in channels}
     set_points = commands | {name for name in record.columns if _SET_POINT.search(name.lower())}

@@ -1,4 +1,4 @@
-"""Tables as text: the documented CSV, the Crazyflie client's, anything a mapping describes."""
+"""Tables as text: the documented CSV, that of the Crazyflie client, and anything a mapping describes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Layout:
 
 @dataclasses.dataclass(frozen=True)
 class _Column:
-    """A column of a table: its numbers, NaN for the words among them."""
+    """A column of a table: its numbers, with NaN instead of words."""
 
     values: np.ndarray
     unit: str = ""
@@ -54,17 +54,17 @@ class _Column:
 
     @property
     def mixed(self) -> bool:
-        """Whether words stand among more numbers, and are none of a column of text."""
+        """Whether the column has words among a larger number of numbers."""
         return np.isfinite(self.values).sum() > len(self.words) > 0
 
 
 def read(path: Path, column_map: ColumnMap | None = None) -> Record:
     """Read a table with one header line and, optionally, comments above it and a line of units under it.
 
-    Packed files are unpacked on the way; comma, semicolon, tab, bar or blanks separate. A column of lists
-    becomes one for each of their numbers, dates and times of day become seconds. Columns of text are NaN.
-    Rows of words or sums below the log are cut. column_map: says which lines hold the names, where these are
-    not the first ones.
+    Compressed files are unpacked; the separator is a comma, semicolon, tab, bar or blanks. A column of lists
+    becomes one column for each element, and dates and times of day become seconds. Columns of text are NaN.
+    Rows of words or sums below the log are removed. column_map: lists the lines that contain the names, if
+    these are not the first ones.
 
     Raises UserError for anything else.
     """
@@ -107,7 +107,7 @@ def read(path: Path, column_map: ColumnMap | None = None) -> Record:
 
 
 def _described(path: Path, data: bytes, encoding: str, column_map: ColumnMap | None) -> _Layout:
-    """Return the lines above the rows: those of the mapping for a file whose columns they then name."""
+    """Return the lines above the rows: those listed in the mapping if they name its columns."""
     if column_map is None or not column_map.header:
         return _layout(path, data, encoding)
     try:
@@ -129,7 +129,7 @@ def _described(path: Path, data: bytes, encoding: str, column_map: ColumnMap | N
 def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -> _Layout:
     """Return the lines above the rows: `sep=`, comments and titles, the header, and a line of units.
 
-    named: the lines, from 1 on, whose cells make up the names; empty: the line that looks like it.
+    named: the lines, counted from 1, whose cells form the names; if empty, the header is detected.
     """
     separator, comment, header, above = "", None, None, []
     for count, (raw, end) in enumerate(_lines(data), 1):
@@ -178,7 +178,7 @@ def _layout(path: Path, data: bytes, encoding: str, named: Sequence[int] = ()) -
 
 
 def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Return the names that several lines make up; an upper line's empty cell repeats that to its left."""
+    """Return names joined from several lines; an empty cell of an upper line repeats that to its left."""
     names = [""] * len(lines[-1])
     for upper in lines:
         left = ""
@@ -189,7 +189,7 @@ def _joined(lines: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _where_names_are(data: bytes, encoding: str) -> str:
-    """Return which lines above the rows name the columns, as the end of a sentence; empty where none do."""
+    """Return the end of a sentence on the lines above the rows that name the columns; empty if none do."""
     head = [raw.decode(encoding, "replace") for raw, _ in itertools.islice(_lines(data), 100)]
     table = [next(csv.reader([line], delimiter=_separator(line)), []) for line in head]
     numbers = [2 * sum(map(_is_number, cells)) > sum(map(bool, cells)) > 2 for cells in table]
@@ -212,7 +212,7 @@ def _where_names_are(data: bytes, encoding: str) -> str:
 
 
 def _separator(line: str) -> str:
-    """Return the mark that separates a line's cells, a blank without any; a comma for one cell."""
+    """Return the separator of a line's cells: a blank if there is no other, a comma for a single cell."""
     mark = max(",;\t", key=line.count)
     if mark not in line and "|" in line:
         return "|"
@@ -220,7 +220,7 @@ def _separator(line: str) -> str:
 
 
 def _lines(data: bytes) -> Iterator[tuple[bytes, int]]:
-    """Yield the lines and where the next one starts."""
+    """Yield the lines, each with the start of the next one."""
     start = 0
     while start < len(data):
         end = data.find(b"\n", start)
@@ -262,7 +262,7 @@ def _names(path: Path, cells: list[str], data: bytes, encoding: str) -> list[str
 
 
 def _without_comments(rows: bytes, layout: _Layout, notes: list[str]) -> bytes:
-    """Return the rows without comments and repeated headers, whose lines stay, empty."""
+    """Return the rows with comments and repeated headers replaced by empty lines."""
     if not re.search(rb"\n[ \t]*#", rows) and not rows.startswith(b"#") and layout.header not in rows:
         return rows
     found = b"|".join([rb"[ \t]*#.*", re.escape(layout.header)])
@@ -277,7 +277,7 @@ def _without_comments(rows: bytes, layout: _Layout, notes: list[str]) -> bytes:
 def _parse_numbers(
     rows: bytes, layout: _Layout, encoding: str, notes: list[str]
 ) -> tuple[pandas.DataFrame, str, str]:
-    """Return a table, and its signs of decimals and thousands, which are those of most numbers."""
+    """Return a table, and its decimal and thousands separators, as used in most numbers."""
     table = _parse(rows, layout, encoding)
     text = table.select_dtypes(exclude="number")
     cells = [
@@ -335,7 +335,7 @@ def _parts(path: Path, column: pandas.Series) -> dict[str, pandas.Series]:
 
 
 def _numbers(column: pandas.Series, decimal: str, thousands: str) -> _Column:
-    """Return a column's numbers; of dates the seconds since 1970, of times of day those since midnight."""
+    """Return a column's numbers; dates as seconds since 1970, times of day as seconds since midnight."""
     if pandas.api.types.is_numeric_dtype(column):
         return _Column(column.to_numpy(float))
     text = column.astype("string").str.strip()
@@ -368,7 +368,7 @@ def _stamps(text: pandas.Series, notes: list[str]) -> _Column | None:
 
 
 def _at_the_end(columns: Mapping[str, _Column], notes: list[str]) -> int:
-    """Return how many rows at the end hold words where the others hold numbers; noted."""
+    """Return the number of rows at the end with words instead of numbers, with a note."""
     words = [column.words for column in columns.values() if column.mixed]
     rows = {row for cells in words for row in cells.index}
     end = max((len(column.values) for column in columns.values()), default=0)

@@ -10,10 +10,8 @@ class Finding:
     """The result of one check.
 
     decision: "refuse" (the flight cannot be used), "limit" (it is used, and this is noted) or "info".
-    channel: the column, or columns, it is about.
-    text: a sentence for a person.
-    without: the optional channel ("velocity", "voltage") that is therefore left out.
-    rows: the rows that are therefore left out.
+    channel: the column or columns concerned. text: a sentence for the user. without: the optional channel
+    ("velocity", "voltage") that is therefore omitted. rows: the rows that are therefore omitted.
     """
 
     decision: str

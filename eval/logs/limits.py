@@ -1,4 +1,4 @@
-"""Limits on the size of a log, far beyond real flights, and reading within them.
+"""Limits on the size of a log, far beyond those of real flights, and reading within them.
 
 An hour at 1 kHz with two dozen columns is 3.6 million rows and below 1 GB of text.
 """
@@ -57,10 +57,10 @@ def check_file(path: Path) -> bool:
 
 
 def read_table(path: Path) -> tuple[bytes, str, list[str]]:
-    """Return the bytes of a table with lines that end in a line feed, their encoding, and notes.
+    """Return the bytes of a table with line feeds as line ends, the encoding, and notes.
 
-    Files that gzip, xz, bzip2 or zip packed are unpacked. Zero bytes at the end, of a file that was not
-    closed, are left out. Text that is not UTF-8 is read as Latin-1, which has the same digits and signs.
+    Files compressed by gzip, xz, bzip2 or zip are unpacked. Zero bytes at the end of a file that was not
+    closed are removed. Text that is not UTF-8 is read as Latin-1, which has the same digits and signs.
 
     Raises UserError for binary data, for lines or files beyond the limits, and for damaged packed files.
     """

@@ -1,4 +1,4 @@
-"""The one in-memory form of a measured flight."""
+"""The in-memory representation of a measured flight."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOTORS_OFF = 10_000.0  # PWM
 def longest_bridged(t: np.ndarray) -> float:
     """Return the longest step (s) of a record with rows at t (m,) that is not a gap.
 
-    Measurements are interpolated over as much, and commands are held for as long.
+    Measurements are interpolated, and commands held, over at most this time.
     """
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     return min(max(GAP_SECONDS, GAP_STEPS * step), ALWAYS_GAP)
@@ -46,7 +46,7 @@ class FlightLog:
     towards +x, positive roll towards -y. Yaw is continuous (no jumps of 2 pi). A column that was not
     logged is NaN throughout; a column that was logged has no NaN.
 
-    Raises UserError when shapes disagree or time does not increase strictly.
+    Raises UserError if shapes disagree or time does not increase strictly.
     """
 
     name: str
@@ -128,8 +128,8 @@ class FlightLog:
     def resampled(self, rate: float) -> FlightLog:
         """Return the flight on an even grid of `rate` rows per second from the first row on.
 
-        Measurements are interpolated linearly, commands and contact held. Holes are bridged like any
-        other step: take `pieces` first where that matters.
+        Measurements are interpolated linearly, commands and contact held. Gaps are bridged like any other
+        step; if that matters, use `pieces` first.
         """
         t = self.t[0] + np.arange(int(np.floor(self.duration * rate + 1e-6)) + 1) / rate
         t[-1] = min(t[-1], self.t[-1])

@@ -1,4 +1,4 @@
-"""Mapping files: which column of a file is which quantity, in which unit, sign and convention."""
+"""Mapping files: the assignment of a file's columns to quantities, with units, signs and conventions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from inclined_landing.models.base.schema import Table
 
 
 class Source(Table, frozen=True):
-    """Where one canonical column comes from: value = sign * factor(unit) * column + add, at t - late.
+    """Source of one canonical column: value = sign * factor(unit) * column + add, at t - late.
 
     With `full`, a thrust command or request: value = 65535 column/full, and of rotor speeds
     65535 mean(column^2)/full^2.
@@ -40,12 +40,12 @@ class Source(Table, frozen=True):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Return the names of the columns that the value is made of."""
+        """Return the names of the columns from which the value is computed."""
         return self.mean or self.sum or self.mean_square or (self.column or "",)
 
 
 class AttitudePid(Table, frozen=True):
-    """Gains of an onboard attitude controller from whose set-points and output the attitude follows."""
+    """Gains of an onboard attitude controller, to compute the attitude from its set-points and output."""
 
     kp: Annotated[float, Meta(gt=0.0, le=1000.0)]  # 1/s
     ki: Annotated[float, Meta(ge=0.0, le=1000.0)]  # 1/s2
@@ -55,7 +55,7 @@ class AttitudePid(Table, frozen=True):
 
 
 class Mixer(Table, frozen=True):
-    """Outputs of the rate controllers, which the firmware adds up to the requests of the motors."""
+    """Outputs of the rate controllers, from which the firmware computes the commands of the motors."""
 
     thrust: str
     roll: str
@@ -64,7 +64,7 @@ class Mixer(Table, frozen=True):
 
 
 class ColumnMap(Table, frozen=True):
-    """A mapping file, read."""
+    """The content of a mapping file."""
 
     description: str = ""
     detect: tuple[str, ...] = ()
@@ -81,7 +81,7 @@ class ColumnMap(Table, frozen=True):
     )  # by canonical name
 
     def sources(self, canonical: str) -> tuple[Source, ...]:
-        """Return the sources of a canonical column, of which the first that is present is taken."""
+        """Return the sources of a canonical column, of which the first that is present is used."""
         entry = self.columns.get(canonical, "t" if canonical == "t" else ())
         entries = entry if isinstance(entry, tuple) else (entry,)
         return tuple(Source(column=one) if isinstance(one, str) else one for one in entries)
@@ -98,7 +98,7 @@ def shipped() -> Mapping[str, ColumnMap]:
 def load(name: str | Path) -> ColumnMap:
     """Return a shipped mapping by its name, or a mapping file (TOML) by its path.
 
-    Raises UserError when there is no such mapping or it is malformed.
+    Raises UserError if there is no such mapping or it is malformed.
     """
     if str(name) in shipped():
         return shipped()[str(name)]
@@ -109,10 +109,10 @@ def load(name: str | Path) -> ColumnMap:
 
 
 def detect(names: Sequence[str], where: str) -> ColumnMap:
-    """Return the shipped mapping that asks for most of the column names at hand.
+    """Return the shipped mapping that uses most of the given column names.
 
-    The documented CSV is chosen only where no other format fits, and logs of no use only where it does not
-    fit either. Raises UserError, listing the columns, when none fits.
+    The documented CSV is chosen only if no other format fits, and unusable formats only if it does not fit
+    either. Raises UserError, listing the columns, if none fits.
     """
     documented = shipped()["documented"]
     for spelled in (list(names), _plain_names(names)):
@@ -142,9 +142,8 @@ def _any(names: Sequence[str], pattern: str) -> bool:
 
 
 def find(names: Sequence[str], pattern: str, where: str) -> str | None:
-    """Return the one name that is `pattern` or, if it has a `*`, matches it; None without.
-
-    Raises UserError when several match: two vehicles in one bag, say.
+    """Return the only name that equals `pattern` or, if it has a `*`, matches it, or None. Raises UserError
+    if several match, for instance two vehicles in one bag.
     """
     if "*" not in pattern:
         return pattern if pattern in names else None
@@ -156,19 +155,19 @@ def find(names: Sequence[str], pattern: str, where: str) -> str | None:
 
 
 def patterns(column_map: ColumnMap | None) -> list[str]:
-    """Return every column name that a mapping asks for; those of all shipped mappings for None."""
+    """Return every column name that a mapping uses; for None, those of all shipped mappings."""
     asked = shipped().values() if column_map is None else [column_map]
     sources = [source for m in asked for canonical in m.columns for source in m.sources(canonical)]
     return [column for source in sources for column in source.columns]
 
 
 def is_named(names: Sequence[str], column_map: ColumnMap) -> bool:
-    """Return whether a mapping asks for any of the column names at hand."""
+    """Return whether a mapping uses any of the given column names."""
     return any(_any(names, pattern) for pattern in patterns(column_map))
 
 
 def means_time(name: str, column_map: ColumnMap | None) -> bool:
-    """Return whether a column is called like time, or is the time of a mapping."""
+    """Return whether a column's name means time, or is the time column of a mapping."""
     wanted = () if column_map is None else [c for source in column_map.sources("t") for c in source.columns]
     return name in wanted or clocks.named([name]) is not None
 

@@ -1,8 +1,8 @@
-"""Checks of columns against each other: signs, axes, units and clocks, from the motion of the vehicle.
+"""Consistency checks between columns: signs, axes, units and clocks, from the motion of the vehicle.
 
 A tilt in the horizontal plane is a complex number, x + iy. Its thrust points along pitch - i roll (the
-vehicle's heading being the real axis), its acceleration says where the thrust pointed in fact. Between
-the two, a factor r e^(i delta) is a wrong unit (r) or a turned frame (delta: 180 degrees are two wrong
+vehicle's heading being the real axis), its acceleration shows the actual direction of the thrust. A factor r
+e^(i delta) between the two means a wrong unit (r) or a rotated frame (delta: 180 degrees are two wrong
 signs); agreement with the *conjugate* is a mirrored frame: one wrong sign, or two swapped columns.
 """
 
@@ -79,10 +79,10 @@ def motion(log: FlightLog) -> list[Motion]:
 
 
 def standing(log: FlightLog) -> np.ndarray:
-    """Return the rows (m,) in which something holds the vehicle: the ground, mostly.
+    """Return the rows (m,) in which the vehicle is supported, mostly by the ground.
 
-    It does not move, and the thrust commanded is not the one that it flies with; all rows until it leaves the
-    place. None of a log without a second in motion.
+    These are the rows, until it leaves the place, in which it does not move and its thrust command differs
+    from that in flight. There are none in a log without a second of motion.
     """
     pieces = log.pieces()
     still = [_still(piece) for piece in pieces]
@@ -157,8 +157,9 @@ def _motion(log: FlightLog) -> Motion:
 def in_air(log: FlightLog, parts: list[Motion]) -> np.ndarray:
     """Return which rows of all parts (m,) of a log are in the air.
 
-    All rows of a log that begins and ends in the air: its height stays within 2 CLEARANCE, and the horizontal
-    acceleration follows the tilt, which it does not on the ground. Otherwise those above CLEARANCE.
+    These are all rows of a log that begins and ends in the air: its height stays within 2 CLEARANCE, and the
+    horizontal acceleration follows the tilt, unlike on the ground. Otherwise they are the rows above
+    CLEARANCE.
     """
     height, lowest = np.concatenate([p.height for p in parts]), log.position[:, 2].min()
     if height.max() <= lowest + 2 * CLEARANCE:
@@ -169,7 +170,7 @@ def in_air(log: FlightLog, parts: list[Motion]) -> np.ndarray:
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings about the columns of one flight against each other."""
+    """Yield findings on the consistency between the columns of one flight."""
     parts = motion(log)
     if not parts:
         yield limit(
@@ -196,9 +197,10 @@ def check(log: FlightLog) -> Iterator[Finding]:
 
 
 def _check_clock(log: FlightLog, parts: list[Motion]) -> Iterator[Finding]:
-    """Yield a finding where attitude and acceleration agree, but not at the rate of the log's rows.
+    """Yield a finding if attitude and acceleration agree, but not at the rate of the log's rows.
 
-    Of a log with few rows per second, or whose acceleration is far above what the attitude gives.
+    This is checked for logs with few rows per second, or with accelerations far above those from the
+    attitude.
     """
     pair = _compare_signals([p.tilt for p in parts], [p.thrust_tilt for p in parts])
     if log.rate >= LEAST_RATE and (pair is None or pair.ratio < MOST_RATIO):
@@ -216,7 +218,7 @@ def _check_clock(log: FlightLog, parts: list[Motion]) -> Iterator[Finding]:
 
 
 def _check_axes(parts: list[Motion]) -> Iterator[Finding]:
-    """Yield findings where one axis has another scale than the others."""
+    """Yield findings if one axis has another scale than the others."""
     yaw = [np.nan_to_num(p.attitude[:, 2]) for p in parts]
     frames = (
         (("x", "y"), [p.tilt * np.exp(1j * turn) for p, turn in zip(parts, yaw)], [p.lean for p in parts]),
@@ -246,7 +248,7 @@ def _check_axes(parts: list[Motion]) -> Iterator[Finding]:
 
 
 def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:
-    """Yield a finding where x or y follows the thrust command and z does not."""
+    """Yield a finding if x or y follows the thrust command and z does not."""
     pwm = [p.pwm for p in parts]
     if _best_lag(pwm, [p.vertical_acceleration for p in parts])[1] > 0.3:
         return
@@ -263,7 +265,7 @@ _ORDERS = (("qw, qx, qy, qz", "x, y, z, w", (3, 0, 1, 2)), ("qx, qy, qz, qw", "w
 
 
 def _check_quaternion(parts: list[Motion]) -> Iterator[Finding]:
-    """Yield a finding where the attitude makes sense with the quaternion's numbers in another order."""
+    """Yield a finding if the attitude is consistent with the quaternion's numbers in another order."""
     yaw_roll_pitch = np.concatenate([p.attitude for p in parts])[:, [2, 0, 1]]
     numbers = Rotation.from_euler("ZXY", yaw_roll_pitch).as_quat(scalar_first=True)
     lean = np.concatenate([p.lean for p in parts])
@@ -283,14 +285,14 @@ def _check_quaternion(parts: list[Motion]) -> Iterator[Finding]:
 
 
 def _unexplained(quaternion: np.ndarray, lean: np.ndarray) -> float:
-    """Return the share of the variance of `lean` (m,) that attitudes (m, 4), w first, leave unexplained."""
+    """Return the share of the variance of `lean` (m,) that attitudes (m, 4), w first, do not explain."""
     x, y, z = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0]).T
     error = lean - (x + 1j * y) / np.maximum(z, 0.2)
     return float(np.var(error) / max(np.var(lean), 1e-12))
 
 
 def _check_standing(log: FlightLog) -> Iterator[Finding]:
-    """Yield a finding where the vehicle stands with its motors running."""
+    """Yield a finding if the vehicle is on the ground with its motors running."""
     rows = _runs(standing(log) & (log.command[:, 0] > MOTORS_OFF))
     seconds = [log.t[b - 1] - log.t[a] for a, b in rows]
     if sum(seconds) > STANDS:
@@ -390,7 +392,7 @@ class _Agreement:
 def _compare_signals(
     first: list[np.ndarray], second: list[np.ndarray], excited: float = LEAST_EXCITATION
 ) -> _Agreement | None:
-    """Return the agreement of two signals, NaN axes left out; None if the second hardly moves."""
+    """Return the agreement of two signals, without NaN axes; None if the second hardly moves."""
     a = np.concatenate([x - x.mean() for x in first])
     b = np.concatenate([x - x.mean() for x in second])
     if np.isnan(a.real).any() or np.isnan(b.real).any():

@@ -1,4 +1,4 @@
-"""Reading flight logs of any known kind."""
+"""Reading flight logs of any known format."""
 
 from __future__ import annotations
 
@@ -36,15 +36,16 @@ def read_log(
     """Return one flight from its file, or from several files of the same flight with the same clock.
 
     Args:
-        path: CSV (packed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string with
+        path: CSV (compressed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string
+        with
             the names joined by `+`, as for the client's one file per log block.
         mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
         units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
-        where: the rows to take of a table of several vehicles, {"name": "cf1"}.
+        where: the rows to read from a table of several vehicles, {"name": "cf1"}.
         check: refuse flights that `check_log` refuses, and add its limits to the notes.
 
     Raises:
-        UserError: naming file and column, when the flight cannot be used.
+        UserError: naming file and column, if the flight cannot be used.
     """
     paths = _paths(path)
     stated = _dictionary("units", units, "units by column")
@@ -135,7 +136,7 @@ def _paths(path: Any) -> list[Path]:
 
 
 def _split(names: str) -> list[str]:
-    """Return the names that pluses join: split behind what exists, as names may have pluses of their own."""
+    """Return the file names joined by `+`, split after existing files, because names may contain `+`."""
     found = []
     while not os.path.exists(names):
         ends = [plus.start() for plus in re.finditer(r"\+", names)]

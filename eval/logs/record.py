@@ -1,4 +1,4 @@
-"""The contents of a file, before a mapping gives its columns a meaning."""
+"""The contents of a file, before a mapping assigns quantities to its columns."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ import numpy as np
 class Record:
     """Columns of one file by their names in the file.
 
-    columns: values (m,) each; NaN where the file has no value.
-    times: seconds (m,) per column where the format dates every value itself (micro-SD, bags);
-        empty for tables, whose time is a column like any other, until that is found.
-    units: unit per column where the file states it.
-    unreadable: why, in a sentence, per column whose values cannot be read: not in `columns`, or NaN there
-        where it holds text alone.
+    columns: values (m,) each; NaN where the file has no value. times: seconds (m,) per column if the format
+    stores the time of every value (micro-SD, bags); empty for tables, whose time is an ordinary column, until
+    that is found. units: unit per column if the file states it. unreadable: a sentence per column whose
+    values cannot be read: it is not in `columns`, or NaN there if it contains only text.
     labels: text (m,) of columns of few words, such as the names of vehicles.
     """
 

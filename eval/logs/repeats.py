@@ -1,8 +1,8 @@
-"""Repeated values: measurements that a logger writes again, and placeholders where nothing was measured.
+"""Repeated values: measurements that a logger writes repeatedly, and placeholders for missing ones.
 
-Many loggers write the last value they know into every row, or zeros before there is one. A quantity that is
-measured less often than it is written repeats for one of its own steps. A value that stays for longer, to the
-last digit, and then jumps by more than the resolution stands for measurements that are missing.
+Many loggers write the last known value into every row, or zeros before there is one. A quantity that is
+measured less often than it is written repeats for one of its own steps. A value that stays longer, to the
+last digit, and then jumps by more than the resolution is a placeholder for missing measurements.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 def without_repeats(
     channels: Mapping[str, Channel], attitude: tuple[str, ...], notes: list[str], *, as_one: bool
 ) -> dict[str, Channel]:
-    """Return without these the channels that hold placeholders or a pose written more often than measured.
+    """Return the channels without placeholders, and without repeats of a pose that was written too often.
 
-    attitude: names of its channels. as_one: whether these are one measurement, of which no number can be
-    missing alone. Columns and shares of what was left out are noted.
+    attitude: names of its channels. as_one: whether these are one measurement, whose numbers can only be
+    missing together. Columns and shares of the omitted values are noted.
     """
     thrust = channels["cmd_thrust_pwm"]
     groups = [_POSITION, attitude, _VELOCITY, *((key,) for key in (*ROTOR_SPEEDS, "vbat"))]
@@ -63,7 +63,7 @@ def without_repeats(
 
 
 def _held(parts: Mapping[str, Channel], value: np.ndarray, flown: np.ndarray, as_one: bool) -> np.ndarray:
-    """Return where the values (m, k) of channels with the same clock are placeholders.
+    """Return a mask of the values (m, k) of channels with the same clock that are placeholders.
 
     flown: (m,) rows with the motors on. as_one: whether the channels are one measurement.
     """
@@ -83,7 +83,7 @@ def _held(parts: Mapping[str, Channel], value: np.ndarray, flown: np.ndarray, as
 
 
 def rewritten(what: str, share: float) -> str:
-    """Return in words that a share of the rows in motion repeats a quantity."""
+    """Return a sentence that a share of the rows in motion repeats a quantity."""
     return (
         f"{what} repeats its last value in {percent(share)} of the rows in motion: it was measured less "
         "often than written, and only new values are used"
@@ -91,7 +91,7 @@ def rewritten(what: str, share: float) -> str:
 
 
 def held_columns(names: Sequence[str], share: str, seconds: str) -> str:
-    """Return in words that some columns hold placeholders in a share of the rows, for some time at most."""
+    """Return a sentence on columns with placeholders, their share of the rows and longest duration."""
     many = len(names) > 1
     return (
         f"{', '.join(names)} keep{'' if many else 's'} one value to the last digit for up to {seconds}, in "
@@ -100,12 +100,12 @@ def held_columns(names: Sequence[str], share: str, seconds: str) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in words, never 0 %."""
+    """Return a share as text, never as 0 %."""
     return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1g} %"
 
 
 def _clocks(parts: Iterable[Channel]) -> list[np.ndarray]:
-    """Return the times (m,) of some channels, once where several share them."""
+    """Return the times (m,) of some channels, only once if several share them."""
     clocks: list[np.ndarray] = []
     for part in parts:
         if len(part.t) > 1 and not any(np.array_equal(part.t, t) for t in clocks):
@@ -114,7 +114,7 @@ def _clocks(parts: Iterable[Channel]) -> list[np.ndarray]:
 
 
 def _extent(t: np.ndarray, held: np.ndarray) -> tuple[str, str]:
-    """Return the share of the rows that are held (m,), and for how long at most, in words."""
+    """Return the share of held rows (m,) and their longest duration, as text."""
     start, stop = np.flatnonzero(np.diff(np.r_[False, held, False])).reshape(-1, 2).T
     longest = (t[stop - 1] - t[start]).max()
     return percent(held.mean()), f"{longest:.2g} s"
@@ -130,8 +130,9 @@ def placeholders(
 ) -> np.ndarray:
     """Return the rows (m,) in which a measurement of one or several numbers is a placeholder.
 
-    t: (m,). value: (m, k). flown: (m,) rows with the motors on. longest: s that a measurement may repeat.
-    moves: by what the measurement of a vehicle that stands never changes. wraps: (k,) it is modulo a turn.
+    t: (m,). value: (m, k). flown: (m,) rows with the motors on. longest: time [s] for which a measurement may
+    repeat. moves: change that never occurs while the vehicle is at rest. wraps: (k,) whether it is modulo a
+    turn.
     """
     found = np.zeros(len(t), bool)
     start = repeat_starts(value)
@@ -160,7 +161,7 @@ def placeholders(
 
 
 def _departs(step: np.ndarray) -> bool:
-    """Return whether changes (DEPARTS, k) are those of a vehicle that leaves its rest: one way, ever more."""
+    """Return whether changes (DEPARTS, k) are those of a vehicle that starts to move, ever faster."""
     one = step[:, np.argmax(np.abs(step[0]))]
     return len(one) == DEPARTS and len(set(np.sign(one))) == 1 and bool((np.diff(np.abs(one)) >= 0.0).all())
 
@@ -188,7 +189,7 @@ def _resolutions(level: np.ndarray, step: np.ndarray, lasting: np.ndarray) -> np
 def measured_rows(t: np.ndarray, value: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the rows (m,) in which a pose was measured again, and the share of repeats in motion.
 
-    Of a vehicle that stands, rows half a gap apart count as measured.
+    For a vehicle at rest, rows half a gap apart count as measured.
     t: (m,). value: (m, k). held: (m,) rows with placeholders.
     """
     start = repeat_starts(value)

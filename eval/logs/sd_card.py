@@ -37,9 +37,9 @@ def is_sd_card_log(path: Path) -> bool:
 def read(path: Path) -> Record:
     """Return the log's columns by variable name, each with the time of its events.
 
-    A variable that several events carry is `event:name` for all but the one logged at fixed frequency.
-    A wrong checksum or a cut end (battery empty, card pulled out) costs the rest, and is noted; so are zero
-    bytes at the end, of a file that was laid out in advance.
+    A variable in several events is `event:name` for all but the event logged at a fixed frequency. After a
+    wrong checksum or at a truncated end (battery empty, card removed) the rest is lost, which is noted; so
+    are zero bytes at the end of a preallocated file.
 
     Raises UserError for anything else.
     """
@@ -84,7 +84,7 @@ def read(path: Path) -> Record:
 def _of_one_recording(
     data: bytes, rows: dict[int, list[int]], version: int, notes: list[str]
 ) -> dict[int, list[int]]:
-    """Return the events before the clock jumps, as where an earlier recording lies behind a shorter one."""
+    """Return the events before the clock jumps, as at the remains of an earlier, longer recording."""
     offsets = np.sort(np.concatenate([[], *rows.values()]).astype(int))
     kind, seconds = np.dtype(_TIME[version][0]), _TIME[version][1]
     packed = np.frombuffer(data, np.uint8)[offsets[:, None] + 2 + np.arange(kind.itemsize)]

@@ -1,4 +1,4 @@
-"""Canonical columns of a flight log, and the units a file may give them in."""
+"""Canonical columns of a flight log, and the units in which a file may store them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _TIMES = re.compile(r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")  # 0.01 s
 
 
 def split(name: str) -> tuple[str, str | None]:
-    """Return the name of a column in lower case without the unit at its end, and that unit; None without."""
+    """Return the name of a column in lower case without the unit at its end, and that unit or None."""
     match = _IN_BRACKETS.fullmatch(name.strip()) or _AT_THE_END.fullmatch(name.strip())
     return (match[1].lower(), match[2]) if match else (name.strip().lower(), None)
 
@@ -77,7 +77,7 @@ def known(column: str, unit: str) -> bool:
 def factor(column: str, unit: str, where: str) -> float:
     """Return the conversion factor from `unit`, such as ms or 0.01 s, to the canonical unit of `column`.
 
-    Raises UserError (starting with `where`) when the unit does not measure the column's quantity.
+    Raises UserError (starting with `where`) if the unit does not measure the column's quantity.
     """
     times = _TIMES.fullmatch(unit.strip().strip("[]()"))
     number, single = (float(times[1]), times[2]) if times else (1.0, unit)

@@ -1,4 +1,4 @@
-"""Checks of one column at a time: time, gaps, constants, impossible values."""
+"""Checks of individual columns: time, gaps, constants, impossible values."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _ATTITUDE_COMMANDS = (  # command, the largest in SI units, its unit
 
 
 def check(log: FlightLog) -> Iterator[Finding]:
-    """Yield findings about the single columns of one flight."""
+    """Yield findings on the individual columns of one flight."""
     yield from _check_time(log)
     yield from _check_finite(log)
     yield from _check_position(log)
@@ -130,7 +130,7 @@ def _check_position(log: FlightLog) -> Iterator[Finding]:
 
 
 def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of isolated outliers in position, and the rows from which on it is offset."""
+    """Return the rows of isolated outliers in position, and the rows from which it is offset."""
     # A jump is where the step differs from the median velocity times dt by more than a row may from others.
     smooth = JUMP + LARGEST_ACCELERATION / log.rate**2
     spikes = _outliers(log.position, smooth)
@@ -145,7 +145,7 @@ def _discontinuities(log: FlightLog) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outliers(value: np.ndarray, smooth: float) -> np.ndarray:
-    """Return the rows of `value` (m, k) that lie further than `smooth` from the rows around them."""
+    """Return the rows of `value` (m, k) that deviate by more than `smooth` from the rows around them."""
     # |x - median_5(x)| > smooth, and 8 times its median
     deviation = np.linalg.norm(value - median_filter(value, size=(5, 1), mode="nearest"), axis=1)
     return np.flatnonzero(deviation > max(smooth, 8 * np.median(deviation)))
@@ -167,7 +167,7 @@ def _check_axes(log: FlightLog) -> Iterator[Finding]:
 
 
 def _rows_near_jumps(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
-    """Return the rows so close to jumps that leaving them out makes a gap in the record."""
+    """Return the rows near jumps; omitting them makes a gap in the record."""
     if not len(jumps):
         return jumps
     width = 0.6 * longest_bridged(log.t)
@@ -242,7 +242,7 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
 
 
 def _check_frozen_thrust(log: FlightLog) -> Iterator[Finding]:
-    """Yield a finding where a thrust command stays for long in flight that else changes all the time."""
+    """Yield a finding if a thrust command that otherwise changes stays constant for long in flight."""
     pwm = log.command[:, 0]
     start, stop = _constant(pwm)
     lasts = np.where((pwm[start] > MOTORS_OFF) & (pwm[start] < 65534.0), log.t[stop - 1] - log.t[start], 0.0)
@@ -257,7 +257,7 @@ def _check_frozen_thrust(log: FlightLog) -> Iterator[Finding]:
 
 
 def _constant(column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first row and the row after the last (n,) of every stretch in which a column stays."""
+    """Return the first row and the row after the last (n,) of every stretch in which a column is constant."""
     start = np.flatnonzero(np.r_[True, np.diff(column) != 0.0])
     return start, np.append(start[1:], len(column))
 
@@ -280,7 +280,7 @@ def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
 def _check_frozen_command(
     log: FlightLog, name: str, column: np.ndarray, angle: np.ndarray
 ) -> Iterator[Finding]:
-    """Yield a finding where an angle (m,) moves as far as ever long after its command (m,) stays."""
+    """Yield a finding if an angle (m,) keeps moving long after its command (m,) became constant."""
     usual = np.ptp(np.percentile(angle, (5, 95)))
     for a, b in zip(*_constant(column)):
         rows = slice(int(np.searchsorted(log.t, log.t[a] + SETTLES)), b)

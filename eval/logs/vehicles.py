@@ -1,4 +1,4 @@
-"""Tables with the rows of several vehicles: how one is chosen, and which column distinguishes them."""
+"""Tables with rows of several vehicles: selecting one, and finding the column that distinguishes them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ CHANGES, WITHIN = 4, 0.5
 
 
 def choose(records: Sequence[Record], where: Mapping[str, str | float]) -> list[Record]:
-    """Return the records of one flight with the rows that have these values in these columns.
+    """Return the records of one flight with only the rows that have these values in these columns.
 
-    A record without the column keeps its rows. Raises UserError when no record has it, or no row the value.
+    A record without the column keeps its rows. Raises UserError if no record has the column, or no row the
+    value.
     """
     records = list(records)
     for column, wanted in where.items():
@@ -42,7 +43,7 @@ def choose(records: Sequence[Record], where: Mapping[str, str | float]) -> list[
 
 
 def check_one(record: Record, t: np.ndarray, position: Sequence[str]) -> None:
-    """Raise UserError where a column distinguishes the rows of several vehicles.
+    """Raise UserError if a column distinguishes the rows of several vehicles.
 
     t: time (m,) of the rows. position: columns with the position.
     """
@@ -66,7 +67,7 @@ def check_one(record: Record, t: np.ndarray, position: Sequence[str]) -> None:
 
 
 def _length(way: np.ndarray) -> float:
-    """Return the length of the way through points (k, m)."""
+    """Return the length of the path through points (k, m)."""
     return float(np.nansum(np.abs(np.diff(way, axis=1))))
 
 
@@ -79,7 +80,7 @@ def _values(record: Record, name: str) -> np.ndarray:
 
 
 def _distinct(values: np.ndarray) -> list:
-    """Return the values of a column that may name something, sorted; none of any other column."""
+    """Return the sorted values of a column that may contain names; none for any other column."""
     if values.dtype != object:
         found = np.unique(values[np.isfinite(values)])
         return list(found) if len(found) <= MOST_VEHICLES and (found % 1.0 == 0.0).all() else []
@@ -91,7 +92,7 @@ def _plain(value: str | float) -> str:
 
 
 def _same(value: str | float, wanted: str | float) -> bool:
-    """Return whether a cell has the value that is wanted, which may be text for a number."""
+    """Return whether a cell has the requested value, which may be text for a number."""
     if isinstance(value, str):
         return value == str(wanted)
     try:

@@ -1,1 +1,1 @@
-"""What is installed here, and how fast it is: `doctor`, `benchmark`."""
+"""Checks of this installation and its speed: `doctor`, `benchmark`."""

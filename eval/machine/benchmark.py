@@ -1,4 +1,4 @@
-"""`landing-eval benchmark`: what a step, an action and a training cost on this machine."""
+"""`landing-eval benchmark`: the speed of steps, actions and training on this machine."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def command(
 def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
     """Return control steps per second of 256 vehicles under random actions, for each plant.
 
-    A step is one of `BatchVecEnv`: task, reward, resets and statistics of episodes included. The plants take
-    turns, so that other load on the machine meets all of them.
+    A step is one of `BatchVecEnv`, including task, reward, resets and episode statistics. The plants are
+    measured alternately, so that other load on the machine affects all of them.
     """
     from inclined_landing.envs.batch import BatchEnv
     from inclined_landing.envs.sb3 import BatchVecEnv
@@ -93,7 +93,7 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
 
 
 def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
-    """Return the microseconds that a policy takes for one action of one observation."""
+    """Return the microseconds that a policy takes for one action."""
     from inclined_landing.envs.shared.statistics import spread
 
     rows = np.random.default_rng(seed).normal(size=(repeats + 10, len(policy.centre))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""`landing-eval doctor`: what a first start needs, and a remedy for everything that is missing."""
+"""`landing-eval doctor`: checks of the installation, with a remedy for everything that is missing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CheckResult:
 
 
 def examine() -> list[CheckResult]:
-    """Run every check and return what each found."""
+    """Run every check and return the results."""
     findings = [
         CheckResult("Python", True, f"{sys.version.split()[0]}, {sys.executable}"),
         _tried("packages", _packages, "run `make` in the repository, or pip install inclined-landing"),
@@ -104,7 +104,7 @@ def _plugins() -> tuple[bool, str]:
 
 
 def _simulation() -> tuple[bool, str]:
-    """Return whether a hovering vehicle stays where it is for a second."""
+    """Return whether a hovering vehicle stays at its position for a second."""
     import numpy as np
 
     from inclined_landing.envs.tasks.base import hover_states
@@ -120,7 +120,7 @@ def _simulation() -> tuple[bool, str]:
 
 
 def _rendering() -> tuple[bool, str]:
-    """Return how pictures are rendered; ray casting only needs MuJoCo."""
+    """Return how pictures are rendered; ray casting needs only MuJoCo."""
     from inclined_landing.envs.rendering import make_renderer
     from inclined_landing.envs.rendering.gl import probe
 

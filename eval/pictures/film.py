@@ -25,7 +25,7 @@ def film(
 ) -> tuple[Iterator[np.ndarray], int, float]:
     """Return the frames of flights in sequence, their number, and the frames per second of the video.
 
-    sampled: frames for a second of flight. The last frame of each flight stays for a moment.
+    sampled: frames per second of flight. The last frame of each flight is held for a moment.
     """
     rest = round(_REST * sampled / slow)
     if look.get("camera") == FITTED:
@@ -44,7 +44,7 @@ def film(
 def film_side_by_side(
     takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the same for flights side by side, one per title in a take; flights that have ended wait."""
+    """Return the same for flights side by side, one per title; the last frame of shorter flights is held."""
     columns = math.ceil(math.sqrt(len(titles)))
     lines = math.ceil(len(titles) / columns)
     tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
@@ -72,7 +72,7 @@ def film_side_by_side(
 
 
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:
-    """Write the videos, each with every n-th frame, with a progress bar on stderr."""
+    """Write the videos, each with every n-th frame, and show a progress bar on stderr."""
     names = " and ".join(str(path) for path in files)
 
     def ticking(tick: Tick) -> Iterator[np.ndarray]:

@@ -1,4 +1,4 @@
-"""Flights for pictures: from the points of --start, with a line about each."""
+"""Flights for pictures from the points of --start, with a line on each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def choose_starts(task: Task, where: Sequence[Point], drawn: int, seed: int) -> 
 
 
 def continue_flights(flights: Sequence[Flight], until: Until) -> list[Flight]:
-    """Return the flights up to the end that --until names: "rest" or "goal"."""
+    """Return the flights up to the end selected by --until: "rest" or "goal"."""
     return [to_rest(flight) for flight in flights] if until == "rest" else list(flights)
 
 
@@ -46,13 +46,13 @@ def say_outcome(flight: Flight, name: str) -> None:
 
 
 def say_outcomes(flights: Mapping[str, Flight], shown_in: str) -> None:
-    """Print one line for each flight, by name, and how many succeeded; shown_in: the file that shows them."""
+    """Print a line for each flight, and the number of successes; shown_in: the file that shows them."""
     for name, flight in flights.items():
         say_outcome(flight, name)
     say(f"{succeeded(list(flights.values()))}; {shown_in}.")
 
 
 def succeeded(flights: Sequence[Flight]) -> str:
-    """Return how many flights succeeded, in words."""
+    """Return the number of successful flights as text."""
     count = len(flights)
     return f"{sum(flight.success for flight in flights)} of {count} flight{'s' * (count != 1)} succeeded"

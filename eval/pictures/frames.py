@@ -51,7 +51,7 @@ _EARLY, _LATE = np.array([0.30, 0.05, 0.62]), np.array([0.98, 0.62, 0.20])  # al
 
 
 def flight_view(flights: Sequence[Track], width: int, height: int) -> View:
-    """Return the nearest view, from where the hero camera looks, that has flights and their platforms."""
+    """Return the nearest view, in the direction of the hero camera, that contains flights and platforms."""
     points = [np.zeros((0, 3))]
     for flight in flights:
         points.append(flight.state[:, :3])
@@ -69,7 +69,7 @@ def flight_view(flights: Sequence[Track], width: int, height: int) -> View:
 
 
 def checked_look(look: Look) -> Look:
-    """Return the look as it can be drawn; raises UserError for one that cannot."""
+    """Return a look that can be drawn; raises UserError for one that cannot."""
     if look.camera != FITTED:
         check_picture_options(**dataclasses.asdict(look))
         return look
@@ -78,7 +78,7 @@ def checked_look(look: Look) -> Look:
 
 
 def pose_at(flight: Track, k: int):
-    """Return the pose of vehicle and platform at sample k, as renderers take it."""
+    """Return the pose of vehicle and platform at sample k for renderers."""
     platform = None if flight.platform is None else flight.platform[k]
     return pose_from_state(flight.state[k], platform, has_base=flight.motion is None)
 
@@ -93,9 +93,9 @@ def caption(flight: Track, k: int) -> str:
 
 
 def ghosts_at(flight: Track) -> list[list[Ghost]]:
-    """Return the copies of the vehicle at the goals, at each sample: they fade as the vehicle gets there.
+    """Return the copies of the vehicle at the goals for each sample; they fade as the vehicle approaches.
 
-    A platform that moves has none.
+    There are none for a moving platform.
     """
     goals = [] if flight.motion is not None else flight.goals
     shown: list[list[Ghost]] = [[] for _ in flight.t]
@@ -133,9 +133,9 @@ def render_flight(
 ) -> Iterator[np.ndarray]:
     """Yield frames (height, width, 3) uint8, `fps` of them per second of flight.
 
-    slow: slow-down factor, which a label in the picture states, as it does the end of the flight and its
-    title, if it has one.
-    renderer: draw with this one, made for the same look, and leave it open: it keeps its background.
+    slow: slow-down factor, stated by a label in the picture; other labels state the end of the flight and its
+    title, if it has one. renderer: draw with this one, made for the same look, and leave it open, so that its
+    background is reused.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
@@ -204,8 +204,8 @@ def write_picture(path: pathlib.Path, picture: np.ndarray) -> pathlib.Path:
 def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) -> None:
     """Write frames (h, w, 3) uint8 to .mp4 or .gif files of one duration, each with every n-th frame.
 
-    A file appears under its name when it is complete. Raises UserError for another suffix, for no frames, and
-    where ffmpeg fails, as on a full disk.
+    A file gets its name when it is complete. Raises UserError for any other suffix, if there are no frames,
+    and if ffmpeg fails, as on a full disk.
     """
     for path in every:
         if path.suffix.lower() not in _CODECS:
@@ -228,7 +228,7 @@ def write_videos(every: Mapping[pathlib.Path, int], frames, fps: float = FPS) ->
 
 @contextlib.contextmanager
 def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Iterator[Callable[[Any], None]]:
-    """Yield what adds a frame to the video that is written to `part`, and will be `path`."""
+    """Yield a function that adds a frame to the video that is written to `part`, the later `path`."""
     import imageio_ffmpeg
     import mediapy
 
@@ -251,7 +251,7 @@ def _encoded(path: pathlib.Path, part: pathlib.Path, shape, fps: float) -> Itera
 
 @contextlib.contextmanager
 def _failures(path: pathlib.Path, part: pathlib.Path) -> Iterator[None]:
-    """Raise UserError where ffmpeg is missing, was ended, or cannot write `part`."""
+    """Raise UserError if ffmpeg is missing, was terminated, or cannot write `part`."""
     try:
         yield
     except (OSError, RuntimeError) as error:

@@ -34,7 +34,7 @@ _LARGEST = 1e12  # number in the tables of a run
 
 
 class _Run(NamedTuple):
-    """A training run as it is drawn."""
+    """The data of a training run for the figure."""
 
     task: str
     learning: pd.DataFrame
@@ -97,7 +97,7 @@ def _read_run(folder: str | Path) -> _Run:
 
 
 def _score_curve(tables: Sequence[pd.DataFrame]) -> Curve:
-    """Return the curve of the score that says most of those that all evaluations have."""
+    """Return the most informative score that all evaluations have, as a curve."""
     flown = [table for table in tables if not table.empty]
     shared = [curve for curve in _SCORES if flown and all(curve.column in table for table in flown)]
     return shared[0] if shared else _SCORES[-1]
@@ -108,8 +108,7 @@ def _read_table(
 ) -> pd.DataFrame:
     """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
 
-    The row that the table ends within, as after a copy that was cut short, is left out; `path` is then added
-    to `cut`.
+    An incomplete last row, as in a truncated copy, is omitted; `path` is then added to `cut`.
     """
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
     rows, _, last = text.rstrip("\0").rpartition("\n")
@@ -144,12 +143,12 @@ def _read_table(
 def learning_curves(runs: Sequence[str | Path]) -> Figure:
     """Return a figure of score, curriculum level, episode length and reward over environment steps.
 
-    runs: run folders of one task, usually one for each seed. Each is a thin line; from two on, the
-    median is a thick line and the range from the lowest to the highest a band, as far as all runs
-    reach. The curriculum's level and the episodes' length are left out where they never change, and the score
-    of runs that reach the end of their curriculum with fewer than three evaluations. Shaded: the steps in
-    which the level still moves, during which a policy that learns may have less reward.
-    Raises UserError for no runs, runs of different tasks and folders that are not runs.
+    runs: run folders of one task, usually one for each seed. Each is a thin line; for two or more, the median
+    is a thick line and the range a band, up to the shortest run. Curriculum level and episode length are
+    omitted if they never change, and so is the score of runs that finish their curriculum with fewer than
+    three evaluations. The steps in which the level still changes are shaded, because the reward of a learning
+    policy may then decrease. Raises UserError for no runs, runs of different tasks and folders that are not
+    runs.
     """
     if not runs:
         raise UserError("learning curves need at least one run folder")
@@ -209,7 +208,7 @@ def _curriculum_end(learning: pd.DataFrame) -> float:
 def final_scores(runs: Sequence[str | Path]) -> list[str]:
     """Return a sentence for each task of the runs: the score of the last evaluation, median and range.
 
-    Others say which tables are cut short.
+    Further sentences name truncated tables.
     """
     loaded = [_read_run(folder) for folder in runs]
     found = []
@@ -233,7 +232,7 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
 
 
 def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:
-    """Return the columns to show of evaluations, and the vehicles of each; "" for all flights."""
+    """Return the columns of evaluations to show, and the vehicles of each; "" for all flights."""
     of_kind = {f"{curve.column}_{kind}": name for kind, name in VEHICLE_KINDS.items()}
     return of_kind if all(column in table for column in of_kind for table in tables) else {curve.column: ""}
 
@@ -241,7 +240,7 @@ def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, st
 def _draw_curves(
     axes: Axes, curve: Curve, colour: str, tables: Sequence[pd.DataFrame], dashes: str = "-"
 ) -> None:
-    """Draw the curves of several seeds: a thin line each, from two on their median and range."""
+    """Draw the curves of several seeds as thin lines; for two or more, with median and range."""
     lines = []
     for table in tables:
         rows = table[["steps", curve.column]].dropna()

@@ -1,4 +1,4 @@
-"""The path of a flight, and where copies of the vehicle are drawn on it."""
+"""The path of a flight, and the positions of copies of the vehicle on it."""
 
 from __future__ import annotations
 

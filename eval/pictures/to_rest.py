@@ -1,6 +1,6 @@
-"""The end of a landing: a flight that ends in the goal box continues with its motors cut until rest.
+"""Continuation of a landing from the goal box, with the motors cut, until the vehicle is at rest.
 
-The goal box hovers over the slope, so that a successful flight has not landed yet. The continuation is
+The goal box is above the slope, so that a successful flight has not landed yet. The continuation is
 simulated in the MuJoCo plant, whichever plant the policy was flown in, with the rest criterion of
 `plants.recorder`.
 """
@@ -37,7 +37,7 @@ class LandedFlight(Flight):
 
 
 def to_rest(flight: Flight) -> Flight:
-    """Return the flight continued to rest where its task cuts the motors: a `LandedFlight`.
+    """Return the flight continued to rest as a `LandedFlight`, if its task cuts the motors.
 
     It continues for up to 2 s after the goal, until the vehicle has not moved for 0.3 s. A flight that did
     not succeed, or whose task cuts no motors, is returned unchanged.

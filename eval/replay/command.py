@@ -1,4 +1,4 @@
-"""`landing-eval replay`: flights as one page for the browser."""
+"""`landing-eval replay`: a page for the browser that shows flights."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _is_policy(source: str) -> bool:
 
 
 def _name(source: str) -> str:
-    """Return what a policy or a log is called: that of a run is called after the run's folder."""
+    """Return the name of a policy or a log; a policy in a run folder has the name of the folder."""
     path = Path(source)
     of_a_run = path.name in ("final.zip", "best.zip") and path.parent.name
     return source if source in SHIPPED else path.parent.name if of_a_run else path.name

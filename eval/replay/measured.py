@@ -1,4 +1,4 @@
-"""A measured flight, and a simulation of it with the same commands."""
+"""A measured flight and its simulation with the same commands."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHORTEST = 5  # steps of a part that is left at the end of a stretch of free fli
 def from_log(
     log: FlightLog, vehicle: Vehicle, *, platform: bool, horizon: float, plant: str
 ) -> tuple[list[Recording], list[str]]:
-    """Return the measured flight with, where the log suffices, its simulation; and notes on what is missing.
+    """Return the measured flight, its simulation if the log is sufficient, and notes on missing columns.
 
     platform: whether the vehicle file's slab was present. horizon: s after which the simulation begins again
     at the measured state, see `gap.answer.rollout`.
@@ -56,8 +56,8 @@ def _simulated(
 ) -> Recording:
     """Return the simulated flight in segments of `horizon` seconds, each from its measured initial state.
 
-    Where nothing is known to stand in the arena only free flight is simulated: the vehicle would fall through
-    the ground that it stands on.
+    If the obstacles in the arena are unknown, only free flight is simulated, because the vehicle would fall
+    through the ground.
     """
     known = measured.inclination is not None
     usable = np.full(flight.samples, True) if known else flight.usable
@@ -97,9 +97,7 @@ def _simulated(
 
 
 def _segments(usable: np.ndarray, rows: int) -> list[tuple[int, int]]:
-    """Return first row and number of steps, at most `rows`, of the segments that usable rows (m,) are cut
-    into.
-    """
+    """Return first row and number of steps, at most `rows`, of each segment of the usable rows (m,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(int)))
     found = []
     for begin, end in zip(edges[::2], edges[1::2]):

@@ -1,4 +1,4 @@
-"""`Recording`: one flight as the page plays it, of a policy or a log."""
+"""`Recording`: the data of one flight for the page, from a policy or a log."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FLOWN, MEASURED, SIMULATED = "flown", "measured", "simulated"
 class Recording:
     """Motion, commands and contacts of one flight; T rows.
 
-    What was not logged is NaN. A simulation that restarts has two rows of one time: the end of the old part
-    and the start of the new one.
+    Quantities that were not logged are NaN. When a simulation restarts, it has two rows for the same time:
+    the end of the old part and the start of the new one.
     """
 
     name: str
@@ -70,8 +70,8 @@ class Recording:
 def from_flight(flight: Flight, name: str, plant: str) -> Recording:
     """Return the recording of a policy's flight, a landing until it is at rest.
 
-    For the MuJoCo plant at every engine step with its contacts, see `resimulate`; for others at the control
-    rate, without contacts. Raises UserError for a flight over a moving platform.
+    For the MuJoCo plant it has every engine step with its contacts (see `resimulate`); for others it is at
+    the control rate, without contacts. Raises UserError for a flight over a moving platform.
     """
     if flight.motion is not None:
         raise UserError("replay cannot show moving platforms; use landing-eval video")

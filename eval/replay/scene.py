@@ -23,11 +23,11 @@ _KINDS = {
 
 
 def scene(vehicle: Vehicle, inclination: float | None, azimuth: float = 0.0) -> dict[str, Any]:
-    """Return the geoms of the world and of the vehicle in its true size, with names, sizes [m], poses and
+    """Return the geoms of the world and of the vehicle at its true size, with names, sizes [m], poses and
     colours.
 
-    The world's are in its frame, the vehicle's in the body's. `low`: height of the foot tips in the body's
-    frame; `feet`: their spheres; `scale`: how much larger a vehicle is drawn to be seen.
+    Those of the world are in the world frame, those of the vehicle in the body frame. `low`: height of the
+    foot tips in the body's frame; `feet`: their spheres; `scale`: magnification of the drawn vehicle.
     """
     pose = as_pose(np.array([0, 0, 0, 1, 0, 0, 0]), vehicle, inclination, azimuth)
     platform = (None, None) if inclination is None else (pose.platform_pos, pose.platform_quat)

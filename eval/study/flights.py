@@ -1,9 +1,9 @@
 """Flights of policies as tables, one row per flight.
 
-Every table has `x y z` of the start and `end_x end_y end_z` [m], `success`, `touched` (did a part meet the
-platform), `strict` (the first without the second), `time` [s], `time_to_goal` [s], `reward`, and the
-`measured` columns of the task. Of landings whose motors are cut on arrival it also says how they entered the
-goal box and what followed.
+Every table has `x y z` of the start and `end_x end_y end_z` [m], `success`, `touched` (whether a part touched
+the platform), `strict` (success without a touch), `time` [s], `time_to_goal` [s], `reward`, and the
+`measured` columns of the task. For landings whose motors are cut on arrival it also describes the entry into
+the goal box and the result.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def named_policies(texts: Sequence[str]) -> dict[str, str]:
 
 
 def policy_facts(policies: Mapping[str, Policy]) -> list[Row]:
-    """Return rows that say which policies were flown, with the options of their tasks."""
+    """Return rows on the flown policies, with the options of their tasks."""
     facts = []
     for name, policy in policies.items():
         about = {"file": str(policy.path), "task": policy.task.name} | policy.task.options
@@ -98,9 +98,9 @@ def fly(
 ) -> pd.DataFrame:
     """Return a row for each flight of a policy from `starts`.
 
-    vehicle: the one that flies, where it is not the policy's, which knows nothing of it; it begins with the
-    same load. disturbance: fly in that of the vehicle, always the same. cut_from: of landings, the first
-    flight whose motors are cut on arrival; None: of no flight.
+    vehicle: the vehicle that flies, if it is not the policy's, which does not observe the difference; it
+    begins with the same load. disturbance: fly in the disturbance of the vehicle, always with the same seed.
+    cut_from: for landings, the first flight whose motors are cut on arrival; None for no flight.
     """
     task = policy.task
     vehicle = task.vehicle if vehicle is None else vehicle
@@ -128,7 +128,7 @@ class _Tilted:
         return getattr(self._plant, name)
 
     def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
-        """Set the platforms as the plant does, inclined by more."""
+        """Set the platforms as in the plant, with the additional tilt."""
         self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
 
 
@@ -152,9 +152,10 @@ def table_of(task: Task, flights: Sequence[Flight]) -> pd.DataFrame:
 def _arrivals(
     flights: Sequence[Flight], cut_from: int, vehicle: Vehicle, thrust_scale: float
 ) -> pd.DataFrame:
-    """Return how flights entered the goal box, and what followed when their motors were `cut` there.
+    """Return columns on the entry into the goal box, and on the result if the motors were `cut` there.
 
-    Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN where none arrived.
+    Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN for flights that did
+    not arrive.
     """
     cut = np.array([k >= cut_from and f.success for k, f in enumerate(flights)])
     empty = dict.fromkeys(_NUMBERS, np.nan) | dict.fromkeys(_FLAGS, False)

@@ -1,9 +1,9 @@
-"""How often, how fast and how hard policies reach their goals, from each group of starts.
+"""Share, time and speed with which policies reach their goals, for each group of starts.
 
-Each policy flies from the groups of starts of its task (`Task.evaluation_groups`): a landing from the paper's
-three, scattered ones and the frozen grid, or from the frozen set over its slopes; others from random starts.
-`Task.measures` says what is counted. The goal box of a landing is not yet a landing, so the velocity at its
-entry is reported too, and what happens when the motors are cut there (`rest.py`).
+Each policy flies from the groups of starts of its task (`Task.evaluation_groups`): landings from the paper's
+three starts, scattered ones and the frozen grid, or from the frozen set over slopes; other tasks from random
+starts. `Task.measures` defines the measures. The goal box of a landing is not yet a landing, so the velocity
+at its entry is reported too, and what happens when the motors are cut there (`rest.py`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ def study(
     """Return the study of policies of one kind from all groups of starts.
 
     plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    disturbance: fly in that of the task's vehicle, the same in every call. seed: for the random starts.
+    disturbance: fly in the disturbance of the task's vehicle, the same in every call. seed: for the random
+    starts.
     """
     task = next(iter(policies.values())).task
     by = ("policy", "starts", *["slope"] * task.has_platform, "thrust_scale")
@@ -86,7 +87,7 @@ def _fly(policy: Policy, plant: str, scale: float, disturbance: bool, seed: int)
 
 
 def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:
-    """Return a sentence on each policy, and the paper's result next to which landings stand."""
+    """Return a sentence on each policy, and the paper's result for comparison with landings."""
     remarks = []
     for name, policy in policies.items():
         measure = policy.task.measures[0]

@@ -1,10 +1,10 @@
 """Set-point flight, landing and touchdown as one flight: the study of missions.
 
-Its table has a row for each leg that was flown and one for each whole mission: `leg` ("mission" for the
-whole), `policy`, `mission` (its number), `done` (did it hand over, or come to rest), `time` [s] of those, the
-`end` of the mission, and `touched_slab`, `touched_base`, `touched_floor`. Whole missions also have start and
-end [m], and what the landing policy was handed: `distance` from the hand-over point [m], `speed` [m/s], and
-`aside`, `aside_speed` along y.
+Its table has a row for each flown leg and one for each whole mission: `leg` ("mission" for the whole),
+`policy`, `mission` (its number), `done` (whether it was handed over or came to rest), `time` [s] of those,
+the `end` of the mission, and `touched_slab`, `touched_base`, `touched_floor`. Whole missions also have start
+and end [m], and the state at the hand-over to the landing policy: `distance` from the hand-over point [m],
+`speed` [m/s], and `aside`, `aside_speed` along y.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ HANDED_OVER = (
 
 
 def fly(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
-    """Return the missions from `starts` (n, 3); stderr shows how many have ended."""
+    """Return the missions from `starts` (n, 3); progress is shown on stderr."""
     with stages(len(starts), "missions") as tick:
         return fly_missions(plan, starts, lambda ended: tick(done=ended))
 
 
 def study(missions: Sequence[Mission], facts: Sequence[Row] = (), look: Look | None = None) -> Results:
-    """Return what is counted of missions of one plan; look: of the film of the first one, None: no film."""
+    """Return the study of missions of one plan; look: that of the film of the first one, None for no film."""
     plan = missions[0].plan
     about = {"inclination": math.degrees(plan.task.inclination), "dwell": plan.dwell, "hold": plan.hold}
     about |= {"x": plan.hand_over[0], "z": plan.hand_over[1], "near": plan.near, "slow": plan.slow}
@@ -104,7 +104,7 @@ def table_of(missions: Sequence[Mission]) -> pd.DataFrame:
 
 
 def _outcome(done: bool, duration: float, end: str, touched: Container[str]) -> dict[str, Any]:
-    """Return the columns that legs and missions have; the time is that of the successful ones."""
+    """Return the columns common to legs and missions; the time is given for successful ones."""
     touches = {f"touched_{name}": name in touched for name in SURFACES}
     return {"done": done, "time": float(duration) if done else math.nan, "end": end} | touches
 
@@ -124,7 +124,7 @@ def _handed_over(mission: Mission) -> dict[str, Any]:
 
 
 def _remarks(results: Results) -> list[str]:
-    """Return how missions ended."""
+    """Return sentences on how missions ended."""
     flights = results.flights
     lost = flights[(flights["leg"] != WHOLE) & ~flights["done"]]
     ends = Counter(f"{end} in the {leg}" for end, leg in zip(lost["end"], lost["leg"]))

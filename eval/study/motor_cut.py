@@ -1,10 +1,10 @@
-"""Rest on the slope by a policy's own command, compared with cutting the motors of another one.
+"""Comparison of a policy that stops its motors and comes to rest with cutting the motors of another one.
 
 From every start of the frozen grid, at each friction and restitution, two vehicles fly in the MuJoCo plant
 (RK4, 4 ms):
 
-- `cut in goal box`: a landing policy; at its entry into the goal box the motors are cut from outside, as in
-  the paper. It has 300 control steps to get there and 2 s more to come to rest;
+- `cut in goal box`: a landing policy; the evaluation cuts its motors when it enters the goal box, as in the
+  paper. It has 300 control steps to get there and 2 s more to come to rest;
 - `touchdown policy`: idles the motors itself, within 300 control steps.
 
 Both are evaluated by the rule of the touchdown task: 0.3 s at rest on the feet; the floor ends a flight. A
@@ -12,8 +12,8 @@ vehicle under PWM 0 has no attitude torque. Speeds are those of the centre of ma
 the slab; the peak normal force is that on the feet at any engine step. Where friction cannot hold the slope,
 mu <= tan(inclination), no vehicle can come to rest; such conditions are listed but not counted.
 
-Given effects, both also fly vehicles with one effect of the library at a plausible size, which the
-policies were not trained with, on the contact of the vehicle file.
+If effects are given, both also fly vehicles with one effect of the library at its plausible size, with which
+the policies were not trained, and with the contact parameters of the vehicle file.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def land(
 ) -> pd.DataFrame:
     """Return a row for each flight from `states` (n, 13), as `fly_to_rest` does.
 
-    A landing policy gets its motors cut in the goal box. friction and restitution: None, both, for those of
-    the vehicle. vehicle: the one that flies, where it is not the policy's; it begins with the same load.
+    The motors of a landing policy are cut in the goal box. friction and restitution: both None for those of
+    the vehicle. vehicle: the vehicle that flies, if it is not the policy's; it begins with the same load.
     """
     task, n = policy.task, len(states)
     vehicle = task.vehicle if vehicle is None else vehicle
@@ -143,7 +143,7 @@ def _check(policy: Policy, baseline: Policy) -> None:
 
 
 def _remarks(cannot_hold: Sequence[float], angle: float, results: Results) -> list[str]:
-    """Return sentences on how often vehicles came to rest, and on frictions that are not counted."""
+    """Return sentences on the share of vehicles at rest, and on frictions that are not counted."""
     said = []
     for motors in (OWN, CUT):
         rows = results.all(AT_REST, motors=motors, contact="all") or results.all(AT_REST, motors=motors)

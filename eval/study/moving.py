@@ -1,7 +1,8 @@
-"""The benchmark of moving platforms: flights of policies and a planner through scenarios.
+"""The benchmark of moving platforms: flights of policies and a planner in scenarios.
 
-All are flown in the MuJoCo plant, RK4 in steps of 4 ms, one vehicle and one platform each, at 50 Hz, until
-rest on the platform (see `eval.study.rest`), the floor, or the end of the time.
+All flights are in the MuJoCo plant (RK4, steps of 4 ms) with one vehicle and one platform each, controlled at
+50 Hz, until the vehicle rests on the platform (see `eval.study.rest`), reaches the floor, or the time is
+over.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def vehicle_flown() -> Vehicle:
 
 
 def find_pilots(names: Sequence[str]) -> dict[str, MakePilot]:
-    """Return what flies by name, of policies and the planner; the baselines if none are given."""
+    """Return pilots by name, of policies and the planner; the baselines if none are given."""
     named = named_policies(tuple(dict.fromkeys(names)) or BASELINES)
     return {
         label: planner if name == PLANNER else pilot_of(load_policy(name)) for label, name in named.items()
@@ -72,7 +73,7 @@ def planner(n: int) -> Pilot:
 
 
 def pilot_of(policy: Policy) -> MakePilot:
-    """Return a policy as what flies; raises UserError for one that flies in a plane or does not land."""
+    """Return the pilot of a policy; raises UserError for one that flies in a plane or does not land."""
     if not policy.task.has_platform:
         raise UserError(f"policy {policy.path} is for {policy.task.name}, which has no platform to land on")
     if "roll" not in policy.task.action_names:
@@ -144,6 +145,6 @@ def study(
 
 
 def _remarks(whole: bool, results: Results) -> list[str]:
-    """Return whether this is a result of the benchmark, and a sentence on each policy."""
+    """Return sentences on whether this is a full result of the benchmark, and on each policy."""
     rows = results.all(AT_REST, scenario=None, speed=None)
     return [f"{row['policy']} {AT_REST.said} in {count_words(row)}." for row in rows] + [PARTLY] * (not whole)

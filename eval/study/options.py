@@ -1,4 +1,4 @@
-"""Options of the studies and their defaults; nothing heavy is imported."""
+"""Options of the studies and their defaults; nothing slow is imported."""
 
 from __future__ import annotations
 

@@ -1,17 +1,16 @@
-"""A planner without learning: hover over the platform, then a jerk-minimal way onto it.
+"""A planner without learning: hover over the platform, then a minimum-jerk trajectory onto it.
 
-Everything is planned in the frame that moves along with the platform's centre. A vehicle first flies to a
-place off the platform's normal from which the last way is short. From there a polynomial of the fifth
-degree, the way of least squared jerk, leads to the platform: onto its centre, sinking by `SINK`, and with the
-acceleration that a vehicle has whose thrust is along the platform's normal, so that it arrives aligned with
-it. The end of the way is replanned in every control period, because a platform may tilt. Commands follow the
-way by its acceleration, a proportional and a derivative term, and the platform's own acceleration,
-differenced; attitude commands lead by the loop's time constant. The motors stop at `CUT` over the height at
-rest.
+Everything is planned in the frame that moves with the platform's centre. A vehicle first flies to a point
+along the platform's normal from which the final trajectory is short. From there a minimum-jerk trajectory, a
+polynomial of the fifth degree, leads to the platform: to its centre, descending at `SINK`, and with the
+acceleration of a vehicle whose thrust is along the platform's normal, so that it arrives aligned with it. The
+end of the trajectory is replanned in every control period, because a platform may tilt. Commands combine its
+acceleration, a proportional and a derivative term, and the platform's acceleration from differences; attitude
+commands lead by the loop's time constant. The motors stop at `CUT` above the height at rest.
 
 Mellinger and Kumar, Minimum snap trajectory generation and control for quadrotors, ICRA 2011, for flat
-outputs; Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015), for ways
-of least jerk.
+outputs; Mueller, Hehn and D'Andrea, A computationally efficient motion primitive, T-RO 31 (2015), for
+minimum-jerk trajectories.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _FILTER = 0.3  # of the platform's differenced acceleration, per period
 
 
 class Planner:
-    """A pilot (see `rest.Pilot`) of vehicles of one kind."""
+    """A pilot (see `rest.Pilot`) for one kind of vehicle."""
 
     def __init__(self, vehicle: Vehicle):
         self._period, self._gravity = vehicle.command_control_period, vehicle.environment_gravity
@@ -61,7 +60,7 @@ class Planner:
         self._thrust = np.tile([0.0, 0.0, self._gravity], (n, 1))
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
-        """Return commands (n, 4) that the vehicle takes."""
+        """Return commands (n, 4) within the vehicle's limits."""
         state, platform = context.state, context.platform
         if len(self._remaining) != len(state):
             self._begin(platform)
@@ -98,18 +97,18 @@ class Planner:
         return commands
 
     def _end(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return place, velocity and acceleration (n, 3), from the platform's centre, at the end."""
+        """Return position, velocity and acceleration (n, 3) at the end, relative to the platform's centre."""
         down = np.array([0.0, 0.0, -self._gravity])
         along = down - (normal @ down)[:, None] * normal  # of gravity, under thrust that bears the rest
         return self._rest * normal, -SINK * normal, along
 
     def _entry(self, normal: np.ndarray) -> np.ndarray:
-        """Return where the last way begins (n, 3), over the platform and downhill of it."""
+        """Return the start (n, 3) of the final trajectory, above the platform and downhill of it."""
         end, _, along = self._end(normal)
         return end + ABOVE * normal + 0.1 * WAY**2 * along
 
     def _follow(self, on: np.ndarray, normal: np.ndarray) -> None:
-        """Advance by a period on the paths of least jerk from the vehicles to the present platforms."""
+        """Advance by a period on the minimum-jerk trajectories from the vehicles to the present platforms."""
         remaining = np.maximum(self._remaining, LEAST)
         remaining[~on] = 1.0
         end = np.array(self._end(normal))

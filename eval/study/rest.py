@@ -1,11 +1,10 @@
 """Flights until rest on the platform, in the MuJoCo plant (RK4, 4 ms).
 
-A vehicle rests that is slow relative to the platform, on its feet alone, with motors at idle, for as long as
-is asked. The floor ends a flight. A vehicle under PWM 0 has no attitude torque.
+A vehicle is at rest if it is slow relative to the platform, only on its feet, with motors at idle, for the
+required time. The floor ends a flight. A vehicle under PWM 0 has no attitude torque.
 
-Where a policy hands over, `cut_motors` flies on from given states with PWM 0 for two seconds, watched at
-every engine step. It is not flown on where the end is known: once on the floor, or as good as standing still
-for 0.3 s.
+For policies that hand over, `cut_motors` continues from given states with PWM 0 for two seconds and evaluates
+every engine step. It stops early if the outcome is known: on the floor, or after 0.3 s almost without motion.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ _LOOK = 5  # engine steps
 
 
 class Pilot(Protocol):
-    """What flies n vehicles through one scenario, called once every control period."""
+    """A pilot of n vehicles in one scenario, called once every control period."""
 
     def __call__(self, t: float, context: StepContext) -> np.ndarray:
         """Return commands (n, 4) at time t [s], for the present states, contacts and platforms."""
 
 
 class PolicyPilot:
-    """Flies a policy; one whose task ends in a goal box gets its motors cut there."""
+    """Flies a policy; if its task ends in a goal box, the motors are cut there."""
 
     def __init__(self, policy: Policy, n: int):
         self._policy, self._task = policy, policy.task
@@ -76,13 +75,13 @@ def fly_to_rest(
 ) -> pd.DataFrame:
     """Return a row for each flight from `states` (n, 13), of at most `steps` control steps.
 
-    hold: control steps of rest that end a flight; speed, rate: below which a vehicle rests [m/s, rad/s].
+    hold: control steps of rest that end a flight; speed, rate: limits of rest [m/s, rad/s].
     after_cut: steps that a vehicle has once the pilot has cut its motors, instead of `steps`.
 
     Columns: `at_rest`; `time` [s] until rest was held; at the first touch, relative to the platform,
     `normal_speed` into it and `tangential_speed` along it [m/s], and `tilt` [rad] between the vehicle's axis
     and the platform's normal; `off_centre` [m], from the platform's centre at rest; `peak_normal_force` on
-    the feet [N]. NaN where there was none.
+    the feet [N]. NaN if there was none.
     """
     n, period = len(states), plant.control_period
     recorder = Recorder(plant, states)
@@ -167,6 +166,6 @@ def cut_motors(
 
 
 def _slow(state: np.ndarray) -> np.ndarray:
-    """Return (n,) bool: so slow that the vehicle will not be faster than at rest."""
+    """Return (n,) bool: whether the vehicle is so slow that it will remain at rest."""
     speed = np.linalg.norm(state[:, VX : VZ + 1], axis=1)
     return (speed < _SLOW * REST_SPEED) & (np.linalg.norm(state[:, WX : WZ + 1], axis=1) < _SLOW * REST_RATE)

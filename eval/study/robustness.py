@@ -172,7 +172,7 @@ def command(
 
 
 def check_one_slope(policies: Mapping[str, Policy]) -> None:
-    """Raise UserError for policies of different tasks or slopes, or that are not counted as in `success`."""
+    """Raise UserError for policies of different tasks or slopes, or that `success` does not evaluate."""
     first = next(iter(policies.values())).task
     for policy in policies.values():
         task = policy.task

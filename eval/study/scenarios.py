@@ -1,8 +1,8 @@
 """The scenarios of the benchmark of moving platforms: their slope, travel and waves (`scenarios.toml`).
 
-An axis of the platform moves by the sum over the components of amplitude cos(2 pi t / period + phase_deg +
-phase), the last drawn for each flight and common to all axes. The direction that the bow, the platform's own
-+x, faces is drawn too.
+The motion of each axis of the platform is the sum over components of amplitude cos(2 pi t / period +
+phase_deg + phase), with the last phase drawn for each flight and common to all axes. The direction of the
+bow, the platform's +x axis, is drawn too.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Scenario:
         return amplitude, phase
 
     def draw(self, vehicle: Vehicle, flights: int | None = None) -> Start:
-        """Draw the flights of the scenario; fewer are the first ones.
+        """Draw the flights of the scenario; a smaller number gives the first ones.
 
-        Every flight has a generator of its own, so that how many are flown changes none.
+        Every flight has its own random generator, so that the number of flights does not change them.
         """
         n = FLIGHTS if flights is None else min(FLIGHTS, flights)
         amplitude, axis_phase = self.components()
@@ -99,7 +99,7 @@ class Scenario:
 def scenarios(names: tuple[str, ...] = ()) -> dict[str, Scenario]:
     """Return the scenarios of these names (default: all), in the order of the tables.
 
-    Raises UserError for a name that none has.
+    Raises UserError for an unknown name.
     """
     text = (resources.files(__package__) / "scenarios.toml").read_text("utf-8")
     known = {

@@ -1,8 +1,8 @@
-"""Landing policies over all slopes they know: shares of the flights by angle, and on single slopes.
+"""Landing policies over all slopes of their training: success by angle, and on single slopes.
 
-A policy that observes the slope flies from the frozen set (`over_slopes`), which training never sees. In
-space it flies from this set once more, with random headings. Every policy also flies from the frozen grid of
-the plane over single slopes: the steepest that it knows, the paper's, or the one that it was trained for.
+A policy that observes the slope flies from the frozen set (`over_slopes`), which training never uses. In
+space it flies from this set a second time, with random headings. Every policy also flies from the frozen
+planar grid over single slopes: the steepest of its training, the paper's, or the one that it was trained for.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _HEADINGS_SEED = 25_700_551
 
 
 def study(policies: Mapping[str, Policy], *, plant: str, every: int = 1) -> Study:
-    """Return the study of policies, given by their labels, over the slopes of each.
+    """Return the study of policies, given by their labels, each over its slopes.
 
-    every: fly from each k-th start only. Raises UserError for policies that do not land.
+    every: use every k-th start. Raises UserError for policies that do not land.
     """
     for policy in policies.values():
         if not policy.task.cut_at_success:
@@ -58,7 +58,7 @@ def study(policies: Mapping[str, Policy], *, plant: str, every: int = 1) -> Stud
 
 
 def _cases(name: str, policy: Policy, plant: str, every: int) -> Iterator[Case]:
-    """Yield the flights over each kind of slopes, all of the training first."""
+    """Yield the flights over each kind of slopes, beginning with all slopes of the training."""
     task = policy.task
     if task.observes_slope:
         slopes = over_slopes(task, every=every)
@@ -113,7 +113,7 @@ def _singles(results: Results) -> list[str]:
 
 
 def _remarks(results: Results) -> list[str]:
-    """Return a sentence on each policy: its first slopes are all that it knows."""
+    """Return a sentence on each policy and all slopes of its training."""
     first = {policy: results.all(STRICT, policy=policy)[0] for policy in results.labels("policy")}
     return [
         f"{policy} {STRICT.said} in {count_words(row)} on slopes of {row['slopes']}."

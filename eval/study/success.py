@@ -1,4 +1,4 @@
-"""`landing-eval success`: how often, how fast and how hard policies reach their goals (`groups`)."""
+"""`landing-eval success`: share, time and speed with which policies reach their goals (`groups`)."""
 
 from __future__ import annotations
 

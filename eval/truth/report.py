@@ -1,4 +1,4 @@
-"""The parts that both sets of claims share: `claims.toml`, page, JSON and figures."""
+"""Common parts of both sets of claims: `claims.toml`, page, JSON and figures."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from inclined_landing.models.base import storage
 class Words:
     """The text of the sections and claims of a package: `claims.toml` next to its code.
 
-    A table is a section with `title`, `text` and, where there are any, `remarks` and the caption of its
-    `figure` (a PNG file of its name); a table in it is a claim with `claim`, `unit`, `why` and its bounds
-    `low` and `high`, where they are not computed. Names in braces are filled in.
+    A table is a section with `title`, `text` and optionally `remarks` and the caption of its `figure` (a PNG
+    file of its name); a table in it is a claim with `claim`, `unit`, `why` and, unless they are computed, its
+    bounds `low` and `high`. Names in braces are replaced by values.
     """
 
     def __init__(self, package: str):
@@ -83,8 +83,8 @@ def publish(
 ) -> bool:
     """Write NAME.html, NAME.json and the figures into the new folder `out`; return whether all claims hold.
 
-    figures: by the file names that sections have captions for; record: of the JSON file, with `versions`;
-    run: how it was made. Prints the claims that do not hold.
+    figures: by the file names used in the captions of sections; record: content of the JSON file, with
+    `versions`; run: the command. Prints the claims that do not hold.
     """
     images = {file: png(figure) for file, figure in figures.items()}
     page = of_sections(sections, images, title=title, lead=lead, run=run, versions=record["versions"])

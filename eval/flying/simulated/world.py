@@ -154,8 +154,7 @@ class World:
             self.schedule(arrival, lambda: received(self.time))
 
     def log(self, variables: Sequence[str], period: float, arrived: Arrived) -> None:
-        """Log variables every `period` [s] from now on. Raises KeyError for a variable that does not
-        exist."""
+        """Log variables every `period` [s] from now on. Raises KeyError for an unknown variable."""
         for name in variables:
             if name not in LOGGED:
                 raise KeyError(name)

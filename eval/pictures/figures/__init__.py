@@ -1,1 +1,1 @@
-"""Figures of trajectories, curricula and missions, with curves, shapes and text as vectors."""
+"""Figures of trajectories, curricula and missions as vector graphics."""

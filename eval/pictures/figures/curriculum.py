@@ -1,4 +1,4 @@
-"""The stages of a curriculum as pictures: starts, goal pose, goal box and platform of each."""
+"""Pictures of the stages of a curriculum: starts, goal pose, goal box and platform."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ def curriculum_figure(
 ) -> Figure:
     """Return a figure with one panel for each stage (title, conditions), in reading order.
 
-    A panel shows STARTS starts sampled by the task under these conditions, the box they come from,
-    the goal pose in green with the goal box, and the platform once it is there.
-    Raises UserError for no stages.
+    A panel shows STARTS starts sampled by the task under these conditions, the box from which they come, the
+    goal pose in green with the goal box, and the platform if there is one. Raises UserError for no stages.
     """
     if not stages:
         raise UserError("a curriculum figure needs at least one stage")

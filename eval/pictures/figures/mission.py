@@ -27,7 +27,7 @@ _MOST_PATHS = 100  # ways of others that are drawn
 def mission_figure(mission: Mission, others: Sequence[Mission] = ()) -> Figure:
     """Return a figure of one mission from the side, with copies of the vehicle, and from above.
 
-    others: missions of the same plan whose paths are drawn thin behind it, at most the first hundred.
+    others: missions of the same plan, of which at most the first hundred are drawn as thin lines behind it.
     """
     others = [other for other in others if other is not mission][:_MOST_PATHS]
     points = np.concatenate([track.state[:, :3] for track in (mission, *others)])

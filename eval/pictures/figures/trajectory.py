@@ -35,8 +35,8 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
     """Return a figure of one flight: copies of the vehicle along its path, PWM and attitude over time.
 
     copies: how many vehicles are drawn at most (default: 11 landing, 8 set-point).
-    Raises UserError for a flight of less than two samples or with states that are not finite, and over a
-    moving platform.
+    Raises UserError for a flight with fewer than two samples or states that are not finite, and for one over
+    a moving platform.
     """
     if len(flight.t) < 2 or not np.isfinite(flight.state).all():
         raise UserError("a trajectory figure needs a flight of at least two samples with finite states")
@@ -68,7 +68,7 @@ def trajectory_figure(flight: Flight, *, copies: int | None = None) -> Figure:
 
 
 def _draw_scene(axes, flight: Flight, chosen, sprites: SpriteRenderer, ratio: float) -> None:
-    """Draw the flight as the sprites are seen: x or y to the right, z up."""
+    """Draw the flight in the view of the sprites: x or y to the right, z up."""
     state, landing, plane = flight.state, flight.inclination is not None, [sprites.across, Z]
     target, d = flight.task.goal_state, flight.task.goal_size
     points, widest = state[:, plane], state[:, :2]
@@ -111,8 +111,8 @@ def _window(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return limits of x (or y) and z [m] that show points (k, 2) in a box of width = ratio * height.
 
-    floor: the lower limit, unless points lie lower; without it, points are in the middle. least: the
-    height is at least this.
+    floor: the lower limit, unless points are lower; without it, the points are centred. least: the smallest
+    height.
     """
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
     if floor is not None:

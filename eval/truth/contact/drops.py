@@ -21,7 +21,7 @@ def unpowered(
 ) -> MujocoPlant:
     """Return a plant of n vehicles that is stepped at the engine's step, without attitude torques.
 
-    inclination: that of platforms and vehicles (n,) [rad], whose feet then rest in the platforms' middle.
+    inclination: that of platforms and vehicles (n,) [rad], whose feet then rest at the platforms' centres.
     """
     plant = MujocoPlant(
         n, vehicle, control_period=step, timestep=step, torque_needs_motors=True, moving=moving
@@ -73,8 +73,8 @@ def drop(
 ) -> Drops:
     """Drop level vehicles at `speed` [m/s] for each row of solrefs (k, 2); None is the default setting.
 
-    stages: repeat the stages of every step for the contacts' impulse, which takes longer.
-    thrust: the share of the weight that the rotors carry.
+    stages: repeat the stages of every step to compute the contact impulse, which takes longer. thrust: the
+    share of the weight that the rotors carry.
     """
     k = 1 if solrefs is None else len(solrefs)
     n = k * PHASES

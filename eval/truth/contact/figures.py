@@ -16,7 +16,7 @@ _DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
 
 
 def _curves(axes: Axes, x: Sequence[float], curves: Mapping[str, Sequence[float]], **labels: Any) -> None:
-    """Draw curves by their names over x; labels: of the axes, their limits and scales."""
+    """Draw curves by name over x; labels: labels, limits and scales of the axes."""
     for (name, values), colour in zip(curves.items(), _COLOURS):
         axes.plot(x, values, "o-", color=colour, ms=3.5, lw=1.2, label=name)
     axes.set(**labels)

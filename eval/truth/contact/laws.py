@@ -1,6 +1,6 @@
 """Measurements of contact against the laws of mechanics, each returned as a `Section`.
 
-Everything is unpowered and uses the default contact setting unless it says otherwise.
+Everything is unpowered and uses the default contact setting unless stated otherwise.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _LARGEST_BH = 0.2  # B times the engine's step; the default vehicle has 50 x 4 m
 
 @dataclasses.dataclass(frozen=True)
 class Gap:
-    """The engine's rate loop at one bandwidth, 6 s."""
+    """The error of the engine's rate loop at one bandwidth, over 6 s."""
 
     bandwidth: float
     rms: float  # m, distance to the paper's equations, root of the mean square over time and sequences
@@ -40,7 +40,7 @@ class Gap:
 
 
 def with_bandwidth(v: Vehicle, bandwidth: float) -> Vehicle:
-    """Return the vehicle with this roll and pitch bandwidth [1/s]; the yaw's keeps its share of it."""
+    """Return the vehicle with this roll and pitch bandwidth [1/s]; that of yaw is scaled with it."""
     share = v.attitude_yaw_bandwidth / v.attitude_bandwidth
     return dataclasses.replace(v, attitude_bandwidth=bandwidth, attitude_yaw_bandwidth=share * bandwidth)
 
@@ -88,7 +88,7 @@ def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[f
 
 
 def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
-    """Return the claims: the gap halves with double the bandwidth; the extended equations are met at each."""
+    """Return the claims: doubling the bandwidth halves the gap; the extended equations agree at each."""
     result = []
     for slow, fast in itertools.pairwise(g for g in gaps if g.bandwidth >= 50):
         margin = 1 / (with_bandwidth(v, slow.bandwidth).attitude_yaw_bandwidth * v.attitude_time_constant)
@@ -117,7 +117,7 @@ def draw(v: Vehicle, gaps: list[Gap], axis: Axes) -> None:
 
 
 def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Section, Figure]:
-    """Return the section and its figure; `everyday` are commands as a policy gives them."""
+    """Return the section and its figure; `everyday` are typical commands of a policy."""
     gaps = measure(v, sequences)
     daily = measure(v, everyday, (v.attitude_bandwidth,))[0]
     plain, late = late_commands(v, sequences, v.attitude_bandwidth)

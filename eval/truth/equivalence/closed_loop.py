@@ -55,14 +55,14 @@ def fly(policy: Policy, starts: np.ndarray) -> dict[str, list[Flight]]:
 
 
 def quantities(flights: list[Flight]) -> np.ndarray:
-    """Return (k, 6) time to land [s] and final x, z, vx, vz, pitch [deg] of the flights."""
+    """Return time to land [s] and final x, z, vx, vz, pitch [deg] of the flights, (k, 6)."""
     rows = np.array([[f.duration, *f.state[-1, _COLUMNS]] for f in flights])
     rows[:, -1] = np.degrees(rows[:, -1])
     return rows
 
 
 def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
-    """Return the comparison of two plants; None when fewer than FEWEST flights succeed in both."""
+    """Return the comparison of two plants; None if fewer than FEWEST flights succeed in both."""
     from scipy.stats import ks_2samp
 
     pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
@@ -88,7 +88,7 @@ def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparis
 
 
 def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Claim]:
-    """Return the claims: the same model flies the same, and the policy is as successful in both plants."""
+    """Return the claims: the same model gives the same flights, and equal success in both plants."""
     result = []
     for c in twins:
         claim = functools.partial(WORDS.claim, "closed_loop", name=f"{c.second} and {c.first}")

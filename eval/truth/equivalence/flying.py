@@ -1,4 +1,4 @@
-"""Command sequences of 6 s flown in both plants, far from every surface, and how far the flights differ."""
+"""Command sequences of 6 s, flown in both plants far from every surface, and differences of the flights."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def largest_gaps(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
 
 @dataclasses.dataclass(frozen=True)
 class Sequences:
-    """n command sequences with the heading they start from."""
+    """n command sequences with their initial headings."""
 
     family: str
     planar: bool
@@ -178,7 +178,7 @@ def landing_like(v: Vehicle, n: int, rng: np.random.Generator) -> np.ndarray:
 def _recorded(v: Vehicle, n: int, rng, policy: Policy, planar: bool) -> np.ndarray:
     """Return the commands (STEPS, n, 4) of the policy from n of the frozen starts, continued beyond the goal.
 
-    In 3-D the pitch commands of another flight go to the roll, with a smooth turn.
+    In 3-D the roll commands are the pitch commands of another flight, with a smooth turn in yaw.
     """
     starts = landing_starts.grid()
     starts = starts[rng.permutation(len(starts))[:n]]

@@ -1,6 +1,6 @@
-"""The paper against itself and against its authors' public code, in numbers.
+"""Numerical comparison of the paper with itself and with its authors' public code.
 
-The public code is described here by its equations (see `paper.toml` for where it is); the model follows
+The public code is described here by its equations (see `paper.toml` for its address); the model follows
 the paper's equations.
 """
 

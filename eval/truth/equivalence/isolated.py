@@ -1,7 +1,7 @@
-"""One term at a time, each against its own closed solution: drag, lag, the Euler axes, their order.
+"""Comparison of single terms with closed solutions: drag, lag, the Euler axes, their order.
 
-The closed solutions are written here from the paper's formulas; nothing of `equations.py` is used, so
-that an error which both plants share would show.
+The closed solutions are derived here from the paper's formulas without `equations.py`, so that an error
+common to both plants would be detected.
 """
 
 from __future__ import annotations

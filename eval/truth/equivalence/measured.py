@@ -28,7 +28,7 @@ QUICK_STARTS = 4  # every fourth of the frozen grid
 
 
 def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section], dict[str, Figure]]:
-    """Return all the sections, and the figures by file name. `tick` is called with what comes next."""
+    """Return all sections, and the figures by file name. `tick` is called with the name of the next stage."""
     v = policy.task.vehicle
     n, states = (QUICK_SEQUENCES, QUICK_STATES) if quick else (SEQUENCES, STATES)
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
