@@ -10,10 +10,8 @@ TOLERANCE = 0.05  # m from the goal, of the set-point task
 HAND_OVER_SPEED, HAND_OVER_TIME = 0.15, 0.4  # m/s, s
 YAW_GAIN = 2.0  # 1/s, heading error to yaw rate command
 CLEAR = 0.25  # m that a planned way keeps to the platform: twice the vehicle's half width, and some
-# The trim:
-TRIM_GAIN = 0.5  # 1/s: how fast it is learnt
-TRIM_LIMIT = 0.3  # m
-TRIM_REACH = 0.3  # m from the target within which it is
+TRIM_GAIN, TRIM_LIMIT = 0.5, 0.3  # 1/s, m: of the integral offset
+TRIM_REACH = 0.3  # m from the target, within which the offset is integrated
 
 
 class Trim:

@@ -1,7 +1,7 @@
 """The starts of the evaluation of landing policies; training never uses them.
 
-`starts/landing_grid.csv` is the frozen set: a grid over the upper half of the arena without the starts at
-which the vehicle is closer than 5 cm to the platform. `make_grid` made it.
+`landing_grid.csv` is the frozen set: a grid over the upper half of the arena, 30 cm apart in x and 10 cm in z,
+without the starts at which the vehicle is closer than 5 cm to the platform.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from inclined_landing.envs.tasks.base import Task, hover_states
 START_CLEARANCE = 0.05  # m, that starts keep to the platform
 PAPER_STARTS = ((0.0, 2.0), (-1.5, 1.6), (1.5, 1.8))  # x, z of the paper's table
 _FILE = "shipped/landing_grid.csv"
-_X = np.arange(-33, 34, 3) / 10.0  # m
-_Z = np.arange(125, 226, 10) / 100.0  # m
 _OFFSET = 0.1  # m, of the scattered starts, in x and in z
 _SCATTERED = 10  # flights from each of the paper's starts
 
@@ -26,12 +24,6 @@ def grid() -> np.ndarray:
     """Return the frozen starts (k, 2): x, z [m]."""
     text = resources.files("inclined_landing.envs").joinpath(_FILE).read_text("utf-8")
     return np.loadtxt(io.StringIO(text), delimiter=",", comments="#", ndmin=2)
-
-
-def make_grid(task: Task) -> np.ndarray:
-    """Return the starts (k, 2) of the grid that are clear of the task's platform, ordered by x."""
-    x, z = np.meshgrid(_X, _Z, indexing="ij")
-    return clear(task, np.column_stack([x.ravel(), z.ravel()]))
 
 
 def clear(task: Task, starts: np.ndarray) -> np.ndarray:
