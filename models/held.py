@@ -45,8 +45,8 @@ from inclined_landing.models.forces import (
 from inclined_landing.models.perturbation import GAIN_SCALE, LAG_SCALE, MASS_SCALE, TIME_CONSTANT_SCALE
 
 _STEP = 0.6
-# The share of the torque limits that torques may reach. They are checked twice in a step; in between, the part
-# of a torque that decays with the shortest time constant departs from a line by (_STEP/2)^2/8 of itself.
+# The share of the torque limits that torques may reach. They are checked twice in a step; in between, the
+# part of a torque that decays with the shortest time constant departs from a line by (_STEP/2)^2/8 of itself.
 _UNLIMITED = 0.95
 
 
