@@ -1,7 +1,7 @@
 """The starts of the evaluation of landing policies; training never uses them.
 
-`landing_grid.csv` is the frozen set: a grid over the upper half of the arena, 30 cm apart in x and 10 cm in z, without
-the starts at which the vehicle is closer than 5 cm to the platform.
+`landing_grid.csv` is the frozen set: a grid over the upper half of the arena, of 30 cm in x and 10 cm in
+z, without the starts at which the vehicle is closer than 5 cm to the platform.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ Taffanel et al., "Lighthouse Positioning System: Dataset, Accuracy, and Precisio
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 
@@ -28,16 +27,10 @@ _SEEN = 0.03  # m/s, standard deviation of the velocity that the filter shows wh
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
 
 
-@dataclasses.dataclass(frozen=True)
-class DeckQuality:
-    """Errors of the onboard estimate."""
-
-    offset: float = 0.01  # m, standard deviation of the offset on each axis, for a flight
-    scale: float = 0.01  # of the scale of a distance on each axis, for a flight
-    noise: float = 0.002  # m, of the position from one moment to the next
-    noise_time: float = 0.1  # s, its correlation time
-    late: float = 0.01  # s by which the filter follows the motion
-    blind: float = 0.3  # m/s2, of the error of the acceleration once the deck sees nothing
+# Errors of the onboard estimate: standard deviations of offset [m] and scale of each axis, for a flight; noise
+# of the position [m] and its correlation time [s]; by how much the filter follows the motion late [s]; error of
+# the acceleration once the deck sees nothing [m/s2].
+OFFSET, SCALE, NOISE, NOISE_TIME, LATE, BLIND = 0.01, 0.01, 0.002, 0.1, 0.01, 0.3
 
 
 class Lighthouse:
@@ -45,30 +38,30 @@ class Lighthouse:
 
     def __init__(self, body: Body, random: np.random.Generator):
         self.blind = False
-        self._quality, self._body, self._random = DeckQuality(), body, random
-        self._scale = 1.0 + random.normal(0.0, self._quality.scale, 3)
-        self._offset = random.normal(0.0, self._quality.offset, 3)
-        self._lean = random.normal(0.0, self._quality.blind, 3)
+        self._body, self._random = body, random
+        self._scale = 1.0 + random.normal(0.0, SCALE, 3)
+        self._offset = random.normal(0.0, OFFSET, 3)
+        self._lean = random.normal(0.0, BLIND, 3)
         self._time = body.time
         self._noise = np.zeros(3)
         self._blind_error, self._blind_speed, self._blind_since = np.zeros(3), np.zeros(3), 0.0
 
     def estimate(self, time: float) -> tuple[np.ndarray, float]:
         """Return position (3,) [m] and variance of the velocity [m2/s2] at a time within the last step."""
-        q, dt = self._quality, max(0.0, time - self._time)
+        dt = max(0.0, time - self._time)
         self._time = max(self._time, time)
         state = self._body.state_at(time)
         # Ornstein-Uhlenbeck process: x <- x exp(-dt / T) + s sqrt(1 - exp(-2 dt / T)) n
-        keep = math.exp(-dt / q.noise_time)
+        keep = math.exp(-dt / NOISE_TIME)
         drawn = self._random.standard_normal(3)
-        self._noise = keep * self._noise + q.noise * math.sqrt(1.0 - keep * keep) * drawn
-        position = self._scale * (state[X : Z + 1] - q.late * state[VX : VZ + 1]) + self._offset
+        self._noise = keep * self._noise + NOISE * math.sqrt(1.0 - keep * keep) * drawn
+        position = self._scale * (state[X : Z + 1] - LATE * state[VX : VZ + 1]) + self._offset
         variance = _SEEN**2
         if self.blind:
             self._blind_since += dt
             self._blind_speed = self._blind_speed + dt * self._lean
             self._blind_error = self._blind_error + dt * self._blind_speed
-            variance += (q.blind * self._blind_since) ** 2
+            variance += (BLIND * self._blind_since) ** 2
         return position + self._noise + self._blind_error, variance
 
 

@@ -10,7 +10,7 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.flying import positions
 from inclined_landing.eval.flying.positions import OnboardPosition
 from inclined_landing.eval.flying.simulated.flight import fly_simulated
-from inclined_landing.eval.flying.simulated.sensors import DeckQuality, Lighthouse
+from inclined_landing.eval.flying.simulated.sensors import LATE, NOISE, OFFSET, SCALE, Lighthouse
 from inclined_landing.eval.flying.vehicle import Radio
 from inclined_landing.models.base.errors import UserError
 
@@ -45,9 +45,8 @@ def errors(velocity, seconds, flights=40, blind=False):
 
 def test_a_lighthouse_is_off_by_centimetres_and_does_not_drift():
     """Offset, and scale at 2 m: hypot(1, 2) cm on an axis at most; 120 draws of it stay within 3.5 of it."""
-    q = DeckQuality()
     found = errors((0.2, 0.0, 0.0), 10.0)
-    limit = 3.5 * math.hypot(q.offset, 2.0 * q.scale, 0.0) + 3.5 * q.noise + q.late * 0.2
+    limit = 3.5 * math.hypot(OFFSET, 2.0 * SCALE, 0.0) + 3.5 * NOISE + LATE * 0.2
     assert 0.003 < np.sqrt((found**2).mean()) and np.abs(found).max() < limit
 
 
