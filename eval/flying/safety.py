@@ -154,11 +154,17 @@ CAUSES = (  # in the order in which they are asked
 )
 # What a limit is called that only these make seem passed, by its reaction.
 LATE = {
-    reaction: Cause("late", "this computer was late with a control step; else no limit was passed", reaction)
+    reaction: Cause(
+        "late",
+        "this computer was late with a control step; otherwise no limit would have been exceeded",
+        reaction,
+    )
     for reaction in Reaction
 }
 SILENT = {
-    reaction: Cause("poor link", "after another silence as long as the last one it had no room", reaction)
+    reaction: Cause(
+        "poor link", "another gap in the link as long as the last one would leave no room to stop", reaction
+    )
     for reaction in Reaction
 }
 

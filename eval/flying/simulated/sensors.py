@@ -27,9 +27,9 @@ _SEEN = 0.03  # m/s, standard deviation of the velocity that the filter shows wh
 SAG_RATE, FLAT = 0.5, 2.8  # V/s by which a failing battery falls, down to this voltage
 
 
-# Errors of the onboard estimate: standard deviations of offset [m] and scale of each axis, for a flight; of the
-# position's noise [m], with its correlation time [s]; lag behind the motion [s]; of the acceleration once the
-# deck sees nothing [m/s2].
+# Errors of the onboard estimate: standard deviations of offset [m] and scale of each axis, for a flight;
+# noise of the position [m] and its correlation time [s]; lag behind the motion [s]; error of the acceleration
+# once the deck sees nothing [m/s2].
 OFFSET, SCALE, NOISE, NOISE_TIME, LATE, BLIND = 0.01, 0.01, 0.002, 0.1, 0.01, 0.3
 
 
