@@ -188,7 +188,9 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
             yield limit(
                 name, f"{name} reaches {steepest:.0f} deg: a flip or a crash, which the models do not cover"
             )
-    spikes = _outliers(np.nan_to_num(log.attitude), TURN + LARGEST_TURNING / log.rate**2)
+    # A vehicle that lies upside down has a pitch of about +-180 deg, whose sign is noise.
+    attitude = np.unwrap(np.nan_to_num(log.attitude), axis=0)
+    spikes = _outliers(attitude, TURN + LARGEST_TURNING / log.rate**2)
     if len(spikes):
         where = (
             f"{len(spikes)} of {len(log)} rows, first in row {spikes[0] + 1} (t = {log.t[spikes[0]]:.2f} s)"

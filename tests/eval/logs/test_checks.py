@@ -463,6 +463,14 @@ def test_spikes_of_the_attitude_are_left_out():
     assert "attitude jumps away and back in 59 of 1200 rows" in found(log, "refuse")[0]  # and row 0 alone
 
 
+def test_a_vehicle_that_lies_upside_down_has_no_spikes():
+    """Its pitch is 180 deg, with either sign from row to row."""
+    log = flight()
+    log.attitude[-300:, 1] = np.pi * (-1.0) ** np.arange(300)
+    assert not any("jumps" in text for kind in ("refuse", "limit") for text in found(log, kind))
+    assert any(text.startswith("pitch reaches 180 deg") for text in found(log, "limit"))
+
+
 def test_an_axis_that_never_changes_is_judged_by_how_the_vehicle_leans():
     log = flight()
     assert found(change(log, x=0), "refuse") == [
