@@ -1,5 +1,6 @@
 """The frozen benchmark of moving platforms: its scenarios, and what is counted."""
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -69,6 +70,12 @@ def test_who_does_nothing_does_not_land():
     assert not fly(travel["travel_200_cm_s"], off, 4)["at_rest"].any()
     (results,) = run([moving.study(travel, {"off": off}, 1)])
     assert results.one("at_rest", together="all scenarios")["count"] == 0
+
+
+def test_nothing_rests_on_a_slope_without_friction():
+    slope = scenarios()["still_20_deg"]
+    assert fly(slope, planner, 2)["at_rest"].all()
+    assert not fly(dataclasses.replace(slope, friction=0.05), planner, 2)["at_rest"].any()
 
 
 @pytest.mark.parametrize(
