@@ -32,8 +32,7 @@ MOST_SETS = 12  # most probable sets that are discriminated between
 LEAST_SHARE = 0.01  # of the first one's probability, for the others
 SIMULATED = 6  # most probable sets under which the flight is simulated
 WORTH = 0.2  # share of the gain that pieces close to a surface must bring, or turns, or none is flown
-NEAR_KEPT, NEAR_SHARE = 0.9, 0.3  # share of what they add to the right set's probability kept when raised,
-# expected with this share of the information: a real flight has less than the linear model promises
+NEAR_KEPT = 0.9  # share of what they add to the right set's expected probability that is kept when raised
 RAISED = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)  # heights tried, shares of their bounds
 
 
@@ -251,7 +250,8 @@ class _Search:
 
     def _raised(self, chosen: list[Piece]) -> list[Piece]:
         """Return the pieces, those close to a surface as high as still discriminates between the sets."""
-        enough = NEAR_KEPT * self._told(chosen)
+        far = self._told([p for p in chosen if not p.near])
+        enough = far + NEAR_KEPT * (self._told(chosen) - far)
         for k, piece in enumerate(chosen):
             if not piece.near:
                 continue
@@ -262,12 +262,14 @@ class _Search:
         return chosen
 
     def _told(self, chosen: Sequence[Piece]) -> float:
-        """Return what a flight adds to the right set's probability, by NEAR_SHARE of its information."""
+        """Return what a flight adds to the right set's expected probability; -1 where it is not safe."""
+        if not chosen:
+            return 0.0
         grams = [g[0] for p in chosen if (g := self._information[p]) is not None]
         if len(grams) < len(chosen):
-            return -1.0  # one is not safe
+            return -1.0
         p = self.discrimination.probabilities
-        return float(p @ (np.diag(self.discrimination.expected(NEAR_SHARE * np.sum(grams, axis=0))) - p))
+        return float(p @ (np.diag(self.discrimination.forecast(np.sum(grams, axis=0))) - p))
 
     def _greedy_choice(self, pool: Sequence[Piece]) -> list[Piece]:
         """Return pieces added by their gain per second until time is up (lazy greedy, Minoux 1978).
