@@ -55,15 +55,6 @@ def cell(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def make_folder(path: Path) -> None:
-    """Make the folder for a file; raises UserError when that is impossible."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise UserError(f"cannot create the folder {path}: {reason}") from error
-
-
 def answered(
     folder: Path, work: Callable[..., Any], calls: Mapping[str, tuple], processes: int
 ) -> dict[str, Any]:
@@ -72,11 +63,11 @@ def answered(
     An answer is kept as NAME.json in `folder` as soon as it is there, and not asked for again. Raises
     UserError where a process is killed.
     """
-    make_folder(folder)
     files = {name: folder / f"{name}.json" for name in calls}
     todo = {name: call for name, call in calls.items() if not files[name].exists()}
-    for name, answer in in_processes(work, todo, processes, len(calls) - len(todo)):
-        storage.write_json(files[name], answer)
+    with storage.made(folder):
+        for name, answer in in_processes(work, todo, processes, len(calls) - len(todo)):
+            storage.write_json(files[name], answer)
     return {name: storage.read_json(file, "answer") for name, file in files.items()}
 
 

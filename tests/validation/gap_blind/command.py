@@ -17,7 +17,7 @@ from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
-from ..shared import answered, check_known, make_folder
+from ..shared import answered, check_known
 from .cases import ROTORPY, SETS, Case, of_set
 from .score import score_case
 from .tables import markdown, results_of
@@ -74,8 +74,8 @@ def _open_set(out: Path, description: dict, labels: dict) -> dict:
     else:
         found = description | {"versions": runs.versions()}
         storage.write_json(out / _SET, found)
-    make_folder((out / _LABELS).parent)
-    storage.write_text(out / _LABELS, sealed)
+    with storage.made((out / _LABELS).parent):
+        storage.write_text(out / _LABELS, sealed)
     return found
 
 
