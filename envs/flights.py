@@ -93,8 +93,9 @@ def record_flights(
     parameters.
 
     Args:
-        policy: a policy from `load_policy`. plant (Plant | str): a plant of n vehicles, or "mujoco", "hybrid"
-        or "analytic" to make one for the task's vehicle.
+        policy: a policy from `load_policy`.
+        plant (Plant | str): a plant of n vehicles, or "mujoco", "hybrid" or "analytic" to make one for the
+            task's vehicle.
         states: states (n, 13) or n starts.
         steps: fly at most this many control steps (default: the task's limit).
 

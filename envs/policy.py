@@ -151,16 +151,16 @@ def load_policy(
     Args:
         path: policy file, run folder, or name of a shipped policy.
         task: the task of the policy, by name or as an object, such as that of an environment (which then is
-        the policy's task); needed if the file has none. By name, and by default, the task is built from the
-        metadata.
+            the policy's task); needed if the file has none. By name, and by default, the task is built from
+            the metadata.
         vehicle: vehicle of the task that is built, if it differs from the training's.
         inclination: inclination [rad] of its slope, if it differs from the training's.
         azimuth: azimuth [rad] of its slope, if it differs from the training's.
 
     Raises:
         UserError: if the file is not a policy or does not fit the task: a task object must have the PWM
-        settings, slope options, dimensions and angle limits of the metadata, and its inclination or the given
-        one.
+            settings, slope options, dimensions and angle limits of the metadata, and its inclination or the
+            given one.
     """
     if not (task is None or isinstance(task, (str, Task))):
         raise UserError(f"task must be a Task or the name of one, not {shown(repr(task), 40)}")

@@ -145,7 +145,7 @@ def read_tensors(archive: zipfile.ZipFile, path: Path) -> dict[str, np.ndarray]:
     except UserError:
         raise
     except Exception as error:  # whatever pickletools and torch raise for bytes that make no sense
-        raise UserError(f"{what} is damaged, or no table of tensors") from error
+        raise UserError(f"{what} is damaged, or does not contain a table of tensors") from error
     if not all(np.isfinite(array).all() for array in tensors.values()):
         raise UserError(f"policy {path} has weights that are NaN or infinite")
     return tensors

@@ -75,10 +75,11 @@ def build_spec(
         them [s]. Such scenes differ only in numbers and compile ten times as fast: motion capture is handled
         by the plant, and textures have one pixel.
     moving: the platform has joints instead of being posed, so that it has a velocity, which friction
-    transmits; it has no base.
+        transmits; it has no base.
     loaded: for a batch in which some vehicles have a slung load, whether there is a body for it, with almost
-    no mass if a vehicle has none. None: only if the vehicle has one. Raises UserError for an unknown
-    integrator or a negative zone or time step.
+        no mass if a vehicle has none. None: only if the vehicle has one.
+
+    Raises UserError for an unknown integrator or a negative zone or time step.
     """
     v = as_vehicle(vehicle)
     plugins.load()

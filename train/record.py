@@ -68,7 +68,7 @@ def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig
     if os.path.exists(folder) and not folder.is_dir():
         raise UserError(f"nothing to resume: {folder} is a file, not a run folder")
     if not os.path.lexists(path):
-        raise UserError(f"nothing to resume: {folder} holds no {RECORD}")
+        raise UserError(f"nothing to resume: {folder} contains no {RECORD}")
     storage.check_folder(folder)
     record = storage.read_json(path, "run record", storage.LARGEST)
     try:

@@ -149,7 +149,7 @@ class Run:
             self.curriculum.log()
             if self.config.most_steps() < state.steps:
                 raise UserError(
-                    f"has {state.steps} steps, more than the {self.config.most_steps()} asked for"
+                    f"has {state.steps} steps, more than the {self.config.most_steps()} requested"
                 )
         except UserError as error:
             raise checkpoint.refused(self.folder / CHECKPOINT, f"cannot be continued: {error}") from error

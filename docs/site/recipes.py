@@ -72,10 +72,18 @@ def _section(name: str, recipe: Recipe, result: Result) -> str:
             f"*{recipe.question}*\n",
             table(heads, rows),
             *(f"![{recipe.title}](../beyond/{picture})\n" for picture in pictures),
-            f"Seeds {', '.join(map(str, recipe.seeds))}. {result.cost()} To run it again:\n",
+            f"Seeds {', '.join(map(str, recipe.seeds))}. {result.cost()} {_versions(result)}\n",
+            "To run it again:\n",
             f"```sh\n{result.command}\n```\n",
         ]
     )
+
+
+def _versions(result: Result) -> str:
+    """Return a sentence with the commits at which a recipe was run."""
+    revision = str(result.versions.get("git revision"))
+    commits = re.sub(r"([0-9a-f]{8})[0-9a-f]{32}", r"\1", revision).replace("+changes", " with changes")
+    return f"It was run at commit {commits}."
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ class Look:
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """How to read logs whose column names do not say enough.
+    """Options for logs whose column names are not sufficient.
 
     Args:
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.

@@ -26,7 +26,7 @@ class Tick(Protocol):
 
 @contextlib.contextmanager
 def stages(total: float | None = None, what: str = "", done: float = 0) -> Iterator[Tick]:
-    """Yield a function that is called at each of `total` stages, with words on it.
+    """Yield a function to be called at each of `total` stages, with a description of the stage.
 
     what: the unit of the count, such as "cases"; done: how many are already done. Output goes to stderr;
     without a terminal, it is at most one line every EVERY seconds.

@@ -105,7 +105,7 @@ class MovingTarget:
 
     @property
     def arrived(self) -> bool:
-        """Whether it is at the end of its path."""
+        """Whether the target is at the end of its path."""
         return not self._way
 
     def advance(self, dt: float, vehicle: np.ndarray) -> np.ndarray:

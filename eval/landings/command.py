@@ -41,7 +41,7 @@ def command(
     pool.check(engine, address, "--engine")
     wanted = read_study(study, load_vehicle(vehicle))
     if resume and not (out / RECORD).is_file():
-        raise UserError(f"nothing to resume: {out} holds no {RECORD}")
+        raise UserError(f"nothing to resume: {out} contains no {RECORD}")
     with runs.owned(out, RECORD if resume else None):
         wanted = begun(wanted, out, resume)
         table = landed(wanted, out, engine, address)

@@ -1,4 +1,4 @@
-"""From channels, each on its own clock, to one FlightLog on the clock of the position."""
+"""Assembly of channels, each with its own clock, to one FlightLog on the clock of the position."""
 
 from __future__ import annotations
 

@@ -10,8 +10,10 @@ class Finding:
     """The result of one check.
 
     decision: "refuse" (the flight cannot be used), "limit" (it is used, and this is noted) or "info".
-    channel: the column or columns concerned. text: a sentence for the user. without: the optional channel
-    ("velocity", "voltage") that is therefore omitted. rows: the rows that are therefore omitted.
+    channel: the column or columns concerned.
+    text: a sentence for the user.
+    without: the optional channel ("velocity", "voltage") that is therefore omitted.
+    rows: the rows that are therefore omitted.
     """
 
     decision: str

@@ -37,8 +37,7 @@ def read_log(
 
     Args:
         path: CSV (compressed or not), micro-SD binary or ROS bag. Several files: a sequence, or one string
-        with
-            the names joined by `+`, as for the client's one file per log block.
+            with the names joined by `+`, as for the client's one file per log block.
         mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
         units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
         where: the rows to read from a table of several vehicles, {"name": "cf1"}.

@@ -12,10 +12,12 @@ import numpy as np
 class Record:
     """Columns of one file by their names in the file.
 
-    columns: values (m,) each; NaN where the file has no value. times: seconds (m,) per column if the format
-    stores the time of every value (micro-SD, bags); empty for tables, whose time is an ordinary column, until
-    that is found. units: unit per column if the file states it. unreadable: a sentence per column whose
-    values cannot be read: it is not in `columns`, or NaN there if it contains only text.
+    columns: values (m,) each; NaN where the file has no value.
+    times: seconds (m,) per column if the format stores the time of every value (micro-SD, bags);
+        empty for tables, whose time is an ordinary column, until that is found.
+    units: unit per column if the file states it.
+    unreadable: a sentence per column whose values cannot be read: it is not in `columns`, or NaN there
+        if it contains only text.
     labels: text (m,) of columns of few words, such as the names of vehicles.
     """
 

@@ -163,7 +163,7 @@ def _check_axes(log: FlightLog) -> Iterator[Finding]:
                 name, f"column {name} never changes, although the vehicle leans along it: not measured"
             )
         elif np.ptp(column) < 1e-9:
-            yield limit(name, f"column {name} never changes: this axis cannot be judged")
+            yield limit(name, f"column {name} never changes: this axis cannot be checked")
 
 
 def _rows_near_jumps(jumps: np.ndarray, log: FlightLog) -> np.ndarray:
@@ -182,7 +182,7 @@ def _check_attitude(log: FlightLog) -> Iterator[Finding]:
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-9:
-            yield limit(name, f"column {name} never changes: this axis cannot be judged")
+            yield limit(name, f"column {name} never changes: this axis cannot be checked")
         elif np.abs(column).max() > 1.2:
             steepest = np.degrees(np.abs(column).max())
             yield limit(
@@ -254,7 +254,7 @@ def _check_frozen_thrust(log: FlightLog) -> Iterator[Finding]:
         yield limit(
             "cmd_thrust_pwm",
             f"column cmd_thrust_pwm stays at {pwm[first]:.0f} PWM for {lasts[long].max():.2g} s from "
-            f"t = {log.t[first]:.2f} s on, and else changes all the time: was it still logged?",
+            f"t = {log.t[first]:.2f} s on, but otherwise changes all the time: was it still logged?",
         )
 
 
@@ -269,7 +269,7 @@ def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
-            yield limit(name, f"column {name} is always {column[0]:.3g}: its loop cannot be judged")
+            yield limit(name, f"column {name} is always {column[0]:.3g}: its control loop cannot be checked")
         elif np.abs(column).max() > most:
             row = int(np.abs(column).argmax())
             top = f"{abs(column[row]):.3g} {unit} at t = {log.t[row]:.2f} s"

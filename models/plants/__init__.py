@@ -20,12 +20,12 @@ The hybrid plant is the MuJoCo vehicle while a surface is within its reach, and 
 elsewhere: the same flights to 3.4e-5 m in 6 s, the same contacts, at a fraction of the time (`hybrid.py`).
 
 With `moving=True` the platforms of these two move by `set_motion(ids, motion)` (`models/motion.py`). They
-carry along what stands on them, and have no base. `platform` (n, 12) are the platforms' states in every
-plant.
+carry along vehicles that stand on them, and have no base. `platform` (n, 12) are the platforms' states in
+every plant.
 
 Both also have `set_contact(ids, ...)`: friction, restitution and contact time, foot height;
-and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, as motors make it.
-What happens at touching is seen by `recorder.Recorder`, at every step of the engine.
+and `torque_needs_motors`: with it, a vehicle under PWM 0 has no attitude torque, because the motors produce
+it. `recorder.Recorder` records touchdowns at every step of the engine.
 """
 
 from __future__ import annotations

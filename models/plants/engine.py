@@ -50,8 +50,9 @@ class Columns(NamedTuple):
 
 
 class Engine(mujoco.batch.Batch):
-    """n simulations of a model on several threads. lost: whether this is a forked process without the
-    threads. A copy has its own threads.
+    """n simulations of a model on several threads.
+
+    lost: whether this is a forked process without the threads. A copy has its own threads.
     """
 
     def __init__(self, model: mujoco.MjModel, n: int, threads: int):

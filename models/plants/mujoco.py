@@ -193,8 +193,9 @@ class MujocoPlant(Plant):
 
         friction: sliding friction between the vehicle and every surface.
         restitution, contact_time [s]: see `contact.solref`; both or none.
-        solref: instead of these, MuJoCo's own (2,) or (k, 2). foot_height: reach of the feet below the centre
-        of mass [m]; the plant's `foot_height` is the nominal one.
+        solref: instead of these, MuJoCo's own (2,) or (k, 2).
+        foot_height: reach of the feet below the centre of mass [m]; the plant's `foot_height` is the nominal
+            one.
 
         Vehicle and surfaces are set to the same values, because the engine mixes those of both sides.
         Raises UserError, and changes nothing, for values that are out of range.

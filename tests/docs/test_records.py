@@ -14,9 +14,13 @@ import re
 
 import pytest
 
+from inclined_landing.models.base import storage
 from tests import ROOT, documents
 
 PAGES = ("README.md", "docs/results.md", "docs/trust.md")
+GUIDES = ("faq", "quickstart", *(f"guides/{name.stem}" for name in (ROOT / "docs/guides").glob("*.md")))
+# Not measured: the stopping rule of training, the levels of intervals and quantiles.
+DEFINED = ("99 %", "95 %", "5 %")
 COMMENT = re.compile(r"<!-- records\n(.*?)-->", re.DOTALL)
 LINE = re.compile(r"(?P<figures>[^:]+): (?P<file>[\w/.-]+)(?:#(?P<section>\S+))? (?P<words>.+)")
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.]*\d)")
@@ -70,6 +74,12 @@ def test_every_share_has_a_record_that_says_the_same(name):
     assert sum(comment.count("\n") for _, comment in pieces(text)) > 5
 
 
+@pytest.mark.parametrize("name", sorted(GUIDES))
+def test_every_measured_share_of_a_guide_has_a_record_that_says_the_same(name):
+    found = faults((ROOT / "docs" / f"{name}.md").read_text("utf-8"))
+    assert not [fault for fault in found if fault.removeprefix("without a record: ") not in DEFINED]
+
+
 def test_a_figure_that_its_record_does_not_have_is_found():
     record = "docs/evidence/landing.md 223, 250, 251"
     page = "From {} starts.\n\n<!-- records\n{}: " + record + "\n-->\n"
@@ -78,6 +88,19 @@ def test_a_figure_that_its_record_does_not_have_is_found():
     assert any("not on the page" in fault for fault in faults(page.format("224 of 251", "223 of 251")))
     assert faults("In 82 % of the flights.") == ["without a record: 82 %"]
     assert faults("12\n<!-- records\n12: docs/evidence/landing.md no such words 12\n-->\n")
+
+
+def test_the_rows_of_the_loops_are_those_of_their_record():
+    evidence = ROOT / "docs/evidence"
+    teaching, planned = (
+        plain((evidence / name).read_text("utf-8")) for name in ("teaching.md", "planned_flights.md")
+    )
+    for one in storage.read_toml(evidence / "teaching.toml", "record")["loops"]:
+        before, after = one["grid"]
+        seed = one["seed"]
+        pairs = " ".join("{}, {}".format(*one[key]) for key in ("clean", "rest"))
+        assert f" {seed} {before} of 251, {after} of 251 {pairs} " in teaching
+        assert " {} {:.2f} {:.2f} ".format(seed, *one["body_drag"]) in planned
 
 
 def test_the_first_page_is_short():

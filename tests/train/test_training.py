@@ -154,7 +154,7 @@ def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation, "EVALUATION_STARTS", 2)
     folder, first = train(config(tmp_path / "a", **length))
     assert first["finished"] and first["steps"] == 256
-    with pytest.raises(UserError, match="has 256 steps, more than the 128 asked for"):
+    with pytest.raises(UserError, match="has 256 steps, more than the 128 requested"):
         Run(TrainConfig(out=folder, resume=True, steps=128))
     _, stopped = train(TrainConfig(out=folder, resume=True, steps=512, max_seconds=1e-6))
     assert not stopped["finished"] and json.loads((folder / "run.json").read_text())["config"]["steps"] == 512

@@ -315,8 +315,10 @@ def update(
     Two threads may share the work, one for each network; they synchronise once per minibatch, to add the
     squared norms of their gradients. In either case the same numbers are computed in the same order.
 
-    counter (1,) int64, initially 0, NOBODY if the other thread has failed. norms (2, 2) float64, of even and
-    odd minibatches. actor, critic: each a `Learner`. order: (epochs, N) uint64, the order of the samples.
+    counter (1,) int64, initially 0, NOBODY if the other thread has failed.
+    norms (2, 2) float64, of even and odd minibatches.
+    actor, critic: each a `Learner`.
+    order: (epochs, N) uint64, the order of the samples.
     statistics: (minibatches, 5) float64, STATISTICS.
     """
     samples = np.uint64(order.shape[1])

@@ -319,7 +319,7 @@ def parts(vehicle: Vehicle) -> Section:
 
 
 def torque(vehicle: Vehicle) -> Section:
-    """Measure the thrust at which a pitch command lifts two feet off the floor, against statics."""
+    """Measure the thrust at which a pitch command lifts two feet off the floor, compared with statics."""
     # While level, the rate loop demands M = J B k c / tau, within the torque limit. Two feet lift off where
     # it exceeds the moment of the remaining weight about the other two:  M > (m g - T) lever
     command = vehicle.command_angle_limit

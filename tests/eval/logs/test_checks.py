@@ -477,7 +477,7 @@ def test_an_axis_that_never_changes_is_judged_by_how_the_vehicle_leans():
         "column x never changes, although the vehicle leans along it: not measured"
     ]
     still = change(flight(planar=True, heading=0.0), y=0, roll=0.001 * np.sin(log.t))
-    assert "column y never changes: this axis cannot be judged" in found(still, "limit")
+    assert "column y never changes: this axis cannot be checked" in found(still, "limit")
 
 
 @pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
