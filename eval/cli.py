@@ -65,7 +65,7 @@ COMMANDS = {
     ),
     "landings": (
         "",
-        "Run a landing study: thousands of touchdowns over friction, speeds ..., each classified.",
+        "Run a landing study: simulate and classify thousands of touchdowns over friction, speeds ...",
     ),
     "logs": ("", "Report what flight logs contain and whether they are plausible."),
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file."),
@@ -141,7 +141,7 @@ def _help() -> str:
         [
             *lines,
             "",
-            "landing-eval COMMAND --help lists the options. --version says what is installed;",
+            "landing-eval COMMAND --help lists the options. --version prints the versions;",
             "--print-completion bash, zsh or fish prints a completion script.",
         ]
     )

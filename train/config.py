@@ -146,7 +146,7 @@ class TrainConfig:
     inclination: Annotated[Real | None, tyro.conf.arg(metavar="DEG")] = None
     """Platform inclination in degrees (default: that of the vehicle file); negative rises towards +x."""
     steepest: Annotated[Real | None, tyro.conf.arg(metavar="DEG")] = None
-    """Draw a slope for every episode, up to this inclination in degrees, to both sides or, in 3D, in any
+    """Draw a slope for every episode, up to this inclination in degrees, in both directions or, in 3D, in any
     direction. The policy observes it."""
     dimensions: Literal[2, 3] | None = None
     """3 flies in space, with roll; 2 flies in a plane (default: 2, touchdown 3)."""

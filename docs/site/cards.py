@@ -314,7 +314,7 @@ def _task(policy: Policy) -> str:
     options = policy.metadata["task_options"]
     words = [f"`{policy.metadata['task']}`" + (", in space" if options.get("dimensions") == 3 else "")]
     if "steepest" in options:
-        any_way = ", facing any way" if options.get("dimensions") == 3 else " to both sides"
+        any_way = ", facing any way" if options.get("dimensions") == 3 else " in both directions"
         words.append(f"slopes up to {np.degrees(options['steepest']):.3g} deg{any_way}")
     elif "inclination" in options:
         words.append(f"a slope of {np.degrees(options['inclination']):.3g} deg")

@@ -22,8 +22,8 @@ class LandingOptions(TaskOptions):
     inclination: float | None = option(None, recorded=True)
     """Platform inclination [rad] (default: the vehicle file's); negative rises towards +x."""
     steepest: float | None = option(None, trained_with=True)
-    """Draw a slope for every episode, up to this inclination [rad], to both sides or, in three dimensions, in
-    any direction. The policy observes it."""
+    """Draw a slope for every episode, up to this inclination [rad], in both directions or, in three
+    dimensions, in any direction. The policy observes it."""
     dimensions: Literal[2, 3] = option(2, trained_with=True)
     """3: the vehicle flies in space, with roll; 2: in a plane."""
     azimuth: float = 0.0

@@ -168,7 +168,8 @@ class FlightSource(LogSource):
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).
-        platform: the platform in the vehicle file was present in the flights (logs with contacts show that).
+        platform: the platform in the vehicle file was present in the flights (detected automatically in logs
+            with contacts).
     """
 
     heldout: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()

@@ -106,7 +106,7 @@ class FlightOptions:
 
 @dataclasses.dataclass(frozen=True)
 class VehicleOptions:
-    """The real vehicle, and where its position comes from.
+    """The real vehicle and the source of its position.
 
     Args:
         uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.

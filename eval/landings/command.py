@@ -20,11 +20,11 @@ def command(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     resume: Flag = False,
 ) -> None:
-    """Run a landing study: thousands of touchdowns over friction, speeds ..., each classified.
+    """Run a landing study: simulate and classify thousands of touchdowns over friction, speeds ...
 
     Args:
         study: study file, or the name of a shipped study (paper_landing, steep_landing).
-        out: new folder for results (Parquet), what is counted (JSON), figures (PNG) and page (HTML).
+        out: new folder for results (Parquet), statistics (JSON), figures (PNG) and page (HTML).
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         engine: run in this process, or on a Ray cluster.
         address: address of a running Ray cluster (default: start Ray on this machine).

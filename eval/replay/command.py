@@ -71,7 +71,8 @@ def command(
             the slope.
         seed: seed for the random starts.
         restart: seconds after which the simulation of a log restarts at the measured state.
-        platform: the platform in the vehicle file was present in the flights (logs with contacts show that).
+        platform: the platform in the vehicle file was present in the flights (detected automatically in logs
+            with contacts).
     """
     if not sources:
         raise UserError("name at least one policy or log")

@@ -49,8 +49,8 @@ def command(
     """Fly whole missions, from anywhere in the room to rest on the slope; count and film them.
 
     The set-point policy flies to a hand-over point over the platform, the landing policy from there into the
-    goal box, the touchdown policy to rest on the feet with motors at idle: one flight in MuJoCo with real
-    contact.
+    goal box, and the touchdown policy to rest on the feet with motors at idle, all in one flight in MuJoCo
+    with contact.
 
     Args:
         setpoint: policy file, or name of a shipped policy, for the set-point task.

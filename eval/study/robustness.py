@@ -115,8 +115,8 @@ def command(
 ) -> None:
     """Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.
 
-    Writes tables, and with --out figures and a page. Quick by default; --full takes minutes and gives the
-    published results. Shares have 95 % Wilson intervals.
+    Writes tables, and with --out figures and a page. Quick by default; --full takes minutes and reproduces
+    the published results. Shares have 95 % Wilson intervals.
 
     Args:
         policies: landing policies.
