@@ -20,7 +20,7 @@ from inclined_landing.eval.landings.study import Levels, Range, Study
 from inclined_landing.eval.study import engine
 from inclined_landing.eval.study.engine import Results, View, fact
 
-_MATTERS = 0.02  # a first-order index below this is not worth a sentence
+_MATTERS = 0.02  # a share of the variance below this is not worth a sentence
 _CM: dict[str, Any] = {"shown_unit": "cm", "factor": 100.0}
 _OUTCOMES = (
     "a landing rests if the vehicle is still and on its feet at the end; it tips over if it tilts by more "
@@ -29,7 +29,11 @@ _OUTCOMES = (
     "through the air, and misses if the slab is not touched from above"
 )
 _ODDS = "log odds: standardised coefficients of a logistic regression of rest on all parameters"
-_INDEX = "indices: first-order Sobol indices from the variance between bins, with 95 % bootstrap intervals"
+_INDEX = (
+    "shares of the variance: from one fit of a sum of functions of a parameter each, so that together they "
+    "are at most 100 %; the rest is interactions and chance; negative where a parameter counteracts another "
+    "that it is correlated with; 95 % jackknife intervals"
+)
 SHARES = tuple(share_of(name, name, note=_OUTCOMES) for name in OUTCOMES)
 QUANTILES = (
     median_of("peak_force", "peak normal force", "N"),
@@ -72,14 +76,13 @@ class Sensitivities(View):
     """The dependence of the outcomes on each varied parameter."""
 
     varied: tuple[str, ...]
-    seed: int
 
     def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
         """Yield a row for each parameter and measure."""
         parameters = {name: landings[name].to_numpy() for name in self.varied}
         names = [m.name.removeprefix("index_") for m in SENSITIVITIES[2:]]
         outputs = {name: landings[name].to_numpy() for name in names}
-        for row in sensitivity.rows(parameters, outputs, landings["rests"].to_numpy(), self.seed):
+        for row in sensitivity.rows(parameters, outputs, landings["rests"].to_numpy()):
             yield row | {"unit": "1", "flights": len(landings)}
 
 
@@ -119,9 +122,7 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
         cases=(),
         views=[
             View((), SHARES, "outcomes", across=True),
-            Sensitivities(
-                ("parameter",), SENSITIVITIES, "sensitivities", varied=study.varied, seed=study.seed
-            ),
+            Sensitivities(("parameter",), SENSITIVITIES, "sensitivities", varied=study.varied),
             View((), QUANTILES, "forces, distances, times", across=True),
             Boundaries(("x", "y", "along", "place"), (), drawn=drawn),
         ],
@@ -186,7 +187,9 @@ def _remarks(study: Study, results: Results) -> list[str]:
         if index >= _MATTERS
     ]
     if names:
-        said.append(f"Share of the outcome's variance explained by each parameter alone: {', '.join(names)}.")
-        if (total := sum(index for index, _ in rows)) > 1.0:
-            said.append(f"These shares are estimates: together they come to {100 * total:.0f} %.")
+        total = sum(index for index, _ in rows)
+        said.append(
+            f"Share of the variance of rest by each parameter: {', '.join(names)}. Together the parameters "
+            f"explain {100 * total:.0f} %, the rest are interactions and chance."
+        )
     return said
