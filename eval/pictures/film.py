@@ -14,7 +14,7 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.mission import Mission
 from inclined_landing.eval.base.options import FITTED
 from inclined_landing.eval.base.progress import Tick, stages
-from inclined_landing.eval.pictures.frames import flight_view, render_flight, write_videos
+from inclined_landing.eval.pictures.frames import flight_view, render_flight, renderer_for, write_videos
 from inclined_landing.models.base.errors import UserError
 
 _REST = 1.0  # s that the last frame of a flight stays
@@ -23,7 +23,7 @@ _REST = 1.0  # s that the last frame of a flight stays
 def film(
     flights: Sequence[Flight | Mission], sampled: float, slow: float, **look: Any
 ) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the frames of flights in sequence, their number, and the frames per second of the video.
+    """Return the frames of one vehicle's flights in sequence, their number, and the video's rate [1/s].
 
     sampled: frames per second of flight. The last frame of each flight is held for a moment.
     """
@@ -32,10 +32,11 @@ def film(
         look["camera"] = flight_view(flights, look["width"], look["height"])
 
     def frames():
-        for flight in flights:
-            for frame in render_flight(flight, fps=sampled, slow=slow, **look):
-                yield frame
-            yield from itertools.repeat(frame, rest)
+        with renderer_for(flights[0], look, look.get("renderer")) as renderer:  # one background for all
+            for flight in flights:
+                for frame in render_flight(flight, fps=sampled, slow=slow, **look | {"renderer": renderer}):
+                    yield frame
+                yield from itertools.repeat(frame, rest)
 
     total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
     return frames(), total, sampled / slow

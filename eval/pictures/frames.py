@@ -144,7 +144,8 @@ def render_flight(
     if camera == FITTED:
         camera = flight_view([flight], width, height)
     colours = leg_colours(flight) if isinstance(flight, Mission) else None
-    with _opened(renderer, flight, width, height, camera, backend) as drawing:
+    look = {"width": width, "height": height, "camera": camera, "backend": backend}
+    with renderer_for(flight, look, renderer) as drawing:
         for k in frames:
             frame = drawing.render(
                 pose_at(flight, k),
@@ -158,11 +159,11 @@ def render_flight(
             yield frame
 
 
-def _opened(renderer, flight: Track, *look):
+def renderer_for(flight: Track, look: Mapping[str, Any], renderer: Any = None):
     """Return a context of the given renderer, which stays open, or of a new one for this look."""
     if renderer is not None:
         return contextlib.nullcontext(renderer)
-    return make_renderer(*look, vehicle=flight.task.vehicle)
+    return make_renderer(**look, vehicle=flight.task.vehicle)
 
 
 def strobe(
@@ -190,7 +191,8 @@ def strobe(
         Ghost(qpos_of_state(flight.state[k]), tuple(colours[k]), alpha=0.8, tint=0.7, shadow=True)
         for k in chosen
     ]
-    with _opened(renderer, flight, width, height, camera, backend) as drawing:
+    look = {"width": width, "height": height, "camera": camera, "backend": backend}
+    with renderer_for(flight, look, renderer) as drawing:
         return drawing.render(pose_at(flight, -1), trail=flight.state, trail_colour=colours, ghosts=ghosts)
 
 
