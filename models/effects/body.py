@@ -1,5 +1,7 @@
 """Effects of the vehicle's mass and where it sits."""
 
+import math
+
 from inclined_landing.models.effects.effect import Effect, Parameter, scaled
 
 
@@ -17,10 +19,12 @@ def _com_offset(vehicle, values):
     offset = values.get("x", 0.0), values.get("y", 0.0)
     if offset == (0.0, 0.0):
         return vehicle
-    moved = tuple(old + new for old, new in zip(vehicle.effects_com_offset, offset))
-    return vehicle.changed(
-        effects_com_offset=moved, effects_attitude_hold=values.get("hold", vehicle.effects_attitude_hold)
-    )
+    present, hold = vehicle.effects_com_offset, vehicle.effects_attitude_hold
+    moved = tuple(old + new for old, new in zip(present, offset))
+    # Both moments are taken over at one rate: that of either counts by its size.
+    share = math.hypot(*offset) / (math.hypot(*offset) + math.hypot(*present))
+    hold += share * (values.get("hold", hold) - hold)
+    return vehicle.changed(effects_com_offset=moved, effects_attitude_hold=hold)
 
 
 EFFECTS = (

@@ -155,6 +155,12 @@ class Parameter:
 
     def _on_top_of(self, vehicle: Vehicle) -> Parameter:
         """Return the parameter with bounds that account for the size that the vehicle already has."""
+        if self.constant and self.constant.offset and self.constant.inverse:
+            # A lag added to 1 / field: of a quicker vehicle's there is less that may be missing.
+            less = self.constant.number(load_vehicle(), 0.0) - self.constant.number(vehicle, 0.0)
+            return dataclasses.replace(
+                self, bounds=(min(self.neutral, self.bounds[0] + less), self.bounds[1])
+            )
         field, _, part = self.adds_to.partition(".")
         present = 0.0
         if field:
@@ -249,6 +255,11 @@ class Effect:
     def neutral(self) -> dict[str, float]:
         """The parameter values with no effect."""
         return {p.name: p.neutral for p in self.parameters}
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it rescales constants that every vehicle has, rather than adding something."""
+        return all(p.is_factor and p.constant for p in self.parameters)
 
     @property
     def plausible(self) -> dict[str, float]:

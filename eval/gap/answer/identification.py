@@ -23,7 +23,9 @@ from inclined_landing.eval.gap.answer.named import disturbances
 from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.infer.bounds import truncated_mode
 from inclined_landing.eval.gap.infer.fit import (
+    deviance,
     estimate_noise,
     field_half_widths,
     fit_least_squares,
@@ -34,7 +36,7 @@ from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, 
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
-from inclined_landing.eval.gap.model.columns import BaseColumn, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
@@ -178,7 +180,7 @@ def identify(
     ) | field_half_widths(fitted.vehicle, result, moved)
     return Identification(
         vehicle=result,
-        reference=reference,
+        reference=reference.with_new_effects(result),
         parameters=_parameters(problem, values, sized, vehicle),
         identifiable=identifiable,
         fit=fitted.fit,
@@ -451,6 +453,31 @@ def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iter
         yield _without_place(problem, one)
 
 
+def _errors_of_the_vehicle(
+    problem: Problem, spread: Spread, local: LinearGaussian
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance (P, P) and mean (P,) of the errors of the vehicle of a problem.
+
+    The slopes at the vehicle may lead to where the flights are less probable: there they say nothing of its
+    effects, and the mean is that of the model errors without them.
+    """
+    columns, names, unit = local.columns, frozenset(problem.library), local.unit
+    change, covariance = local.posterior(names)
+    at = local.at + change
+    model = np.array([isinstance(c, BaseColumn) for c in columns])
+    # Conditioned on x_E = 0 (Bishop 2.81):  x_B = m_B - C_BE C_EE^-1 m_E
+    inner = covariance[np.ix_(~model, ~model)] + 1e-9 * np.eye(np.count_nonzero(~model))
+    beside = np.where(model, at - covariance[:, ~model] @ np.linalg.solve(inner, at[~model]), 0.0)
+    whole, _ = truncated_mode(at, covariance, np.arange(len(at)), local.bounds)
+
+    def less_probable(x: np.ndarray) -> float:
+        weights = {c.key[1]: float(w) for c, w in zip(columns, x * unit) if isinstance(c, BaseColumn)}
+        values = {**problem.values_at(names, columns, x * unit), BASE: weights}
+        return deviance(LinearGaussian.of(problem, spread, problem.linearise(values, columns)), names)
+
+    return covariance * np.outer(unit, unit), min(whole, beside, key=less_probable) * unit
+
+
 def identified_reference(
     problem: Problem,
     *,
@@ -464,18 +491,19 @@ def identified_reference(
     """
     columns, names = problem.all_columns(), frozenset(problem.library)
     linear = problem.linearise({}, columns)
-    local = LinearGaussian.of(problem, Spread.of(problem, linear), linear)
-    change, covariance = local.posterior(names)
-    known = covariance * np.outer(local.unit, local.unit)
-    mean = (local.at + change) * local.unit
+    spread = Spread.of(problem, linear)
+    local = LinearGaussian.of(problem, spread, linear)
+    known, mean = _errors_of_the_vehicle(problem, spread, local)
     # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
     # identification: theta = 0, and flights that meet it name it.
     prior = local.slab.diagonal() * local.unit**2
     met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
     repeating = reference_residual(problem, white_residuals(problem, local, names))
+    # But a constant that every vehicle has is as uncertain as before flights that do not show it at all.
+    unseen = {n for n, e in free_effects().items() if n not in names and e.is_constant}
     return VehiclePosterior(
-        *(tuple(columns), mean, known, repeating, frozenset(free_effects())),
+        *(tuple(columns), mean, known, repeating, frozenset(free_effects()) - unseen),
         errors=errors,
         landings=landings,
         flights=flights,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import structs
@@ -40,6 +40,7 @@ from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
 
+LOOPS = frozenset(("attitude", "yaw"))  # channels of effects on the loops alone
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
 
 
@@ -54,7 +55,7 @@ def named_effects(
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
     total = thrust_of_names(found, values)
     cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
-    result = []
+    result: list[NamedEffect] = []
     for name in (n for n in values if n not in pieces[1:]):
         names = pieces if name in pieces else (name,)
         classes = ((n, *equivalence_class(found, n), *_predicting_as_well(found, values, n)) for n in names)
@@ -73,7 +74,8 @@ def named_effects(
                 remedy=library[LOOP if parts else name].remedy,
                 cost=ahead[name].cost,
                 product=product(found, values, name) if library[name].product else None,
-                doubt=_doubt(problem, name, ahead[name].along, doubtful, cancel and name in WEIGHT),
+                doubt=_doubt(problem, name, ahead[name].along, doubtful, cancel and name in WEIGHT)
+                or _doubt_beside(library, name, [one.name for one in result]),
                 parts=parts,
             )
         )
@@ -127,6 +129,18 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
     return ""
 
 
+def _doubt_beside(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
+    """Return a sentence on why a change of the loops is not sure next to larger names; empty where it may be.
+
+    Where no loop is quite of the modelled form, what is confused with a change makes up for its errors.
+    """
+    loops = {n for n in (name, *larger) if LOOPS.issuperset(library[n].channels)}
+    for other in larger:
+        if {name, other} <= loops and other in library[name].confused_with:
+            return f"In doubt, because it may be a part of the {other.replace('_', ' ')}."
+    return ""
+
+
 def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
     """Return the values of a set of effects."""
     problem = found.problem
@@ -148,8 +162,13 @@ def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, F
         new = fitted_values(there, names)
         if problem.squares(new) <= problem.squares(values):
             found, values = there, new
+    return found, _largest_first(problem, values)
+
+
+def _largest_first(problem: Problem, values: FittedValues) -> FittedValues:
+    """Return the same values, the effects without which most squared error is lost first."""
     gains = squared_error_shares(problem, values)
-    return found, {name: values[name] for name in sorted(gains, key=lambda n: -gains[n])}
+    return {name: values[name] for name in sorted(gains, key=lambda n: -gains[n])}
 
 
 def squared_error_shares(problem: Problem, values: Values) -> dict[str, float]:
@@ -245,18 +264,41 @@ def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
 def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
     """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
 
-    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. The
-    posterior is linearised where the effects are named.
+    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. No loop
+    is quite of the modelled form, and the vehicle's constants are estimated again: next to a larger effect, a
+    change of the loops alone must be firm and predict better. Without the motors' requests a moment must be
+    firm. The posterior is linearised where the effects are named.
     """
     found, values = refitted(found, values)
-    pieces, distinct = loop_pieces(found.problem, values), values
-    while True:
-        sizes = estimates(found, distinct)
-        vague = [n for n in distinct if n not in pieces and not any(p.firm for p in sizes[n].values())]
-        least = next((n for n in vague if not _shows_ahead(found, distinct, n)), "")
-        if not least:
-            return refitted(found, distinct) if len(distinct) < len(values) else (found, values)
-        distinct = fitted_values(found, frozenset(distinct) - {least})
+    distinct = values
+    while least := _least_distinct(found, distinct):
+        distinct = _largest_first(found.problem, fitted_values(found, frozenset(distinct) - {least}))
+    return refitted(found, distinct) if len(distinct) < len(values) else (found, values)
+
+
+def _least_distinct(found: SetPosterior, values: FittedValues) -> str:
+    """Return the smallest of the effects that are not to be named, see `distinct_values`; "" for none."""
+    firm, pieces = firm_names(found, values), loop_pieces(found.problem, values)
+    for k, name in reversed([*enumerate(values)]):
+        channels = found.problem.library[name].channels
+        beside = k > 0 and LOOPS.issuperset(channels)
+        if name in firm and (name in pieces or not beside):
+            continue
+        unseen = "requests" in channels and not found.problem.requested
+        if (name not in firm and (unseen or (beside and firm))) or not _shows_ahead(found, values, name):
+            return name
+    return ""
+
+
+def firm_names(found: SetPosterior, values: Values) -> set[str]:
+    """Return the effects with a firm size; for pieces of the attitude loops, the time of their answer."""
+    problem, pieces, sizes = found.problem, loop_pieces(found.problem, values), estimates(found, values)
+    firm = set(pieces) if pieces and response(found, values, pieces).differs else set()
+    for name in (n for n in values if n not in pieces):
+        own = (p.name for p in problem.library[name].parameters if not p.is_reference)
+        if any(sizes[name][p].firm for p in own):
+            firm.add(name)
+    return firm
 
 
 def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:

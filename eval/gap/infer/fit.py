@@ -242,7 +242,7 @@ def fit_vehicle(
         for share in STEP_SHARES:
             trial = problem.values_at(fitted, columns, here + share * change)
             there = linearised(trial)
-            gain = _deviance(local, names) - _deviance(there, names)
+            gain = deviance(local, names) - deviance(there, names)
             if gain > 0.0:
                 at, local = trial, there
                 break
@@ -298,7 +298,7 @@ def field_half_widths(
     return {n: float(w) if np.ndim(w) == 0 else tuple(map(float, w)) for n, w in width.items()}
 
 
-def _deviance(local: LinearGaussian, names: EffectSet) -> float:
+def deviance(local: LinearGaussian, names: EffectSet) -> float:
     """Return -2 log posterior at the linearisation point, random effects marginalised."""
     # c + (x - m)' K^-1 (x - m),  N(m, K) the prior: of the identified vehicle's errors and of what changed
     mean, covariance = local.prior(names)

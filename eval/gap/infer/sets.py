@@ -34,6 +34,7 @@ from inclined_landing.eval.gap.result import ScoredSet, marginal
 REDUNDANT = (  # of these one is a combination of the others
     frozenset(("mass", "thrust_scale")),  # free flight shows the ratio of thrust to mass alone
     frozenset(("thrust_delay", "attitude_delay", "mocap_delay")),  # poses are late, or all commands
+    frozenset(("attitude_trim", "mocap_tilt", "level_calibration")),  # a tilted estimate is trim and tilt
     # The lost torque of a rotor belongs to that rotor alone.
     *(frozenset((f"weak_rotor_{k}", "yaw_imbalance")) for k in range(1, 5)),
 )
@@ -234,13 +235,18 @@ def _other_references(problem: Problem, spread: Spread) -> list[FittedValues]:
 
 
 def _neighbours(problem: Problem, node: FittedSet) -> list[EffectSet]:
-    """Return the sets that differ by one effect added, removed or exchanged, or by two added."""
+    """Return the sets that differ by one effect added, removed or exchanged, or by two added.
+
+    Or by two of three that are a combination of each other exchanged for the third.
+    """
     names = list(problem.library)
     others = [n for n in names if n not in node.names]
     result = [node.names - {n} for n in node.names]
     if len(node.names) < MOST_EFFECTS:
         result += [node.names | {n} for n in others]
     result += [(node.names - {n}) | {m} for n in node.names for m in others]
+    redundant = (of for of in REDUNDANT if len(of) == 3 and of <= problem.library.keys())
+    result += [node.names ^ of for of in redundant if len(of & node.names) == 2]
     if len(node.names) + 2 <= MOST_EFFECTS:
         result += [node.names | set(pair) for pair in itertools.combinations(others, 2)]
     return result

@@ -1,6 +1,7 @@
 """The diagnosis on flights of the model's own equations: what was hidden is named, with its size."""
 
 import dataclasses
+import math
 import re
 from types import SimpleNamespace
 
@@ -330,12 +331,23 @@ def flown_alike():
 
 
 def test_what_the_reference_never_met_is_no_error_of_it():
-    """All its flights are high up: ground effect is missing from the vehicle, not uncertain in it."""
-    known = identify(flights(count=2, seconds=6.0), VEHICLE)
+    """All its flights are high up: ground effect is missing from the vehicle, not uncertain in it.
+
+    But each vehicle has a yaw loop: its constants are unknown where no turn is commanded.
+    """
+    logs = [
+        dataclasses.replace(f, command=f.command * [1.0, 1.0, 1.0, 0.0])
+        for f in flights(count=2, seconds=6.0)
+    ]
+    known = identify(logs, VEHICLE)
+    columns = [c for c in Candidates.for_vehicle(VEHICLE, LIBRARY).columns(["yaw_loop"])]
+    mean, covariance = known.reference.along(columns)
+    plausible = [math.log(x) for x in LIBRARY["yaw_loop"].plausible.values()]
+    assert not mean.any() and covariance.diagonal() == pytest.approx(np.square(plausible))
     for name, met in (("ground_effect", False), ("thrust_scale", True)):
         columns = [c for c in known.reference.columns if c.effect == name]
         mean, covariance = known.reference.along(columns[-1:])  # of ground effect the one that fades sooner
-        assert (covariance[0, 0] > 0.0) == met and (mean[0] != 0.0) == met
+        assert (covariance[0, 0] > 0.0) == met and (met or mean[0] == 0.0)
     shares = {one.effect: one.share for one in known.identifiable}
     assert shares["ground_effect"] == 1.0 > shares["thrust_scale"] > 0.0
 

@@ -19,7 +19,13 @@ from inclined_landing.eval.gap.infer.bounds import Bounds, clipped, truncated_mo
 from inclined_landing.eval.gap.infer.fit import model_error_weights, variance_inflation
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.residual import _RidgeRegression, _sign_flips, gain_matrix
-from inclined_landing.eval.gap.infer.sets import _relevant_subsets, confounded_with, equivalence_class
+from inclined_landing.eval.gap.infer.sets import (
+    REDUNDANT,
+    _neighbours,
+    _relevant_subsets,
+    confounded_with,
+    equivalence_class,
+)
 from inclined_landing.eval.gap.model.columns import (
     BASE,
     BASE_DEVIATIONS,
@@ -312,6 +318,15 @@ def test_what_takes_the_place_of_an_effect_stands_in_sets_without_it():
     sets = tuple(ScoredSet(names, p) for names, p in shares.items())
     assert confounded_with(sets, sets[0].names, "a") == ("b",)
     assert confounded_with(sets, sets[0].names, "c") == ()
+
+
+@pytest.mark.parametrize("three", [of for of in REDUNDANT if len(of) == 3], ids=min)
+def test_two_of_three_that_are_a_combination_of_each_other_may_be_the_third(three):
+    """A case that ordinary neighbours do not reach: a step on the way there gains nothing."""
+    problem = types.SimpleNamespace(library=dict.fromkeys(free_effects()))
+    for third in three:
+        near = _neighbours(problem, types.SimpleNamespace(names=three - {third} | {"wind"}))
+        assert frozenset((third, "wind")) in near and len(near) == len(set(near))
 
 
 def test_a_trim_may_be_a_moment_that_is_possible_beside_it():

@@ -364,22 +364,32 @@ def test_a_size_that_may_be_zero_is_not_sure():
 
 
 def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
-    """Neither an interval that holds neutral nor a size at its bound is enough."""
-    firm, vague, bound = (named("thrust_scale", {"scale": 0.9}).parameters["scale"] for _ in range(3))
-    sizes = {
-        "thrust_scale": {"scale": firm},
-        "wind": {"x": dataclasses.replace(vague, ci95=(0.8, 1.1))},
-        "motor_lag": {"scale": dataclasses.replace(bound, at_bound=True)},
-    }
-    monkeypatch.setattr(naming, "estimates", lambda found, values: {n: sizes[n] for n in values})
+    """Neither an interval that holds neutral nor a size at its bound is enough.
+
+    Beside a larger effect, a change of the loops alone must be firm and predict better.
+    """
+    firm = named("thrust_scale", {"scale": 0.9}).parameters["scale"]
+    vague, bound = dataclasses.replace(firm, ci95=(0.8, 1.1)), dataclasses.replace(firm, at_bound=True)
+    sizes = {"thrust_scale": firm, "wind": vague, "motor_lag": bound, "estimator_lean": firm}
+    sizes |= {"second_order_attitude": bound, "com_offset": vague}
+    of = {n: {p.name: size for p in LIBRARY[n].parameters} for n, size in sizes.items()}
+    monkeypatch.setattr(naming, "estimates", lambda found, values: of)
     monkeypatch.setattr(naming, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
     monkeypatch.setattr(naming, "loop_pieces", lambda problem, values: ())
     monkeypatch.setattr(naming, "refitted", lambda found, values: (found, values))
-    found = SimpleNamespace(problem=None)
-    for needed, kept in (((), {"thrust_scale"}), (("motor_lag",), {"thrust_scale", "motor_lag"})):
+    monkeypatch.setattr(naming, "_largest_first", lambda problem, values: values)
+    found = SimpleNamespace(problem=SimpleNamespace(library=LIBRARY, requested=False))
+    for start, needed, kept in (
+        ([*sizes], (), ["thrust_scale"]),
+        ([*sizes], ("motor_lag", "second_order_attitude"), ["thrust_scale", "motor_lag"]),
+        ([*sizes], ("estimator_lean",), ["thrust_scale", "estimator_lean"]),
+        (["estimator_lean", "wind"], (), ["estimator_lean"]),
+        (["second_order_attitude", "wind"], ("second_order_attitude",), ["second_order_attitude"]),
+        (["com_offset"], ("com_offset",), []),
+    ):
         monkeypatch.setattr(naming, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
-        _, distinct = naming.distinct_values(found, {n: {} for n in sizes})
-        assert distinct.keys() == kept
+        _, distinct = naming.distinct_values(found, {n: {} for n in start})
+        assert [*distinct] == kept
 
 
 def test_every_effect_is_said_in_words_with_its_numbers():
