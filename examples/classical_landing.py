@@ -3,8 +3,8 @@
 python examples/classical_landing.py [POLICY]
 
 The goal box requires the slope's pitch alpha, at which a quadrotor that keeps its height accelerates by
-g tan(alpha). So the path ends with this acceleration and without speed: from a waypoint above the goal it
-swings out downhill and comes back up. Law and policy fly from the frozen grid of 251 starts.
+g tan(alpha). The path therefore ends with this acceleration and without speed: from a waypoint above the
+goal it swings out downhill and comes back up. Law and policy fly from the frozen grid of 251 starts.
 """
 
 import sys
@@ -59,7 +59,7 @@ class Law:
 
 
 def accelerate(place, speed, last, left):
-    """Return the acceleration with which the path of least jerk begins.
+    """Return the acceleration with which the minimum-jerk path begins.
 
     It ends after `left` seconds at position 0 and speed 0 with acceleration `last`: with the time to go s,
     x = last s^2/2 + c3 s^3 + c4 s^4, and c3, c4 from the current position and speed.

@@ -33,7 +33,7 @@ sizes, actions = env.single_observation_space.shape[0], env.single_action_space.
 
 
 def network(outputs: int, gain: float) -> torch.nn.Sequential:
-    """Two hidden layers of 64."""
+    """Return a network with two hidden layers of 64."""
     layers = [torch.nn.Linear(sizes, 64), torch.nn.Linear(64, 64), torch.nn.Linear(64, outputs)]
     for layer, g in zip(layers, (2**0.5, 2**0.5, gain), strict=True):
         torch.nn.init.orthogonal_(layer.weight, g)
@@ -42,7 +42,7 @@ def network(outputs: int, gain: float) -> torch.nn.Sequential:
 
 
 def seen(observation: np.ndarray) -> torch.Tensor:
-    """Observations as the networks take them."""
+    """Return observations as inputs of the networks."""
     return (torch.as_tensor(observation, dtype=torch.float32) - centre) / scale
 
 

@@ -2,12 +2,12 @@
 
     python examples/close_the_loop.py DIR [--seed N] [--simulated]
 
-Without --simulated the flights are the bundled ones, which a separate program made. With it, a simulated
+Without --simulated the flights are the bundled ones from a separate simulator. With it, a simulated
 Crazyflie is identified, flown with worn propellers, diagnosed and landed by the retrained policy; then a
-planned flight finds what a landing does not show. Every step is a command as a user types it. Policies are
-tested on the true vehicle, DIR/flights/truth.toml or DIR/truth.toml, which diagnosis and training never
-read. Results are printed at the end and written to DIR/loop.json, the
-picture to DIR/loop.png. Needs the extras train and, with --simulated, fly.
+planned flight determines what a landing does not show. Every step is a command that a user could type.
+Policies are tested on the true vehicle, DIR/flights/truth.toml or DIR/truth.toml, which diagnosis and
+training never read. Results are printed at the end and written to DIR/loop.json, the picture to DIR/loop.png.
+Needs the extras train and, with --simulated, fly.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POLICY = "landing-nominal"
 
 
 def main() -> None:
-    """Go around once, into a new folder."""
+    """Run the loop once, in a new folder."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
     parser.add_argument(
@@ -63,7 +63,7 @@ class Loop:
         self.results: dict = {}
 
     def use_bundled_flights(self) -> None:
-        """Twenty flights of a separate simulator, in which three effects are hidden."""
+        """Use twenty flights of a separate simulator, in which three effects are hidden."""
         flights = self.out / "flights"
         self.run("landing-eval", "gap-example", "--out", flights)
         heldout = sorted((flights / "heldout").glob("*.csv"))
@@ -72,7 +72,7 @@ class Loop:
         self.teach(flights / "truth.toml")
 
     def fly_simulated(self) -> None:
-        """Identify a simulated Crazyflie, wear its propellers, find that in three landings, and retrain."""
+        """Identify a simulated Crazyflie, diagnose worn propellers from three landings, and retrain."""
         out, seed = self.out, 10 * self.seed  # the flights of every command have a seed of their own
         mine = apply(load_vehicle(), MINE)
         write_vehicle(out / "mine.toml", mine)
@@ -89,7 +89,7 @@ class Loop:
         self.results["landings"] = {"before": clean(before), "after": clean(after), "of": LANDINGS}
 
     def plan(self) -> None:
-        """Find by a planned flight what one landing leaves in doubt: the drag of something carried."""
+        """Fly a planned flight to confirm what is in doubt after one landing: the drag of a payload."""
         out, seed = self.out, 10 * self.seed
         write_vehicle(out / "carrying.toml", apply(apply(load_vehicle(), MINE), CARRIED))
         self.fly(POLICY, "carrying.toml", seed + 3, "first")
@@ -105,7 +105,7 @@ class Loop:
             self.results[path.parent.name] = {"named": named(report), "probability of body_drag": sum(sets)}
 
     def diagnose(self, *names: str, out: str) -> None:
-        """Name what these flights of the simulated Crazyflie show beyond the identified vehicle."""
+        """Name the effects in these flights that the identified vehicle lacks."""
         logs = [log for name in names for log in self.logs(name)]
         vehicle = self.out / "identified" / "vehicle.toml"
         self.run("landing-eval", "gap", *logs, "--vehicle", vehicle, "--platform", "--out", self.out / out)
@@ -134,7 +134,7 @@ class Loop:
         return sorted((self.out / name).glob("flight_*.csv"))
 
     def run(self, *words: object, may_fail: bool = False) -> None:
-        """Run a command of this installation, and keep it with its processor time."""
+        """Run a command of this installation, and record it with its processor time."""
         typed = [str(word) for word in words]
         print("\n$ " + shlex.join(typed), flush=True)
         began = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,9 +1,9 @@
-"""Which effects does the model of my vehicle lack? Flights in a laboratory's own columns, through `gap`.
+"""Find the effects that the model of your vehicle lacks, from flights in your own log columns.
 
     python examples/own_flights.py [FLIGHT.csv ...]
 
-Replace MAPPING, WEIGHED and BENCH by yours and pass your logs. Without logs it writes the bundled ones as
-such a laboratory would log them, to flights/ in the current folder. Half a minute.
+Replace MAPPING, WEIGHED and BENCH by your own and pass your logs. Without logs it writes the bundled ones as
+such a laboratory would log them, to flights/ in the current folder. This takes half a minute.
 """
 
 from __future__ import annotations

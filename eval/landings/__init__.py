@@ -1,4 +1,4 @@
-"""Landing studies: many simulated touchdowns, each classified, over parameters given in a TOML file.
+"""Landing studies: many simulated and classified touchdowns over parameters given in a TOML file.
 
 `parameters.py` defines the parameters, `study.py` reads a study file, `design.py` distributes the landings,
 `landing.py` simulates and classifies them, `run.py` runs a study in chunks, here or on Ray, and

@@ -110,7 +110,7 @@ def study(
 ) -> Study:
     """Return the study of pilots in scenarios, by their names.
 
-    flights: the number flown in each scenario; None: all that it has.
+    flights: the number flown in each scenario; None for all.
     """
     whole = flights is None or flights >= FLIGHTS
     level = {name: s.speed for name, s in chosen.items() if not (s.waves or s.inclination_deg)}

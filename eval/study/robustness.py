@@ -184,7 +184,7 @@ def check_one_slope(policies: Mapping[str, Policy]) -> None:
                 "landings on one slope"
             )
         if not math.isclose(task.inclination, first.inclination):
-            raise UserError(f"policy {policy.path} was trained for another inclination than the first")
+            raise UserError(f"policy {policy.path} was trained for a different inclination than the first")
 
 
 def _check(policies: tuple[str, ...], over: tuple[str, ...], vehicle: tuple[str, ...]) -> None:

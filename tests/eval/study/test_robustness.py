@@ -172,5 +172,5 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp
 
 def test_policies_for_other_slopes_are_not_compared():
     flat = load_policy("landing-nominal", inclination=-0.2)
-    with pytest.raises(UserError, match="another inclination than the first"):
+    with pytest.raises(UserError, match="a different inclination than the first"):
         robustness.check_one_slope({"landing": load_policy("landing-nominal"), "flat": flat})
