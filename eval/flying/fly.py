@@ -18,6 +18,7 @@ from inclined_landing.eval.base.options import (
     Flag,
     Flat,
     NewFolder,
+    Only,
     PolicyName,
     Seed,
     Starts,
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
     from inclined_landing.eval.flying.report import FlightReport
 
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
-_REAL, _BY_CAMERAS = only_without("simulated"), only_with("position", "mocap")
+_REAL = only_without("simulated")
+_BY_CAMERAS = Only(lambda values: values["position"] == "mocap", "with --position onboard")
 _SIMULATED, _PLANNED, _LANDING = only_with("simulated"), only_with("plan"), only_without("plan")
 
 
