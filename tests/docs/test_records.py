@@ -103,6 +103,15 @@ def test_the_rows_of_the_loops_are_those_of_their_record():
         assert " {} {:.2f} {:.2f} ".format(seed, *one["body_drag"]) in planned
 
 
+def test_the_rows_of_flights_are_those_of_their_record():
+    page = plain((ROOT / "docs/evidence/flying.md").read_text("utf-8"))
+    for one in storage.read_toml(ROOT / "docs/evidence/flying.toml", "record")["runs"]:
+        name = f"`{one['policy']}`, {one['vehicle']} vehicle, seed {one['seed']} {one['clean']} of 30"
+        times = ["{:.2f} ({:.2f} to {:.2f})".format(*one[key]) for key in ("landing", "speed")]
+        row = f"`{one['policy']}` {one['vehicle']} 100.0 %.* {' '.join(map(re.escape, times))}"
+        assert name in page or (one["clean"] == 30 and re.search(row, page)), one
+
+
 def test_the_first_page_is_short():
     """Comments are not read."""
     text = re.sub(r"<!--.*?-->", "", (ROOT / "README.md").read_text("utf-8"), flags=re.DOTALL)
