@@ -155,10 +155,9 @@ def _data_notes(problem: Problem) -> list[str]:
     """Return notes on too few or too short flights."""
     n, notes = len(problem.flights), []
     if n < thresholds.FEW_FLIGHTS:
-        notes.append(
-            f"only {n} flight{'s' * (n > 1)}: cross-validation leaves out parts of flights instead of "
-            "whole flights, and the spread between flights is a guess"
-        )
+        parts = "cross-validation leaves out parts of flights instead of whole flights"
+        how = parts if n > 1 else "errors are measured on the flight that was fitted"
+        notes.append(f"only {n} flight{'s' * (n > 1)}: {how}, and the spread between flights is a guess")
     seconds = sum(len(f.starts) * f.rows * f.dt for f in problem.flights)
     if seconds < thresholds.SHORT_FLIGHT:
         notes.append(f"only {seconds:.0f} s of usable flight, so small effects cannot be detected")

@@ -173,10 +173,14 @@ class Problem(Candidates):
         return np.array([f.rows - 2 for f in self.flights])[self.flight_of]
 
     def weights_without_each_flight(self) -> list[np.ndarray]:
-        """Return for every flight the weights (g,) of the groups without it; of a single one, all 1."""
+        """Return for every flight the weights (g,) of the groups without it; of a single one, all 1.
+
+        Of few flights, without every second part of it: the others may not excite what it shows.
+        """
         result = [np.ones(self.groups) for _ in self.flights]
         for k, weights in enumerate(result if len(result) > 1 else ()):
-            weights[np.unique(self.group_of[self.flight_of == k])] = 0.0
+            own = np.unique(self.group_of[self.flight_of == k])
+            weights[own[1::2] if len(result) < thresholds.FEW_FLIGHTS else own] = 0.0
         return result
 
     def vehicle_prior(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:

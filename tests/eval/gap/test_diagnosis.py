@@ -238,6 +238,18 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
     assert low < values["body_drag"]["coefficient"] < high and high - low < 4 * 1.96 * 0.02
 
 
+@pytest.mark.parametrize(("count", "left_out"), [(1, 0), (2, 2), (3, 3)])
+def test_of_few_flights_every_second_part_is_left_out(count, left_out):
+    """What one of two flights alone shows must not be judged without it. Eight groups in all, or nine."""
+    logs = flights(count=count, seconds=6.0)
+    problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, {})
+    for k, weights in enumerate(problem.weights_without_each_flight()):
+        own = np.unique(problem.group_of[problem.flight_of == k])
+        assert (weights[own] == 0.0).sum() == left_out
+        assert weights[own[0]] == 1.0 or count == 3
+        assert np.delete(weights, own).all()
+
+
 @pytest.mark.parametrize("wrong", [{"com_offset": {"x": 0.004, "y": 0.0}}, {"wind": {"x": 1e-3, "y": 0.0}}])
 def test_names_that_do_not_predict_better_are_dropped(wrong, monkeypatch):
     """Beside the hidden thrust, a name that misleads and one that changes nothing."""
