@@ -71,8 +71,9 @@ def diagnose(
     notes = [*use.notes, *_data_notes(found.problem), *unidentifiable]
     if "wind" in candidates and "wind" not in found.problem.library:
         notes.append("the vehicle has almost no drag, so wind cannot be diagnosed")
-    if in_strong_wind(found):  # the attitude loops are not judged
+    if in_strong_wind(found):  # attitude loops and lags are not judged
         use, notes = use.without_angle_commands(vehicle), [*notes, _IN_WIND]
+        candidates = {name: effect for name, effect in candidates.items() if not effect.is_lag}
         found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
     inconsistent = inconsistent_flights(found.problem, found.linear)
     clock("sets")
@@ -124,10 +125,11 @@ def diagnose(
 
 
 # Flapping rotors, and the rear ones in the wake of the front ones, turn the vehicle by moments that no
-# formula of the library has: they would be named as changes of the loops.
+# formula of the library has: they would be named as changes of the loops. How a stream damps the vehicle's
+# motion is not in the library either, and would be named as a lag.
 _IN_WIND = (
-    "a strong steady force, such as wind, also acts on the attitude loops: these were not judged, and "
-    "translation is predicted along the measured attitude"
+    "a strong steady force, such as wind, also acts on the attitude loops, and its damping looks like a lag: "
+    "neither was judged, and translation is predicted along the measured attitude"
 )
 
 

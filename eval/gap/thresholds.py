@@ -37,7 +37,7 @@ LAG_RATE = 0.99 * LEAST_RATE  # rows per second (1 % for the rounding of the ste
 # larger: lags of faster logs only possible. measured: -, slow logs of blind and fresh have 50
 LEAST_LANDINGS = 6  # touchdowns from which effects of contact are named
 # larger: fewer flights tell of contact. measured: twelve landings on two engines: 0 of 14 sure names wrong
-STRONG_WIND = 0.05  # steady sideways force over the weight, above: the attitude loops are not judged
+STRONG_WIND = 0.05  # steady sideways force over the weight, above: attitude loops and lags are not judged
 # larger: loops named for moments of stronger winds. measured: -, see docs/evidence/known_causes.md
 
 # Inconsistent flights

@@ -13,6 +13,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.columns import Candidates, Column, ParameterColumn, Values, at_an_end
+from inclined_landing.eval.gap.model.fitting import fitting
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Estimate
 from inclined_landing.models import forces
@@ -40,7 +41,8 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
                     value, p.unit, p.possible, p.neutral, p.bounds, False, nan, nan, 0.0
                 )
                 continue
-            half = float(quantile * known.error)
+            unsure = stats.norm.ppf(0.975) * fitting(name).extrapolated * (value - p.neutral)
+            half = math.hypot(quantile * known.error, unsure)
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,

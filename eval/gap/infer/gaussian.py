@@ -203,18 +203,21 @@ class LinearGaussian:
         """Return the model with slabs LARGE times as wide for large effects of a set, for their sizes.
 
         The usual slab would leave to the errors of the identified vehicle a share of every large effect. But
-        of effects that compensate one another the flights show only what remains: there it stays.
+        of effects of the set that compensate one another the flights show only what remains: there it stays.
         """
         slab = np.sqrt(self.slab.diagonal())
-        large = np.abs(self.bounded_mode(names)) > slab
-        large &= np.isin(np.arange(len(self.columns)), self.index(names))
+        own = np.array([k for k in self.index(names) if isinstance(self.columns[k], ParameterColumn)], int)
+        large = own[np.abs(self.bounded_mode(names)[own]) > slab[own]]
 
-        def widened(columns: np.ndarray) -> LinearGaussian:
-            wide = np.where(columns, LARGE, 1.0)
-            return dataclasses.replace(self, slab=np.outer(wide, wide) * self.slab)
+        def widened(columns: np.ndarray) -> np.ndarray:
+            wide = np.where(np.isin(np.arange(len(slab)), columns), LARGE, 1.0)
+            return np.outer(wide, wide) * self.slab
 
-        _, covariance = widened(large).change(names)
-        return widened(large & (covariance.diagonal() < slab**2))
+        # The vehicle and all formulas as they are:  C = (a + V^-1)^-1
+        of_set = np.ix_(own, own)
+        information = self.a.sum(axis=0)[of_set] + np.linalg.inv(widened(large)[of_set])
+        shown = own[np.linalg.inv(information).diagonal() < slab[own] ** 2]
+        return dataclasses.replace(self, slab=widened(np.intersect1d(large, shown)))
 
     def index(self, names: Iterable[str]) -> np.ndarray:
         """Return the indices of the columns of the effects `names`."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from inclined_landing.eval.gap import diagnose, gap_example, measure_gap
+from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
 from inclined_landing.eval.gap.answer import named as naming
 from inclined_landing.eval.gap.answer import sizes
 from inclined_landing.eval.gap.answer.identification import identify
@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.infer.fit import (
     leave_one_out_modes,
     vehicles_a_half_width_away,
 )
-from inclined_landing.eval.gap.infer.gaussian import Spread
+from inclined_landing.eval.gap.infer.gaussian import ParameterEstimate, Spread
 from inclined_landing.eval.gap.model.columns import BASE, Candidates
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior
@@ -195,6 +195,48 @@ def test_thrust_over_weight_is_that_of_all_names_together():
     value, (low, high) = quick(flights(hidden, seed=9)).thrust_over_weight
     pwm = VEHICLE.hover_pwm / (1.0 - 0.04 / (VEHICLE.body_mass * VEHICLE.environment_gravity))
     assert low < value < high and low < 1.0 - 0.04 / (VEHICLE.thrust_per_pwm * pwm) < high
+
+
+def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
+    """3 m/s, known to 0.1 by the flights, by a drag that is 30 % uncertain there, a mass without."""
+    known = ParameterEstimate(0.1, np.zeros(1), np.zeros(1), 0.0)
+    values = {"wind": {"x": 3.0, "y": 0.0}, "mass": {"scale": 1.2}}
+    keys = [("wind", "x"), ("wind", "y"), ("mass", "scale")]
+    local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
+    local.with_wide_slabs = lambda _: local
+    found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
+    half = {
+        (name, parameter): 0.5 * np.ptp(one.ci95)
+        for name, of in sizes.estimates(found, values).items()
+        for parameter, one in of.items()
+    }
+    flown = stats.t.ppf(0.975, 7) * 0.1
+    for key, expected in zip(keys, (np.hypot(flown, 1.96 * 0.3 * 3.0), flown, flown)):
+        assert half[key] == pytest.approx(expected, rel=1e-4)
+
+
+def test_no_lag_is_judged_in_a_strong_wind(monkeypatch):
+    """How a stream damps the vehicle looks like one; the attitude loops are not judged there either."""
+    searched = []
+
+    def search(problem, joint):
+        searched.append(set(problem.library))
+        return SimpleNamespace(problem=problem, linear=None)
+
+    monkeypatch.setattr(pipeline, "search", search)
+    monkeypatch.setattr(pipeline, "estimate_noise", lambda problem: (problem, {}))
+    monkeypatch.setattr(pipeline, "in_strong_wind", lambda found: True)
+    monkeypatch.setattr(pipeline, "inconsistent_flights", lambda *_: ())
+    monkeypatch.setattr(pipeline, "relevant_values", _stop)
+    with pytest.raises(StopIteration):
+        diagnose(flights(count=2, seconds=3.0), VEHICLE)
+    calm, windy = searched
+    assert {"estimator_delay", "motor_lag", "attitude_gain"} <= calm
+    assert calm - windy >= {name for name in calm if LIBRARY[name].is_lag} and "wind" in windy
+
+
+def _stop(_):
+    raise StopIteration
 
 
 def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):
