@@ -41,12 +41,12 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
                     value, p.unit, p.possible, p.neutral, p.bounds, False, nan, nan, 0.0
                 )
                 continue
-            unsure = stats.norm.ppf(0.975) * fitting(name).extrapolated * (value - p.neutral)
-            half = math.hypot(quantile * known.error, unsure)
+            half = float(quantile * known.error)
+            below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
             result[name][p.name] = Estimate(
                 value=value,
                 unit=p.unit,
-                ci95=(max(low, value - half), min(high, value + half)),
+                ci95=(max(low, p.neutral + below), min(high, p.neutral + above)),
                 neutral=p.neutral,
                 bounds=p.bounds,
                 at_bound=thresholds.at_bound(value, p.bounds),
@@ -55,6 +55,25 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
                 spread=known.between,
             )
     return result
+
+
+def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]:
+    """Return the interval of a size with a half-width, where what it acts by is uncertain by a share.
+
+    This factor is above zero, so that an interval that excludes zero still does.
+    """
+    ends = size - half, size + half
+    if not (share and size):
+        return ends
+    # log |x| ~ N(log |size|, s^2 + share^2), s from each end in turn
+    result = []
+    for end in ends:
+        ratio = end / size
+        if ratio > 0.0:
+            distance = math.hypot(math.log(ratio), stats.norm.ppf(0.975) * share)
+            end = size * math.exp(math.copysign(distance, ratio - 1.0))
+        result.append(end)
+    return result[0], result[1]
 
 
 def product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:

@@ -35,7 +35,7 @@ class Fitting:
     # their weights.
     forms: tuple[str, ...] = ()
     form: float = 0.05
-    # Standard deviation of its size, over it, as what it acts by was identified in other conditions.
+    # Standard deviation of the logarithm of its size, as what it acts by was identified in other conditions.
     extrapolated: float = 0.0
     same_as: tuple[str, ...] = ()  # effects that, together and of its size, are the same to every flight
     parameters: Mapping[str, Variation] = dataclasses.field(default_factory=dict)

@@ -205,14 +205,14 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
     local.with_wide_slabs = lambda _: local
     found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
-    half = {
-        (name, parameter): 0.5 * np.ptp(one.ci95)
-        for name, of in sizes.estimates(found, values).items()
-        for parameter, one in of.items()
-    }
-    flown = stats.t.ppf(0.975, 7) * 0.1
-    for key, expected in zip(keys, (np.hypot(flown, 1.96 * 0.3 * 3.0), flown, flown)):
-        assert half[key] == pytest.approx(expected, rel=1e-4)
+    sized = sizes.estimates(found, values)
+    flown, factor = stats.t.ppf(0.975, 7) * 0.1, 1.96 * 0.3
+    low, high = (3.0 * np.exp(s * np.hypot(np.log(1.0 + s * flown / 3.0), factor)) for s in (-1, 1))
+    assert sized["wind"]["x"].ci95 == pytest.approx((low, high), rel=1e-4)
+    assert sized["wind"]["y"].ci95 == pytest.approx((-flown, flown))
+    assert sized["mass"]["scale"].ci95 == pytest.approx((1.2 - flown, 1.2 + flown))
+    ends = sizes._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
+    assert ends == pytest.approx((-3.0 * np.exp(np.hypot(np.log(7.0 / 3.0), factor)), 1.0), rel=1e-4)
 
 
 def test_no_lag_is_judged_in_a_strong_wind(monkeypatch):
