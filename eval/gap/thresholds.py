@@ -110,10 +110,10 @@ MATERIAL = 0.05  # share of the squared one-second error from which such a funct
 # effect of the library, is hidden; fresh, as RESIDUAL
 LANDING_RESIDUAL = 0.05  # rate of the chi-squared test: landings have a common residual
 # larger: more found, more false ones. measured: fresh, false in 1 of 3 sets of landings
-MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name is sure, unless the
-# error left is within that of the reference, and this is below MATERIAL of the error before
+MOSTLY = 0.5  # share of the squared one-second error left that repeats, above: no name is sure
 # larger: fewer names doubted, more wrong ones sure. measured: recorded, sure with two propellers cut: 0 of 5
-# conditions; six, 1 of 24 answers with right names doubted
+# conditions; six, 1 of 24 answers with right names doubted. It does not apply where the error left is within
+# the reference's, whose square is at most MATERIAL of that before
 MUCH_LARGER = 1.75  # error that names leave over that of the reference's flights, above: none of them is sure
 # larger: fewer names doubted, more wrong ones sure. measured: six, causes outside the library: `unknown` in 6
 # of 7, a wrong name sure in 1; recorded, load sure in 6 of 6
