@@ -206,7 +206,7 @@ def test_the_c_code_does_nothing_undefined(exported, tmp_path):
     except UserError as error:
         pytest.skip(f"no sanitizer: {error}")
     done = subprocess.run([out], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "answers as the policy did\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "the actions are those of the policy\n", "")
 
 
 @NO_COMPILER
