@@ -206,7 +206,7 @@ class Disturbance:
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceErrors:
-    """What an identified vehicle leaves of its flights, each left out of the fit in turn, or of others."""
+    """The residual of an identified vehicle on its flights, each held out in turn, or on others."""
 
     error: float  # m, open-loop position error one second ahead
     floor: float  # m, that of the measurement noise alone

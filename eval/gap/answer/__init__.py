@@ -1,1 +1,1 @@
-"""From flights to a diagnosis."""
+"""The diagnosis of flights: names, errors before and after, identification."""

@@ -34,7 +34,7 @@ from inclined_landing.models.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class ContactAnswer:
-    """What the landings show; without a posterior where there are too few."""
+    """The result for landings; without a posterior if there are too few."""
 
     vehicle: Vehicle  # corrected for contact too
     landings: tuple[Landing, ...] = ()  # those judged on

@@ -165,7 +165,7 @@ class MeasuredFlight:
 
 @dataclasses.dataclass(frozen=True)
 class MotorRequests:
-    """What was requested of the motors M1 to M4 along a flight, and what the vehicle's motion needs."""
+    """The commands of the motors M1 to M4 along a flight, and those that the vehicle's motion requires."""
 
     differences: np.ndarray  # (m, 3) in roll, pitch and yaw, over the sum of all four: see `REQUEST_SIGNS`
     torques: np.ndarray  # (m, 3) about body x and y over arm and weight, for the smoothed motion; z: 0

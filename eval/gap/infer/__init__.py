@@ -1,1 +1,1 @@
-"""Which effects explain the flights: fits, marginal likelihoods, sets of effects, contact, residual."""
+"""Inference of effects from flights: fits, marginal likelihoods, sets of effects, contact, residual."""

@@ -1,4 +1,4 @@
-"""How far laws of contact differ: what of an effect of contact is none, and which other it may be.
+"""Differences between contact laws: which contact effects are not identifiable, and which are confounded.
 
 MuJoCo's contact is a damped spring on accelerations, with friction that answers within 1/damping. Other
 engines have other laws, and nature has another again. The numbers were measured with MuJoCo's law on landings

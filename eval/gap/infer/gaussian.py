@@ -48,7 +48,7 @@ Key = tuple[str, str]
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """How far flights differ in every parameter, and what its information is shared among, by key."""
+    """The spread between flights in every parameter, and what shares its information, by key."""
 
     # Between-flight standard deviation; effective number of columns collinear with it, and of flights that
     # excite it, both at least 1.

@@ -1,1 +1,1 @@
-"""What a vehicle with candidate effects predicts of a flight, and the regression of the flights on it."""
+"""Predictions of a vehicle with candidate effects, and the regression of the flights on them."""

@@ -1,4 +1,4 @@
-"""How effects are fitted: what the gap workflow knows of them in addition to their physics.
+"""Settings for fitting effects, in addition to their physics.
 
 Numbers were chosen on the development families of docs/evidence/hidden_effects.md. An effect without an entry
 is fitted from neutral, has no model errors of its own, and varies by what is negligible.
@@ -27,7 +27,7 @@ class Variation:
 
 @dataclasses.dataclass(frozen=True)
 class Fitting:
-    """How an effect is fitted."""
+    """Settings for fitting an effect."""
 
     # Values that a fit begins at too: where an effect is not linear, its slopes at neutral may mislead.
     starts: tuple[Mapping[str, float], ...] = ()

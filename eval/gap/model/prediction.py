@@ -185,7 +185,7 @@ def thrust_elasticity(vehicle: Vehicle) -> float:
 
 
 class _Measured(NamedTuple):
-    """What was measured in m rows, and in the middle of the m - 1 steps between them."""
+    """Measurements in m rows, and at the middle of the m - 1 steps between them."""
 
     command: np.ndarray  # (m, 4)
     position: np.ndarray  # (m, 3) m
