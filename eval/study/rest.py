@@ -4,7 +4,7 @@ A vehicle is at rest if it is slow relative to the platform, only on its feet, w
 required time. The floor ends a flight. A vehicle under PWM 0 has no attitude torque.
 
 For policies that hand over, `cut_motors` continues from given states with PWM 0 for two seconds and evaluates
-every engine step. It stops early if the outcome is known: on the floor, or after 0.3 s almost without motion.
+every engine step. It stops early if the outcome is known: on the floor, or 0.15 s almost without motion.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP,
 from inclined_landing.models.vehicle import Vehicle
 
 DURATION = 2.0  # s after a motor cut
-_STILL = 0.3  # s
+_STILL = 0.15  # s
 # Of the speeds of rest: what slides away at constant acceleration, and is slower for _STILL, has not reached
-# them after DURATION, as (1 + DURATION / _STILL) / 8 < 1.
-_SLOW = 1 / 8
-_LOOK = 5  # engine steps
+# them after DURATION, as (1 + DURATION / _STILL) / 15 < 1.
+_SLOW = 1 / 15
+_LOOK = 5 * STEP  # s, after which it is asked which vehicles are at rest
 
 
 class Pilot(Protocol):
@@ -150,19 +150,23 @@ def cut_motors(
     thrust_scale: scale of the thrust that still decays.
     """
     n = len(states)
-    plant = MujocoPlant(n, vehicle, control_period=STEP, timestep=STEP, torque_needs_motors=True)
+    plant = MujocoPlant(n, vehicle, control_period=_LOOK, timestep=STEP, torque_needs_motors=True)
     plant.set_platform(np.arange(n), inclination)
     plant.perturb(thrust_scale=thrust_scale)
     recorder = Recorder(plant, states)
     at_rest_for, flying = np.zeros(n), np.arange(n)
-    for tick in range(1, round(DURATION / STEP) + 1):
+    for _ in range(round(DURATION / _LOOK)):
         recorder.step(np.zeros((n, 4)), flying)
-        if tick % _LOOK == 0:
-            at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK * STEP, 0.0)
-            flying = np.flatnonzero((at_rest_for < _STILL) & ~plant.contacts.floor)
-            if not len(flying):
-                break
+        at_rest_for = np.where(recorder.at_rest() & _slow(plant.state), at_rest_for + _LOOK, 0.0)
+        flying = np.flatnonzero(~_decided(at_rest_for, plant.contacts.floor))
+        if not len(flying):
+            break
     return Aftermath(recorder.touched, *recorder.touch_speeds(), recorder.at_rest())
+
+
+def _decided(at_rest_for: np.ndarray, on_floor: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: whether the end of a flight is known."""
+    return (at_rest_for >= _STILL) | on_floor
 
 
 def _slow(state: np.ndarray) -> np.ndarray:

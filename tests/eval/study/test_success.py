@@ -164,7 +164,7 @@ def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
         vehicle = dataclasses.replace(load_vehicle(), contact_friction=friction)
         early = rest.cut_motors(states, ALPHA, vehicle)
         with monkeypatch.context() as patch:
-            patch.setattr(rest, "_LOOK", 1000)
+            patch.setattr(rest, "_decided", lambda at_rest_for, on_floor: np.zeros(len(on_floor), bool))
             whole = rest.cut_motors(states, ALPHA, vehicle)
         np.testing.assert_array_equal(early.at_rest, whole.at_rest)
         np.testing.assert_array_equal(early.touched, whole.touched)
