@@ -83,7 +83,10 @@ def _versions(result: Result) -> str:
     """Return a sentence with the commits at which a recipe was run."""
     revision = str(result.versions.get("git revision"))
     commits = re.sub(r"([0-9a-f]{8})[0-9a-f]{32}", r"\1", revision).replace("+changes", " with changes")
-    return f"It was run at commit {commits}."
+    first, *others = commits.split(" and ")
+    if not others:
+        return f"It was run at commit {first}."
+    return f"It was run at the commits {', '.join([first, *others[:-1]])} and {others[-1]}."
 
 
 if __name__ == "__main__":

@@ -134,7 +134,7 @@ def _tilt_at_touch(recorder: Recorder) -> np.ndarray:
 
 @dataclasses.dataclass
 class Aftermath:
-    """One entry per vehicle; speeds are those of the centre of mass, NaN without a touchdown."""
+    """Results of a motor cut, one per vehicle; speeds of the centre of mass are NaN without a touchdown."""
 
     touched: np.ndarray  # (n,) bool: did any part reach the slab
     normal_speed: np.ndarray  # (n,) m/s into the surface, up to 8 ms before the first touch
