@@ -102,11 +102,12 @@ def solref(restitution, contact_time, gravity: float) -> np.ndarray:
 def spring(restitution, contact_time, gravity: float) -> np.ndarray:
     """Return `solref` without its limits, for fits: restitution up to 0.95 and any contact time [s]."""
     e, time = np.broadcast_arrays(np.asarray(restitution, float), np.asarray(contact_time, float))
-    out = np.empty((*e.shape, 2))
-    of_spring = np.interp(e.ravel(), _MEASURED, _OF_SPRING)
-    _solve(of_spring, time.flatten(), gravity, out.reshape(-1, 2))  # a copy: numba warns of broadcast arrays
+    # Each pair is solved once: studies repeat theirs.
+    pairs, of_each = np.unique(np.stack([e.ravel(), time.ravel()], axis=1), axis=0, return_inverse=True)
+    out = np.empty_like(pairs)
+    _solve(np.interp(pairs[:, 0], _MEASURED, _OF_SPRING), pairs[:, 1].copy(), gravity, out)
     # Effective: damping * EFFECTIVE / d_w and stiffness * d EFFECTIVE / d_w^2, with d = d_w.
-    return -out * _IMPEDANCE / _EFFECTIVE
+    return (-out * _IMPEDANCE / _EFFECTIVE)[of_each.ravel()].reshape(*e.shape, 2)
 
 
 @inner
