@@ -192,16 +192,20 @@ def model_error_weights(
 def variance_inflation(problem: Problem, values: Values) -> np.ndarray:
     """Return the variance inflation (C,): the dispersion of the joint fit times the windows' autocorrelation.
 
-    Errors may exceed what the noise model says, whose grid ends and which winsorises outlying windows. The
-    evidence of a set and the errors of its sizes must then allow for errors as large as those that are left.
+    Errors may exceed what the noise model says, for its grid ends. The evidence of a set and the errors of
+    its sizes must then allow for errors as large as those that are left. Outlying windows count as in the
+    noise's estimate.
     """
     # Effective sample size n_eff = n / (1 + 2 sum_k rho_k) (Gelman et al., BDA3, 11.5), with the
     # autocorrelation rho_k = sum_w x_w x_(w+k) / sum_w x_w^2 of the windows' standardised amplitudes x, and
     # the dispersion phi = chi^2 / n of a quasi-likelihood, at least 1 (McCullagh and Nelder, 9.2.4).
     white = problem.white_errors_at(values)
-    squares = problem.weight * np.concatenate([(x**2).sum(axis=2) for x in white])
-    count = (problem.rows[:, None] * problem.logged).sum(axis=0)
-    dispersion = np.maximum(1.0, squares.sum(axis=0) / np.maximum(count, 1.0))
+    ends = np.cumsum([len(f.starts) for f in problem.flights])[:-1]
+    squares, count = np.zeros(problem.channels), (problem.rows[:, None] * problem.logged).sum(axis=0)
+    for errors, weight in zip(white, np.split(problem.weight, ends)):
+        each = weight * (errors**2).sum(axis=2)
+        squares += [winsorised(x) @ x for x in each.T]
+    dispersion = np.maximum(1.0, squares / np.maximum(count, 1.0))
     correlation = np.ones(problem.channels)
     for channel in range(problem.channels):
         total, lagged = 0.0, np.zeros(LAGS)
