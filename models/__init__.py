@@ -1,1 +1,1 @@
-"""Parameters, equations, MJCF, native plugins and the two plants."""
+"""Parameters, equations, MJCF, native plugins and the plants."""
