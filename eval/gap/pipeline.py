@@ -29,7 +29,7 @@ from inclined_landing.eval.gap.infer.sets import SetPosterior, search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, leaves_doubt
+from inclined_landing.eval.gap.result import Diagnosis, least_cost
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
@@ -90,8 +90,8 @@ def diagnose(
     ahead = open_loop_errors(found, correction, evaluation, values, plants, curves)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     known = reference.errors if reference else None
-    doubtful = leaves_doubt(residual, ahead.gap.get("analytic"), known)
-    effects = named_effects(found, values, ahead.named, doubtful)
+    least = least_cost(residual, ahead.gap.get("analytic"), known)
+    effects = named_effects(found, values, ahead.named, least)
     clock("errors")
     contact = contact_answer(
         use, vehicle, correction.vehicle, candidates, reference.landings if reference else None

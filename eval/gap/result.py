@@ -302,20 +302,23 @@ class PlantGap:
         return float("nan") if closable <= 0 else (self.before - self.after) / closable
 
 
-def leaves_doubt(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> bool:
-    """Return whether the named effects leave too much error for any of them to be sure.
+def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> float:
+    """Return the position error [m] up to which an effect must account for more not to be in doubt.
 
-    It is much larger than that of the reference flights, or most of it repeats from flight to flight. With no
-    larger an error than the reference's, what repeats may be the identified vehicle's own: it casts no doubt
-    where that is small compared with the error before.
+    Infinite: all are, because what the named effects leave is much larger than the error of the reference
+    flights, or because most of it repeats from flight to flight. With no larger an error than the reference
+    flights', what repeats may be the identified vehicle's own. If that is small compared with the error
+    before, it casts doubt only on effects of its size.
     """
     if gap is None:
-        return residual.unexplained
+        return math.inf if residual.unexplained else 0.0
     much = own = False
     if reference is not None:
         much = gap.after > thresholds.MUCH_LARGER * max(reference.error, gap.floor)
         own = gap.after <= reference.error <= math.sqrt(thresholds.MATERIAL) * gap.before
-    return much or (not own and residual.repeats**2 > thresholds.MOSTLY * gap.after**2)
+    if much or residual.repeats**2 <= thresholds.MOSTLY * gap.after**2:
+        return math.inf if much else 0.0
+    return residual.repeats / math.sqrt(thresholds.MOSTLY) if own else math.inf
 
 
 @dataclasses.dataclass(frozen=True)
@@ -367,8 +370,8 @@ class Diagnosis:
         if landed or self.repeats:
             return "unknown"
         if self.effects:
-            doubt = leaves_doubt(self.residual, self.gap.get("analytic"), self.reference)
-            return "unknown" if doubt else "effects"
+            least = least_cost(self.residual, self.gap.get("analytic"), self.reference)
+            return "unknown" if math.isinf(least) else "effects"
         if self.undecided:
             return "undecided"
         return "unknown" if self.exceeds_reference else "nothing"

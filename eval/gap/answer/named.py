@@ -45,13 +45,14 @@ LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attit
 
 
 def named_effects(
-    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], doubtful: bool
+    found: SetPosterior, values: Values, ahead: Mapping[str, Displacement], least: float
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does. doubtful: these leave too much.
+    ahead: what each does. least: see `least_cost`.
     """
     problem, pieces = found.problem, loop_pieces(found.problem, values)
+    doubtful = {name for name in values if least > 0.0 and not ahead[name].cost > least}
     sizes, gains = estimates(found, values), squared_error_shares(problem, values)
     total = thrust_of_names(found, values)
     cancel = total is not None and total[1][0] <= 1.0 <= total[1][1]
@@ -74,7 +75,7 @@ def named_effects(
                 remedy=library[LOOP if parts else name].remedy,
                 cost=ahead[name].cost,
                 product=product(found, values, name) if library[name].product else None,
-                doubt=_doubt(problem, name, ahead[name].along, doubtful, cancel and name in WEIGHT)
+                doubt=_doubt(problem, name, ahead[name].along, name in doubtful, cancel and name in WEIGHT)
                 or _doubt_beside(library, name, [one.name for one in result]),
                 parts=parts,
             )

@@ -39,6 +39,7 @@ from inclined_landing.eval.gap.result import (
     RegimeError,
     ResidualAnalysis,
     ScoredSet,
+    least_cost,
 )
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
@@ -217,6 +218,9 @@ def test_unknown_stands_beside_names_where_much_repeats():
         (repeating(0.09, 0.1, reference=0.095), "unknown"),
     ):
         assert case.verdict == verdict
+    own = repeating(0.09, 0.1, reference=0.105)  # effects of less than 9 cm / sqrt(1/2) are in doubt
+    assert least_cost(own.residual, own.gap["analytic"], own.reference) == pytest.approx(0.127, abs=5e-4)
+    assert least_cost(own.residual, own.gap["analytic"], None) == np.inf
     past = dataclasses.replace(one, channel="roll", against="roll command 0.25 s ago", displacement=0.05)
     residual = dataclasses.replace(d.residual, depends_on=(past,), error=0.1)
     assert "5.0 cm repeats from flight to flight: in roll, 0.25 s after a roll command." in words.how_much(
