@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy import optimize
+from threadpoolctl import threadpool_limits
 
 _BINS = 20  # of a parameter, at most; one of no more values has a bin for each
 _LANDINGS = 10  # for each bin, at least
@@ -36,6 +37,7 @@ def rows(
             yield about | {"value": None} | known
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices so small a second thread only waits
 def variance_shares(parameters: Sequence[np.ndarray], y: np.ndarray) -> np.ndarray | None:
     """Return the share of the variance of y (n,) of every parameter (n,), with its 95 % interval, (P, 3).
 
