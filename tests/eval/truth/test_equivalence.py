@@ -198,14 +198,9 @@ def test_failing_claims_give_exit_code_1(tmp_path, capsys, monkeypatch):
     assert "1 of 1 claims are not met" in (tmp_path / "run" / "report.html").read_text()
 
 
-@pytest.mark.parametrize("arguments, sentence", [
-    (["--seed", "-1"], "--seed must be a whole number from 0"),
-    (["--policy", "nowhere.zip"], "policy nowhere.zip does not exist"),
-    (["--policy", "setpoint"], "was trained for the task setpoint, not for landing"),
-])  # fmt: skip
-def test_wrong_input_is_one_sentence(arguments, sentence, tmp_path, capsys):
+def test_wrong_input_is_one_sentence(tmp_path, capsys):
     out = tmp_path / "run"
-    assert cli.main(["equivalence", "--out", str(out), *arguments]) == 2
+    assert cli.main(["equivalence", "--out", str(out), "--seed", "-1"]) == 2
     error = capsys.readouterr().err
-    assert sentence in error and error.count("\n") == 1
+    assert "--seed must be a whole number from 0" in error and error.count("\n") == 1
     assert not out.exists()
