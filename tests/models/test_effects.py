@@ -759,7 +759,7 @@ def test_a_moment_comes_with_the_rate_at_which_it_is_taken_over():
 
 
 def test_a_quick_rate_loop_may_have_little_less_lag():
-    """Of the shipped lag of 20 ms 17 may be missing: of 13 ms 10, of 2 ms none."""
+    """A vehicle may lack 17 ms of the shipped lag of 20 ms, 10 of 13 ms, and none of 2 ms."""
     lag = LIBRARY["second_order_attitude"].parameter("rate_lag")
     for present, low in ((0.02, lag.bounds[0]), (0.013, lag.bounds[0] + 0.007), (0.002, 0.0)):
         own = lag.sized_for(V.changed(attitude_bandwidth=1.0 / present))

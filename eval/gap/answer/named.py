@@ -76,7 +76,7 @@ def named_effects(
                 cost=ahead[name].cost,
                 product=product(found, values, name) if library[name].product else None,
                 doubt=_doubt(problem, name, ahead[name].along, name in doubtful, cancel and name in WEIGHT)
-                or _doubt_beside(library, name, [one.name for one in result]),
+                or _doubt_next_to(library, name, [one.name for one in result]),
                 parts=parts,
             )
         )
@@ -130,7 +130,7 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
     return ""
 
 
-def _doubt_beside(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
+def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
     """Return a sentence on why a change of the loops is not sure next to larger names; empty where it may be.
 
     Where no loop is quite of the modelled form, what is confused with a change makes up for its errors.
@@ -282,11 +282,13 @@ def _least_distinct(found: SetPosterior, values: FittedValues) -> str:
     firm, pieces = firm_names(found, values), loop_pieces(found.problem, values)
     for k, name in reversed([*enumerate(values)]):
         channels = found.problem.library[name].channels
-        beside = k > 0 and LOOPS.issuperset(channels)
-        if name in firm and (name in pieces or not beside):
+        smaller_loop = k > 0 and LOOPS.issuperset(channels)
+        if name in firm and (name in pieces or not smaller_loop):
             continue
         unseen = "requests" in channels and not found.problem.requested
-        if (name not in firm and (unseen or (beside and firm))) or not _shows_ahead(found, values, name):
+        if (name not in firm and (unseen or (smaller_loop and firm))) or not _shows_ahead(
+            found, values, name
+        ):
             return name
     return ""
 

@@ -65,7 +65,7 @@ FITTING = {
     "estimator_delay": Fitting(parameters=_delay(0.003)),
     "slung_load": Fitting(starts=_LOADS),
     # Its speed follows from its force by a drag that was identified at other air speeds: speeds of fans came
-    # out 1.2 to 1.6 times as high, one in another simulator twice.
+    # out 1.3 to 1.7 times as high, one in another simulator twice.
     "wind": Fitting(extrapolated=0.3),
     "rotor_drag": Fitting(forms=("translation speed", "translation late"), form=0.15),
     "com_offset": Fitting(

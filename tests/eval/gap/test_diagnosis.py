@@ -282,7 +282,7 @@ def test_what_the_reference_left_uncertain_is_estimated_again():
 
 @pytest.mark.parametrize(("count", "left_out"), [(1, 0), (2, 2), (3, 3)])
 def test_of_few_flights_every_second_part_is_left_out(count, left_out):
-    """What one of two flights alone shows must not be judged without it. Eight groups in all, or nine."""
+    """An effect that only one of two flights shows is judged with a part of it. There are 8 groups, or 9."""
     logs = flights(count=count, seconds=6.0)
     problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, {})
     for k, weights in enumerate(problem.weights_without_each_flight()):
