@@ -224,7 +224,7 @@ def trainings(folder):
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
             words = process.cmdline()
-            if "inclined_landing.train.sweep.jobs" in words and str(folder) in " ".join(words):
+            if "inclined_landing.train" in words and str(folder) in " ".join(words):
                 found[Path(words[words.index("--out") + 1]).relative_to(folder).parts[0]].append(process)
     numbers = {process.pid for group in found.values() for process in group}
     return {  # but for what they start themselves

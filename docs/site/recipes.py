@@ -3,8 +3,8 @@
     python docs/site/recipes.py    # writes the page
 
 A result is that of `landing-train sweep`, copied next to its recipe in `train/recipes`. Figures and films are
-those that the recipe's last commands make, copied into `docs/beyond`; `tasks.gif` shows one flight each of
-the recipes for other slopes and platforms.
+those of the commands that the recipe names in a comment, copied into `docs/beyond`; `tasks.gif` shows one
+flight each of the recipes for other slopes and platforms.
 """
 
 from __future__ import annotations

@@ -47,7 +47,8 @@ if "--no-report" in words:  # a training
     sys.exit(3 if "0.9" in words else 0)
 assert not out.exists(), out
 out.mkdir(parents=True)
-(out / "success.json").write_text(json.dumps({"share": {"count": 9, "of": 10}}))
+row = {"of": 1, "statistic": "share", "count": 9, "flights": 10}
+(out / "success.json").write_text(json.dumps({"rows": [row]}))
 if os.path.exists("half"):
     os.unlink("half")
     sys.exit(1)
@@ -61,11 +62,10 @@ RECIPE = {
         "landing-train landing --steps 100 {options} --seed {seed} --out {out} --no-report",
         "landing-eval success {out}/final.zip --seed {seed} --out {out}/s",
     ],
-    "together": ["landing-eval success {sweep}/a-5/final.zip --out {out}/all"],
     "variants": {"a": "", "b": "--gamma 0.9"},
     "numbers": {
         "steps": {"title": "steps", "file": "metrics.json", "path": "steps", "unit": "steps", "at_least": 6},
-        "share": {"title": "s", "file": "s/success.json", "path": "share", "unit": "%", "factor": 100},
+        "share": {"title": "s", "file": "s/success.json", "row": {"of": 1}, "unit": "%", "factor": 100},
     },
 }
 
@@ -85,7 +85,7 @@ def begun(tmp_path, monkeypatch):
 def place(begun, monkeypatch):
     """The same, where a command begins at once: in an interpreter that imports nothing of ours."""
 
-    def run(words, directory, log, threads, leash):
+    def run(words, directory, log, threads):
         environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
         command = [sys.executable, "-S", "-E", "-u", str(begun / "pretended.py"), *words[1:]]
         return subprocess.run(command, stdout=log, stderr=log, env=environment).returncode, 0.1
@@ -110,15 +110,14 @@ def sweep(*words) -> int:
     return cli.main(["sweep", "pretended.toml", *words])
 
 
-def test_every_command_is_done_once_for_every_run_then_all_together(place, capsys):
+def test_every_command_is_done_once_for_every_run(place, capsys):
     cores = len(os.sched_getaffinity(0))
     assert sweep("--jobs", "1") == 0
     done = calls()
-    assert len(done) == 4 * 2 + 1
+    assert len(done) == 4 * 2
     trained = "landing --steps 100 --seed 5 --out runs/pretended/a-5 --no-report"
     assert done[0] == f"{trained} --threads {cores} {cores}"
     assert done[1] == f"success runs/pretended/a-5/final.zip --seed 5 --out runs/pretended/a-5/s {cores}"
-    assert done[-1].startswith("success runs/pretended/a-5/final.zip --out runs/pretended/together/all ")
     result = json.loads(Path("runs/pretended/result.json").read_text())
     assert [m["values"] for m in result["measured"] if m["number"] == "steps"] == [[5, 6]] * 2
     assert [m["mean"] for m in result["measured"] if m["number"] == "share"] == [90, 90]
@@ -144,49 +143,41 @@ def test_what_was_interrupted_is_resumed_and_what_was_half_done_begun_again(plac
     assert not Path("runs/pretended/result.json").exists() and len(calls()) == 1 + 3 * 2
     assert sweep("--jobs", "1") == 0
     resumed, *rest = calls()
-    assert "--resume" in resumed and "a-5" in resumed and len(rest) == 2
+    assert "--resume" in resumed and "a-5" in resumed and len(rest) == 1
     Path("half").touch()
     assert sweep("--out", "other", "--jobs", "1") == 1 and calls()
-    assert sweep("--out", "other", "--jobs", "1") == 0 and len(calls()) == 2  # that one, and all together
+    assert sweep("--out", "other", "--jobs", "1") == 0 and len(calls()) == 1
 
 
 def test_a_failed_run_leaves_the_others_and_no_result(place, capsys):
     Path("fails").write_text("6")
     assert sweep() == 1
     said = capsys.readouterr().err
-    assert said.count(": failed after ") == 2
+    assert said.count(": failed (") == 2
     assert all("error: it diverged" in line for line in said.splitlines()[-2:])
     assert Path("runs/pretended/a-5/s/success.json").exists()
     assert not Path("runs/pretended/result.json").exists()
 
 
-def test_added_or_changed_commands_run_with_those_after_them(place):
+def test_added_seeds_and_commands_are_run_and_changed_ones_refused(place, capsys):
     assert sweep() == 0 and calls()
     write(RECIPE | {"seeds": [5, 6, 7]})
-    assert sweep() == 0 and len(calls()) == 2 * 2 + 1  # and what is done of all runs together
+    assert sweep() == 0 and len(calls()) == 2 * 2
     training, judged = RECIPE["commands"]
     write(RECIPE | {"commands": [training, judged, "landing-eval success landing --out {out}/t"]})
-    assert sweep() == 0 and len(calls()) == 4 + 1
-    write(RECIPE | {"commands": [training, "landing-eval success landing --out {out}/s"]})
-    assert sweep() == 0 and len(calls()) == 4 + 1  # in the place of the old one
-    assert not Path("runs/pretended/a-5/t").exists()
+    assert sweep() == 0 and len(calls()) == 4
     write(RECIPE | {"commands": [training.replace("100", "200"), judged]})
-    assert sweep() == 0
-    # Options that are no longer there play no part: nothing is resumed that was begun with another line.
-    assert [("--resume" in line) for line in calls() if line.startswith("landing")] == [False] * 4
-    write(RECIPE | {"variants": {"a": "", "b": ""}, "commands": [training.replace("100", "200"), judged]})
-    assert sweep() == 0 and len(calls()) == 2 * 2 + 1
-    write(RECIPE | {"together": []})
-    assert sweep() == 0
+    assert sweep() == 2 and not calls()
+    assert "was begun with other command lines; choose another --out" in capsys.readouterr().err
 
 
 def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
     wrong = copy.deepcopy(RECIPE)
-    wrong["numbers"]["share"]["path"] = "shares"
+    wrong["numbers"]["share"]["row"] = {"of": 2}
     write(wrong)
     assert sweep() == 2
-    assert "number share: runs/pretended/a-5/s/success.json has no shares" in capsys.readouterr().err
-    assert len(calls()) == 9
+    assert "number share: runs/pretended/a-5/s/success.json has no row with" in capsys.readouterr().err
+    assert len(calls()) == 8
     write(RECIPE)
     assert sweep() == 0 and not calls()
 
@@ -205,7 +196,6 @@ def test_a_number_that_is_not_there_is_said_and_nothing_lost(place, capsys):
     ({"commands": ["rm -r {out}"]}, [], "a command line begins with landing-train or landing-eval"),
     ({"commands": ["landing-train 'landing"]}, [], "quotation"),
     ({"commands": ["landing-train landing --seed {sed}"]}, [], "unknown placeholder {sed} in landing-train"),
-    ({"together": ["landing-eval curves {seed}"]}, [], "unknown placeholder {seed} in landing-eval"),
     ({"answer": "{steps}"}, [], "unknown placeholder {steps} in {steps}; choose from a.steps"),
     ({"seeds": "many"}, [], "seeds must be a list"),
     ({"seeds": [1, 1]}, [], "a seed is listed twice"),
@@ -238,13 +228,13 @@ def test_shipped_recipes_would_begin(name, tmp_path):
 # ---- processes
 
 
-@pytest.mark.parametrize("text", ["[", "{}", '[{"code": 0}]', '[{"line": "a", "code": "x"}]', "3"])
+@pytest.mark.parametrize("text", ["[", "{}", '[{"line": "a"}]', '[{"line": "a", "cpu_seconds": "x"}]', "3"])
 def test_a_damaged_record_is_refused(text, place):
     job = jobs.jobs_of(read_recipe(Path("pretended.toml")), Path("runs"))["a", 5]
     job.record.parent.mkdir(parents=True)
     job.record.write_text(text)
     with pytest.raises(UserError, match=r"record \S+a-5\.json"):
-        jobs.read(job)
+        job.done()
 
 
 def test_no_two_processes_do_the_same_job(place):
@@ -253,11 +243,11 @@ def test_no_two_processes_do_the_same_job(place):
     with runs.locked(job.folder, job.log) as log:
         other = os.dup(log)  # as the program that was begun has it
     with pytest.raises(UserError, match=r"another process is using the run folder \S+a-5; wait"):
-        jobs.work(1, 0.1, None, job)
+        jobs.work(1, 0.1, job)
     assert not calls() and not job.record.exists()
     timer = threading.Timer(0.3, os.close, [other])
     timer.start()
-    assert [step.code for step in jobs.work(1, 60.0, None, job)] == [0, 0]
+    assert jobs.work(1, 60.0, job) == (pytest.approx(0.2), "") and len(job.done()) == 2
     timer.join(0)
 
 
@@ -266,7 +256,7 @@ def test_only_what_the_sweep_wrote_makes_room(tmp_path):
     for place, gone in (("a-5/s", True), ("a-5", False), ("", False), ("steps", False), ("../x", False)):
         out = Path(job.sweep, place)
         out.mkdir(parents=True, exist_ok=True)
-        jobs._prepared(job, jobs.Step(f"landing-eval success --out {out}"), 1)
+        jobs._prepared(job, f"landing-eval success --out {out}", 1)
         assert out.exists() is not gone, place
 
 
@@ -342,15 +332,15 @@ def test_a_seed_that_never_got_there_counts_as_larger_than_all():
 
 
 def test_numbers_are_taken_from_where_they_stand(tmp_path):
-    text = '{"n": 3, "t": true, "p": {"count": 2, "of": 4}, "no": null, "l": [1, 2.5], "w": "x"}'
+    text = '{"n": 3, "t": true, "no": null, "l": [1, 2.5], "w": "x"}'
     (tmp_path / "m.json").write_text(text)
 
     def of(path):
         return take("n", number(path=path), tmp_path)
 
-    assert (of("n"), of("t"), of("p")) == (("number", 3), ("share", True), ("flights", (2, 4)))
+    assert (of("n"), of("t")) == (("number", 3), ("share", True))
     assert of("l.1") == ("number", 2.5) and of("no") == of("no.steps") == ("number", None)
-    for path in ("x", "l.2", "l.y", "n.x", "w", "p.x"):
+    for path in ("x", "l.2", "l.y", "n.x", "w"):
         with pytest.raises(UserError, match="number n"):
             of(path)
     (tmp_path / "m.json").unlink()

@@ -22,16 +22,7 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.lookup import look_up
-from inclined_landing.train.sweep.jobs import (
-    STEPS,
-    failure,
-    forget,
-    job_of_all,
-    jobs_of,
-    leashed,
-    read,
-    work,
-)
+from inclined_landing.train.sweep.jobs import STEPS, ending_together, jobs_of, work
 from inclined_landing.train.sweep.recipe import Recipe, read_recipe, shipped
 from inclined_landing.train.sweep.result import HEADS, Result, sum_up, take
 
@@ -86,12 +77,10 @@ class Sweep:
     def __init__(self, recipe: Recipe, folder: Path, command: str):
         self.recipe, self.folder, self.command = recipe, folder, command
         self.jobs = jobs_of(recipe, folder)
-        self.together = job_of_all(recipe, folder, self.jobs.values())
 
     def check(self) -> None:
         """Raise UserError for a command line that would be refused, with the options already checked."""
-        first = list(self.jobs.values())[: len(self.recipe.variants)]  # other seeds differ in nothing
-        for job in (*first, self.together):
+        for job in list(self.jobs.values())[: len(self.recipe.variants)]:  # other seeds differ in nothing
             for line in job.lines:
                 program, *words = job.words(line)
                 try:
@@ -107,29 +96,24 @@ class Sweep:
 
     def run(self, on: str, address: str | None, at_once: int) -> int:
         """Run all jobs, write and print the numbers, and return the exit code."""
-        steps = {job.name: read(job) for job in self.jobs.values()}
-        todo = [job for job in self.jobs.values() if not all(step.done for step in steps[job.name])]
+        seconds = {job.name: sum(step.cpu_seconds for step in job.done()) for job in self.jobs.values()}
+        todo = [job for job in self.jobs.values() if len(job.done()) < len(job.lines)]
         cores = len(os.sched_getaffinity(0))
         at_once = min(at_once or cores, max(1, len(todo)))
-        if todo:
-            forget(self.together)
-        with leashed() as leash:
-            shared = (max(1, cores // at_once), 0.0, leash) if on == "local" else (1, _PATIENCE, None)
+        shared = (max(1, cores // at_once), 0.0) if on == "local" else (1, _PATIENCE)
+        failures = []
+        with ending_together():
             done = pool.completed(work, shared, todo, on, address, at_once) if todo else ()
-            for count, (job, found) in enumerate(done, len(self.jobs) - len(todo) + 1):
-                steps[job.name] = found
-                seconds = sum(step.cpu_seconds for step in found)
-                ended = "failed after " if failure(job, found) else ""
-                text = f"{job.name}: {ended}{seconds:.1f} s of CPU ({count} of {len(self.jobs)})"
-                print(text, file=sys.stderr)
-        failures = [failure(job, steps[job.name]) for job in self.jobs.values()]
-        if not any(failures):
-            failures = [failure(self.together, work(cores, 0.0, None, self.together))]
-        for text in filter(None, failures):
-            print(f"landing-train sweep: {text}", file=sys.stderr)
-        if any(failures):
+            for count, (job, (used, failure)) in enumerate(done, len(self.jobs) - len(todo) + 1):
+                seconds[job.name] = used
+                failures += [failure] if failure else []
+                how = "failed" if failure else f"{used:.1f} s of CPU"
+                print(f"{job.name}: {how} ({count} of {len(self.jobs)})", file=sys.stderr)
+        for failure in failures:
+            print(f"landing-train sweep: {failure}", file=sys.stderr)
+        if failures:
             return FAILED
-        self._show([sum(step.cpu_seconds for step in steps[job.name]) for job in self.jobs.values()])
+        self._show(list(seconds.values()))
         return 0
 
     def _show(self, cpu_seconds: Sequence[float]) -> None:

@@ -6,7 +6,7 @@ train/recipes/README.md is their manual.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -38,7 +38,7 @@ class Number(Table, frozen=True, kw_only=True):
 
 
 class Recipe(Table, frozen=True, kw_only=True):
-    """A recipe: `commands` run for every seed and variant, then those of `together` once."""
+    """A recipe: `commands` are run in order for every seed and variant."""
 
     title: Text
     question: Text
@@ -46,7 +46,6 @@ class Recipe(Table, frozen=True, kw_only=True):
     seeds: Annotated[tuple[Seed, ...], Meta(min_length=1, max_length=100)]
     variants: Annotated[dict[Name, str], Meta(min_length=1)] = field(default_factory=lambda: {"": ""})
     commands: Annotated[tuple[Text, ...], Meta(min_length=1)]
-    together: tuple[Text, ...] = ()
     numbers: Annotated[dict[Name, Number], Meta(min_length=1)]
 
     def runs(self) -> list[tuple[str, int]]:
@@ -71,12 +70,9 @@ def read_recipe(path: Path) -> Recipe:
             if bool(number.path) == bool(number.row):
                 raise UserError(f"number {name} needs either a path or a row")
         numbers = [f"{variant}.{name}".lstrip(".") for variant in recipe.variants for name in recipe.numbers]
-        for texts, known in (
-            (recipe.commands, ("seed", "variant", "options", "out")),
-            (recipe.together, ("runs", "sweep", "out")),
-            ((recipe.answer,), numbers),
-        ):
-            _check_names(texts, known)
+        for text in recipe.commands:
+            _check_names(text, ["seed", "variant", "options", "out"])
+        _check_names(recipe.answer, numbers)
     except UserError as error:
         raise UserError(f"recipe {shown(path, 200)}: {error}") from error
     return recipe
@@ -87,11 +83,10 @@ def filled(text: str, values: Mapping[str, str]) -> str:
     return re.sub(r"\{([^{}]*)\}", lambda found: values.get(found[1], found[0]), text)
 
 
-def _check_names(texts: Iterable[str], known: Iterable[str]) -> None:
+def _check_names(text: str, known: list[str]) -> None:
     """Raise UserError for braces around anything other than a known name."""
-    for text in texts:
-        for name in re.findall(r"\{([^{}]*)\}", text):
-            if name not in known:
-                raise UserError(
-                    f"unknown placeholder {{{shown(name, 40)}}} in {shown(text, 80)}; {choices(known, name)}"
-                )
+    for name in re.findall(r"\{([^{}]*)\}", text):
+        if name not in known:
+            raise UserError(
+                f"unknown placeholder {{{shown(name, 40)}}} in {shown(text, 80)}; {choices(known, name)}"
+            )

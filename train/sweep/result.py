@@ -3,8 +3,7 @@ can be
 
 - a number: mean with its bootstrap interval over the seeds;
 - true or false: the share of the seeds, with its Wilson interval;
-- a share as `statistics.proportion` writes it (`count` and `of`): the share of all flights of all seeds, with
-  its Wilson interval;
+- a row of shares of a study: the share of all flights of all seeds, with its Wilson interval;
 - null, if the run never reached it: it counts as larger than every number.
 """
 
@@ -108,8 +107,6 @@ def take(name: str, number: Number, folder: Path) -> tuple[Kind, Any]:
             value = value[int(key) if isinstance(value, list) else key]
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise UserError(f"number {name}: {path} has no {shown(number.path, 80)}") from error
-    if isinstance(value, dict) and {"count", "of"} <= set(value):
-        return "flights", (value["count"], value["of"])
     if isinstance(value, bool):
         return "share", value
     if value is None or (isinstance(value, (int, float)) and math.isfinite(value)):
