@@ -9,7 +9,6 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-import matplotlib
 from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Section, number
@@ -69,11 +68,3 @@ def png(figure: Figure) -> bytes:
     with styled():
         figure.savefig(file, format="png", dpi=PNG_DPI)
     return file.getvalue()
-
-
-def svg(figure: Figure) -> str:
-    """Return the figure as the data URL of an SVG image; the same figure gives the same text."""
-    file = io.BytesIO()
-    with styled(), matplotlib.rc_context({"svg.hashsalt": "gap", "svg.fonttype": "path"}):
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode("ascii")

@@ -35,7 +35,7 @@ def command(
     """
     from inclined_landing.envs.shared import runs
     from inclined_landing.eval.base.progress import stages
-    from inclined_landing.eval.base.style import save_figure, styled
+    from inclined_landing.eval.base.style import save_figure
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
@@ -53,7 +53,7 @@ def command(
         found = None
         if flights.reference:
             found = identify(flights.reference, nominal, platform=source.platform)
-            nominal, _, _ = identified.described(found)
+            nominal, _, _ = files.described(found)
             known, notes = found.reference, (*notes, *found.notes)
             notes = (*notes, identified.headline(found)) if found.worse else notes
         else:
@@ -66,18 +66,14 @@ def command(
             reference=known,
             heldout=flights.heldout,
             platform=source.platform or None,
-            plants=tuple(words.PLANTS),
+            plants=("analytic", "mujoco"),
         )
         tick("looking for the most informative flight")
         flight, following = _flight(d, nominal, known, out)
         tick("drawing figures")
-        judged = [log for log in flights.heldout or flights.logs if log.name in d.heldout]
-        flown, held_out = figures.most_varied_flight(judged), bool(flights.heldout)
-        track = figures.track_of(flown, nominal, d.corrected, held_out=held_out, platform=d.platform)
-        versions = runs.versions()
+        versions, track = runs.versions(), figures.shown_flight(d, nominal, flights)
+        picture = figures.overview(d, track)
         html = page.page(d, track, versions=versions, notes=notes, flight=flight)
-        with styled():
-            picture = figures.overview(d, track)
         tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
@@ -87,7 +83,7 @@ def command(
             if found:
                 base = folder / REFERENCE
                 base.parent.mkdir()
-                identified.write(found, base.parent, base=source.vehicle)
+                files.write_identified(found, base.parent, base=source.vehicle)
             files.write(d, nominal, folder, base=base)
             answer = d.to_json() | {"summary": words.how_much(d), "flight": flight}
             files.write_report(folder, "gap", html, answer, source, began, versions)

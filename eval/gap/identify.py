@@ -32,17 +32,12 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
         found = identify(flights.logs, nominal, heldout=flights.heldout, platform=source.platform)
         tick("writing the report")
         versions = runs.versions()
-        html = identified.page(
-            found,
-            heldout=[log.name for log in flights.heldout],
-            seconds=time.monotonic() - began,
-            versions=versions,
-            notes=flights.notes,
-        )
+        heldout = [log.name for log in flights.heldout]
+        html = identified.page(found, heldout=heldout, versions=versions, notes=flights.notes)
     written: Path | None = None
     try:
         with runs.staged_run(out) as folder:
-            identified.write(found, folder, base=source.vehicle)
+            files.write_identified(found, folder, base=source.vehicle)
             files.write_report(folder, "identify", html, found.to_json(), source, began, versions)
         written = out / files.VEHICLE
     finally:

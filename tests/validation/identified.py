@@ -16,7 +16,7 @@ import tyro
 
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.answer.rollout import measure_gap
-from inclined_landing.eval.gap.report.identified import described, write_posterior
+from inclined_landing.eval.gap.report.files import described, write_posterior
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis. Each `draw_*` draws on given axes; the others return a whole figure."""
+"""The figure of a diagnosis: predictions along a flight, above the error by horizon."""
 
 from __future__ import annotations
 
@@ -9,51 +9,37 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.style import (
     BLUE,
     GREEN,
     INK,
-    MUTED,
     ORANGE,
     PURPLE,
     RULE,
-    literal,
     panel,
+    styled,
 )
 from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.flights.usable import ReadFlights
 from inclined_landing.eval.gap.flights.windows import NEAR, prepare
-from inclined_landing.eval.gap.report.numbers import shown
-from inclined_landing.eval.gap.report.words import REGIMES, centimetres, label
-from inclined_landing.eval.gap.report.words import axis as axis_of
+from inclined_landing.eval.gap.report.words import centimetres
 from inclined_landing.eval.gap.result import (
+    HORIZON,
     Diagnosis,
     HorizonCurve,
-    NamedEffect,
     PlantGap,
-    RegimeError,
-    ResidualAnalysis,
 )
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.vehicle import Vehicle
 
 BEFORE, AFTER = ORANGE, GREEN
-CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw", "touchdown")
-WIDTH = 7.4  # inches, of a page
-SIDE = 4.6  # inches, of two figures side by side, below each other on a phone
-PANEL = 3.6  # of three
+WIDTH = 7.4  # inches
 EVERY = 1.0  # s between two predictions
 SMALL = 0.1  # of the motion, error of predictions that are drawn as such
-_HEAT = LinearSegmentedColormap.from_list(
-    "heat", ["#f4f8fb", "#fde3c8", "#f9b071", "#e66f22", "#a63c06", "#5e1f04"]
-)
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
-
-
-# ---- a flight that is shown
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,12 +48,19 @@ class Track:
 
     flight: str
     held_out: bool  # of the fit
-    seconds: float  # how far each prediction goes
     t: np.ndarray  # (m,) s
     position: np.ndarray  # (m, 3) m, measured
     times: tuple[np.ndarray, ...]  # of every prediction, (k,) s
     before: tuple[np.ndarray, ...]  # (k, 3) m, nominal vehicle
     after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
+
+    @property
+    def caption(self) -> str:
+        """Return what the predictions are."""
+        return (
+            f"{self.flight}, {'left out of' if self.held_out else 'part of'} the fit. Every {EVERY:g} s a "
+            "prediction starts from the measured state, driven by the commands alone; below, its error."
+        )
 
     @property
     def worst_axis(self) -> int:
@@ -79,24 +72,28 @@ class Track:
         return int(np.argmax(missed))
 
 
-def track_of(
-    log: FlightLog, before: Vehicle, after: Vehicle, *, held_out: bool, platform: bool = False
-) -> Track | None:
-    """Return predictions along a flight; None when no stretch of it is long enough.
+def shown_flight(d: Diagnosis, before: Vehicle, flights: ReadFlights) -> Track | None:
+    """Return predictions along one of the flights judged on; None where no stretch of it is long enough.
 
-    Raises UserError when the flight cannot be used at all.
+    before: the vehicle diagnosed. The flight has the largest range of heights, of those near the floor if
+    there are any.
     """
-    flight = prepare(log, before, platform=platform)
+
+    def key(log: FlightLog) -> tuple[bool, float]:
+        height = log.position[:, 2]
+        return bool(np.nanmin(height) < NEAR), float(np.ptp(height))
+
+    log = max((x for x in flights.heldout or flights.logs if x.name in d.heldout), key=key)
+    flight = prepare(log, before, platform=d.platform)
     try:
         starts = rollout.RolloutWindows.of([flight], every=EVERY)
     except UserError:
         return None
-    poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, after)]
+    poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, d.corrected)]
     part = slice(starts.first[0], starts.first[-1] + starts.rows + 1)
     return Track(
         flight=log.name,
-        held_out=held_out,
-        seconds=round(starts.rows * starts.dt, 3),
+        held_out=bool(flights.heldout),
         t=flight.t[part],
         position=flight.position[part],
         times=tuple(flight.t[a : a + starts.rows + 1] for a in starts.first),
@@ -105,74 +102,7 @@ def track_of(
     )
 
 
-def most_varied_flight(logs: Sequence[FlightLog]) -> FlightLog:
-    """Return the flight with the largest range of heights, of those near the floor if there are any."""
-
-    def key(log: FlightLog) -> tuple[bool, float]:
-        height = log.position[:, 2]
-        return bool(np.nanmin(height) < NEAR), float(np.ptp(height))
-
-    return max(logs, key=key)
-
-
-# ---- where
-
-
-def where_tables(rows: Sequence[RegimeError]) -> dict[str, Any]:
-    """Return tables of the error by regime and channel, before and after.
-
-    Cells are (text, background, ink); `scale` has the same for multiples of the noise level.
-    """
-    cells = {(row.regime, row.channel): row for row in rows}
-    channels = [c for c in CHANNELS if any(row.channel == c for row in rows)]
-    lines: dict[str, list] = {"before": [], "after": []}
-    for regime in (r for r in REGIMES if any(row.regime == r for row in rows)):
-        name = f"{REGIMES[regime]} ({max(row.windows for row in rows if row.regime == regime)})"
-        for what in lines:
-            lines[what].append((name, [_cell(cells.get((regime, c)), what) for c in channels]))
-    units: dict[str, list[str]] = {}
-    for channel in channels:
-        unit = next(row.unit for row in rows if row.channel == channel)
-        units.setdefault(shown(unit)[1], []).append(channel)
-    return {
-        "channels": ["touch" if c == "touchdown" else c for c in channels],
-        "maps": list(lines.items()),
-        "scale": [(f"{times} ×", *_heat(times)) for times in (1, 3, 10, 30, 100, 300)],
-        "units": "; ".join(f"{', '.join(names)} in {unit}" for unit, names in units.items()),
-    }
-
-
-def _heat(times: float) -> tuple[str, str]:
-    """Return background and ink of a cell whose error is so many times the noise level."""
-    share = float(np.clip(np.log(max(times, 1.0)) / np.log(300.0), 0.0, 1.0))
-    return to_hex(_HEAT(share)), "#ffffff" if share > 0.62 else INK
-
-
-def _cell(row: RegimeError | None, what: str) -> tuple[str, str, str]:
-    if row is None or not math.isfinite(error := getattr(row, what)):
-        return "–", "none", INK
-    text = _number(shown(row.unit)[0] * error)
-    return (text, *_heat(error / row.floor)) if row.floor > 0 else (text, "none", INK)
-
-
-def _number(value: float) -> str:
-    for limit, digits in ((0.0995, 3), (9.95, 2), (99.5, 1)):
-        if abs(value) < limit:
-            return f"{value:.{digits}f}"
-    return f"{value:.0f}"
-
-
-# ---- show
-
-
-def horizon(curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> Figure:
-    """Return the position error against the horizon as the effects are added, with the noise floor."""
-    figure = Figure(figsize=(5.6, 3.5))
-    draw_horizon(panel(figure, 0.6, 0.55, 2.9, 2.8), curves, gap)
-    return figure
-
-
-def draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> None:
+def _draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> None:
     """Draw the curves with their names at the right end."""
     ends = []
     for k, curve in enumerate(curves):
@@ -221,17 +151,7 @@ def _name_ends(axis: Axes, ends, top: float) -> None:
         )
 
 
-def before_after(one: Track) -> list[Figure]:
-    """Return the predictions along a flight, before and after the correction, in two figures."""
-    figures = []
-    for after in (False, True):
-        figure = Figure(figsize=(SIDE, 3.3))
-        draw_predictions(panel(figure, 0.62, 0.5, SIDE - 0.75, 2.1), one, after)
-        figures.append(figure)
-    return figures
-
-
-def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
+def _draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     """Draw the coordinate of the largest error before the correction, and predictions before or after it.
 
     Where these errors are small compared with the motion, they are drawn themselves.
@@ -249,7 +169,7 @@ def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     ]
     axis.plot(one.t, factor * position, color=INK, linewidth=3.0, label="measured")
     for j, (t, p) in enumerate(zip(one.times, predicted[after])):
-        label = None if j else f"predicted {one.seconds:g} s ahead"
+        label = None if j else f"predicted {HORIZON:g} s ahead"
         axis.plot(t, factor * p, color=colour, linewidth=1.5, label=label)
         axis.plot(t[-1], factor * p[-1], "o", color=colour, markersize=3)
     # All of the measurement, and of the predictions what lies within its range once more.
@@ -265,70 +185,14 @@ def draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)
 
 
-def estimates(effects: Sequence[NamedEffect], flights: Sequence[str]) -> list[Figure]:
-    """Return each parameter's estimates in single flights with 95 % intervals, over that of all flights."""
-    line = max(1.1, 0.17 * len(flights))
-    figures = []
-    parts = [(e, name, p) for e in effects for name, p in e.parameters.items()]
-    for effect, name, p in parts if flights else []:
-        if not any(map(math.isfinite, p.per_flight)):
-            continue
-        figure = Figure(figsize=(PANEL, line + 1.05))
-        axis = panel(figure, 1.05, 0.55, PANEL - 1.2, line)
-        factor, unit = shown(p.unit)
-        y = np.arange(len(p.per_flight))
-        value, error = factor * np.array(p.per_flight), 1.96 * factor * np.array(p.per_flight_error)
-        axis.axvspan(*(factor * np.array(p.ci95)), color=BLUE, alpha=0.18, linewidth=0)
-        axis.axvline(factor * p.value, color=BLUE, linewidth=1.4)
-        axis.errorbar(value, y, xerr=error, fmt="o", color=INK, markersize=3.2, linewidth=1.0)
-        low, high = axis.get_xlim()
-        if 2 * low - high < factor * p.neutral < 2 * high - low:  # else the table has it
-            axis.axvline(factor * p.neutral, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
-        names = [literal(f) for f in flights[: len(y)]]
-        name_rows(axis, [n if len(n) <= 12 else f"{n[:5]}…{n[-6:]}" for n in names], 8.5)
-        axis.locator_params(axis="x", nbins=5)
-        axis.grid(axis="y")
-        what = label(effect.name) + (f": {label(name)}" if len(effect.parameters) > 1 else "")
-        axis.set_title(what + (" (at its bound)" if p.at_bound else ""), loc="left")
-        axis.set_xlabel(label(name) + (f" [{unit}]" if unit else ""), labelpad=1)
-        figures.append(figure)
-    return figures
-
-
-def name_rows(axis: Axes, names: Sequence[str], size: float = 9.0) -> None:
-    """Label one row for each name, the first at the top."""
-    axis.set_ylim(len(names) - 0.4, -0.6)
-    axis.set_yticks(range(len(names)), names, fontsize=size)
-    axis.tick_params(axis="y", length=0)
-
-
-def residual(left: ResidualAnalysis) -> list[Figure]:
-    """Return the functions of the residual over the input that explains most of each."""
-    figures = []
-    for d in [d for d in left.depends_on if len(d.x) and left.material(d)][:4]:
-        figure = Figure(figsize=(PANEL, 2.6))
-        plot = panel(figure, 0.75, 0.55, PANEL - 0.9, 1.7)
-        factor, unit = shown(d.unit)
-        plot.axhline(0, color=RULE, linewidth=1)
-        plot.plot(d.x, factor * np.asarray(d.y), "o-", color=ORANGE, markersize=3, linewidth=1.4)
-        plot.set_xlabel(d.against)
-        plot.set_ylabel(f"{d.channel} [{unit}]", labelpad=1)
-        plot.set_title(f"residual {axis_of(d)}: {_number(factor * d.size)} {unit}", loc="left")
-        plot.grid()
-        figures.append(figure)
-    return figures
-
-
-# ---- all in one
-
-
 def overview(d: Diagnosis, one: Track | None) -> Figure:
     """Return a flight with predictions before and after the correction, above the error by horizon."""
     below = 3.2
-    figure = Figure(figsize=(WIDTH, below + (2.9 if one is not None else 0.0)))
-    draw_horizon(panel(figure, 0.75, 0.55, WIDTH - 3.0, 2.4), d.horizon, d.gap)
-    if one is not None:
-        for k in range(2):
-            left = 0.75 + 0.5 * WIDTH * k
-            draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
+    with styled():
+        figure = Figure(figsize=(WIDTH, below + (2.9 if one is not None else 0.0)))
+        _draw_horizon(panel(figure, 0.75, 0.55, WIDTH - 3.0, 2.4), d.horizon, d.gap)
+        if one is not None:
+            for k in range(2):
+                left = 0.75 + 0.5 * WIDTH * k
+                _draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
     return figure

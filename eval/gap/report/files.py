@@ -1,8 +1,9 @@
-"""The files of a report's folder: page, answer and record of the run, vehicle file and MJCF."""
+"""The files of a report's folder: page, answer and record of the run; vehicle file, posterior and MJCF."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,10 +12,13 @@ from typing import Any
 import numpy as np
 
 from inclined_landing.eval.base.options import FlightSource
+from inclined_landing.eval.gap.answer.identification import Identification, Identified
+from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
+from inclined_landing.eval.gap.report.words import interval
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
-from inclined_landing.models.parameters import write_vehicle
+from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
@@ -56,6 +60,38 @@ def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = N
     spec = build_spec(corrected)
     spec.compile()  # to_xml needs it
     storage.write_text(folder / MJCF, spec.to_xml())
+
+
+def write_identified(found: Identification, folder: Path, *, base: Path | None = None) -> None:
+    """Write vehicle.toml and its posterior into `folder`; base: the vehicle file that it started from."""
+    heading = "Identified by landing-eval identify.\nEvery command accepts it with --vehicle."
+    write_vehicle(folder / VEHICLE, *described(found), base=base, heading=heading)
+    write_posterior(folder / VEHICLE, found.reference)
+
+
+def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:
+    """Write the posterior of an identified vehicle next to its file."""
+    text = json.dumps(reference.to_json(load_vehicle(vehicle)), allow_nan=False, separators=(",", ":"))
+    storage.write_text(posterior_path(vehicle), text + "\n")
+
+
+def described(found: Identification) -> tuple[Vehicle, dict[str, str], dict[str, Any]]:
+    """Return the vehicle with its flights' disturbance; sources and uncertainties of what was fitted."""
+    by_field: dict[str, list[Identified]] = {}
+    for p in found.parameters:
+        by_field.setdefault(p.field, []).append(p)
+    sources = {
+        field: f"identified by landing-eval identify from {len(found.flights)} flights"
+        + "".join(f"; {p.name} {interval(p.ci95, p.unit)}, 95 % interval" for p in by_field.get(field, []))
+        for field in found.fields
+    }
+    disturbance, widths = disturbance_fields(found.disturbance)
+    lines = f"estimated by landing-eval identify from {len(found.flights)} flights"
+    return (
+        dataclasses.replace(rounded_fields(found.vehicle, found.fields), **disturbance),
+        sources | dict.fromkeys(disturbance, lines),
+        {field: rounded(width) for field, width in found.fields.items()} | widths,
+    )
 
 
 def provenance(d: Diagnosis, vehicle: Vehicle) -> tuple[dict[str, str], dict[str, Uncertainty]]:

@@ -1,28 +1,31 @@
-"""An answer on a page, which is one self-contained HTML file, and in the terminal.
+"""The answers of `gap` and `identify`: as a page, which is one self-contained HTML file, and in the terminal.
 
 In the terminal stand the limits, the sentences and the table of the page, the headline last.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from rich.table import Table
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
-from inclined_landing.eval.base import page as base_page
-from inclined_landing.eval.base.style import styled
+from inclined_landing.eval.base.claims import Section, Table
+from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
-from inclined_landing.eval.gap.report.numbers import exact, interval
-from inclined_landing.eval.gap.result import Diagnosis
+from inclined_landing.eval.gap.result import Diagnosis, Disturbance, RegimeError
 from inclined_landing.models.effects import LIBRARY
 
-_HEADS = ("effect", "size", "95 % interval", "confidence", "error after 1 s")
+_USE = (
+    f"{VEHICLE} is the corrected model for every command of this package; {MJCF} is the same model for "
+    f"plain MuJoCo with the plugins. Test a policy on it: landing-eval success landing --vehicle {VEHICLE}. "
+    f"Retrain one that fails: landing-train landing --from landing --vehicle {VEHICLE}."
+)
+_SETS = 7  # rows of the table of sets
+_PLANTS = {"analytic": "equations", "mujoco": "MuJoCo"}
 
 
 def page(
@@ -33,59 +36,162 @@ def page(
     track: one flight with predictions along it. notes: sentences on the logs. flight: on the most informative
     flight.
     """
-    with styled():
-        drawn: dict[str, Sequence[Figure]] = {
-            "before_after": figures.before_after(track) if track else (),
-            "estimates": figures.estimates(d.effects, d.flights),
-            "horizon": [figures.horizon(d.horizon, d.gap)] if d.horizon else (),
-            "residual": figures.residual(d.residual),
-        }
+    change = Section("change", "What to change", words.causes(d, flight), [], [effect_table(d)])
+    drawn = {"gap.png": figures.overview(d, track)} if track or d.horizon else {}
+    change.figures = dict.fromkeys(drawn, track.caption if track else "Error ahead")
+    if d.effects:
+        change.remarks = [_USE]
+    sections = [
+        change,
+        Section("error", "Remaining error", "", [], _error_tables(d)),
+        *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
+        Section(
+            *("sets", "Probabilities", "The probability of an effect is the sum over all sets with it.", []),
+            [
+                Table("", ("effect", "probability"), _percentages(probability_rows(d))),
+                Table("", ("set of effects", "probability"), _percentages(set_rows(d))),
+            ],
+        ),
+        Section("parameters", "Parameters", "", [], [_parameter_table(d)]),
+        noise_section(d.disturbance),
+    ]
+    return fill_in(sections, d, "gap", words.headline(d), words.how_much(d), versions, drawn)
+
+
+def fill_in(
+    sections: Sequence[Section],
+    found: Diagnosis | Identification,
+    command: str,
+    title: str,
+    lead: str,
+    versions: dict,
+    drawn: Mapping[str, Figure] | None = None,
+) -> str:
+    """Return the page of an answer, without sections and tables that are empty.
+
+    Flights that were set aside or contradict the others come first.
+    """
+    for one in sections:
+        one.tables = [table for table in one.tables if table.rows]
+    shown = [one for one in sections if any(one.text) or one.tables or one.figures]
+    lead = " ".join([*map(words.set_aside, found.set_aside), *_inconsistencies(found), lead])
+    images = {name: png(figure) for name, figure in (drawn or {}).items()}
+    return of_sections(
+        *(shown, images), title=title, lead=lead, run=f"landing-eval {command}", versions=versions
+    )
+
+
+def _inconsistencies(found: Diagnosis | Identification) -> list[str]:
+    return [sentence for one in found.inconsistent_flights for sentence in words.inconsistency(one)]
+
+
+def effect_table(d: Diagnosis) -> Table:
+    """Return the table of what to change; further sizes of an effect are rows of their own."""
+    rows = []
+    for one in words.answers(d):
+        last = (one.how, one.cost)
+        for parameter, number, ends in one.sizes:
+            rows.append((one.title + f", {parameter}" * bool(parameter), number, ends, *last))
+            last = ("", "")
+    return Table("", ("effect", "size", "95 % interval", "confidence", "error after 1 s"), rows, 1)
+
+
+def _error_tables(d: Diagnosis) -> list[Table]:
+    """Return the tables of the error one second ahead, and by regime and channel."""
+    lengths = []
+    for plant, g in d.gap.items():
+        known = d.reference.error if d.reference and plant == "analytic" else None
+        row = (g.before, g.after, known, g.floor)
+        lengths.append((_PLANTS[plant], *("" if x is None else words.centimetres(x) for x in row)))
+    heads = ("simulated with", "before", "after", "reference flights", "noise alone")
+    ahead = next(iter(d.gap.values())).horizon if d.gap else 1.0
+    tables = [Table(f"Position error {ahead:.2g} s ahead", heads, lengths)]
+    channels = tuple(dict.fromkeys(row.channel for row in d.where))
+    cells = {(row.regime, row.channel): row for row in d.where}
+    regimes = [regime for regime in words.REGIMES if any(row.regime == regime for row in d.where)]
+    rows = [
+        (words.REGIMES[regime], *(_before_after(cells.get((regime, channel))) for channel in channels))
+        for regime in regimes
+    ]
+    caption = (
+        "Error within windows of 0.6 s, before → after (noise and disturbances alone); in x, y and z as "
+        "acceleration, with the measured attitude"
+    )
+    return [*tables, Table(caption, ("flights", *channels), rows)]
+
+
+def _before_after(row: RegimeError | None) -> str:
+    """Return the errors of a regime and channel as text."""
+    if row is None:
+        return ""
+    before, after, floor = (words.quantity(x, row.unit) for x in (row.before, row.after, row.floor))
+    return f"{before.split()[0]} → {after.split()[0]} ({floor})"
+
+
+def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
+    """Return the effects that are named or possible with their probabilities, most probable first."""
+    names = dict.fromkeys([*(n for e in d.effects for n in e.members), *d.possible])
+    return sorted(((words.label(n), d.probability(n)) for n in names), key=lambda row: -row[1])
+
+
+def set_rows(d: Diagnosis) -> list[tuple[str, float]]:
+    """Return the most probable sets of effects that matter with their probabilities."""
+    together: dict[str, float] = {}
+    for one in d.sets:
+        what = " + ".join(words.label(name) for name in one.effects if name not in d.immaterial) or "nothing"
+        together[what] = together.get(what, 0.0) + one.probability
+    rows = sorted(together.items(), key=lambda row: -row[1])[:_SETS]
+    rest = 1.0 - sum(part for _, part in rows)
+    return [*rows, ("all other sets", rest)] if rows and rest > 0.005 else rows
+
+
+def _percentages(rows: Sequence[tuple[str, float]]) -> list[tuple]:
+    return [(name, words.probability(part)) for name, part in rows]
+
+
+def _parameter_table(d: Diagnosis) -> Table:
+    """Return the parameters of the named effects with the formulae of these."""
     rows = []
     for effect in d.effects:
-        first, last = words.label(effect.name), LIBRARY[effect.name].formula
         for name, p in effect.parameters.items():
-            ends = interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
-            row = (name, words.value(p), ends, exact(p.neutral, p.unit))
-            rows.append((first, *row, last))
-            first = last = ""
-    caption = track and (
-        f"{track.flight}, {'left out of' if track.held_out else 'part of'} the fit. Every "
-        f"{figures.EVERY:g} s a prediction starts from the measured state, driven by the commands alone."
-    )
-    return render(
-        "gap.html.j2",
-        d,
-        command="gap",
-        title=words.headline(d),
-        lead=[text for text in (words.how_much(d),) if text],
-        caption=caption,
-        answers=words.answers(d),
-        flight=flight or words.possible_sentence(d),
-        rows=rows,
-        where=figures.where_tables(d.where),
-        figures={name: [base_page.svg(one) for one in some] for name, some in drawn.items()},
-        mjcf=MJCF,
-        heldout=[name for name in d.heldout if name not in d.flights],
-        notes=notes,
-        seconds=sum(d.seconds.values()),
-        versions=versions,
+            ends = words.interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
+            numbers = words.value(p), ends, words.exact(p.neutral, p.unit)
+            rows.append((words.label(effect.name), name, *numbers, LIBRARY[effect.name].formula))
+    return Table("", ("effect", "parameter", "value", "95 % interval", "nominal", "formula"), rows)
+
+
+def limits(
+    found: Diagnosis | Identification, notes: Sequence[str], heldout: Sequence[str]
+) -> tuple[Section, ...]:
+    """Return the sections on what limits an answer, and on its flights."""
+    evaluated = f"Held out: {', '.join(heldout)}." if heldout else "Each is evaluated by a fit to the others."
+    return (
+        Section("limits", "Limits", words.notes(found.notes, notes), []),
+        Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}", []),
     )
 
 
-def render(template: str, found: Diagnosis | Identification, *, notes: Sequence[str], **content) -> str:
-    """Return a template of this package filled in; notes: sentences, in addition to those of `found`."""
-    text = base_page.render(
-        __package__,
-        template,
-        found=found,
-        notes=words.notes(found.notes, notes),
-        words=words,
-        colours=(figures.BEFORE, figures.AFTER),
-        vehicle=VEHICLE,
-        **content,
-    )
-    # No line ends between a number and its unit.
-    return re.sub(r" (?=%)|(?<=\d) (?=(?:cm|mm|ms|deg)\b)", "\u00a0", text)
+def noise_rows(disturbance: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
+    """Return the noise and disturbance of every channel."""
+    rows: list[tuple[str, ...]] = []
+    for channel, q in disturbance.items():
+        size, time = ("none", ""), ("", "")
+        if q.size_ci95[1] > 0.0:
+            size = words.rounded(q.size, q.size_ci95, q.unit), words.interval(q.size_ci95, q.unit)
+            if not any(digit in size[0].split()[0] for digit in "123456789"):
+                size = "none", size[1]
+        if q.size_ci95[0] > 0.0:  # else its correlation time is not identifiable
+            time = words.quantity(q.time, "s"), words.interval(q.time_ci95, "s")
+        rows.append((channel, words.quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
+    return rows
+
+
+def noise_section(disturbance: Mapping[str, Disturbance]) -> Section:
+    """Return the section on noise and disturbances."""
+    text = f"Standard deviations, and the correlation time of disturbances (process noise) in {VEHICLE}."
+    heads = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
+    rows = Table("", heads, noise_rows(disturbance))
+    return Section("noise", "Noise and disturbances", text if rows.rows else "", [], [rows])
 
 
 def show(
@@ -99,31 +205,28 @@ def show(
 
     report: the folder with the page. flight: on the most informative flight; following: the command for it.
     """
-    answer = new_table(None, *_HEADS)
-    for one in words.answers(d):
-        last = (one.how, one.cost)
-        for parameter, number, ends in one.sizes:
-            answer.add_row(one.title + f", {parameter}" * bool(parameter), number, ends, *last)
-            last = ("", "")
     headline = words.headline(d) + (f" The report is {report / 'report.html'}." if report else "")
-    print_answer(headline, words.sentences(d, flight), answer, notes, d, following)
+    lines = filter(None, [*words.causes(d, flight), words.how_much(d)])
+    print_answer(headline, lines, effect_table(d), notes, d, following)
 
 
 def print_answer(
     headline: str,
-    sentences: Sequence[str],
-    rows: Table,
+    sentences,
+    table: Table,
     notes: Sequence[str],
     found: Diagnosis | Identification,
     following: str = "",
 ) -> None:
     """Print an answer, the notes first and the headline last; repeated notes are removed."""
     say(*(f"Note: {note}" for note in words.notes(found.notes, notes)), style="dim")
-    if rows.row_count:
-        show_table(rows)
+    if table.rows:
+        printed = new_table(None, *table.heads)
+        for row in table.rows:
+            printed.add_row(*row)
+        show_table(printed)
     say(*sentences)
-    for aside in found.set_aside:
-        say(f"{aside.flight} was set aside and not used: {aside.reason}", style="bold")
+    say(*map(words.set_aside, found.set_aside), style="bold")
     for one in found.inconsistent_flights:
         who, *more = words.inconsistency(one)
         say(who, style="bold")

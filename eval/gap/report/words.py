@@ -1,4 +1,4 @@
-"""Sentences on a diagnosis, the same on the page and in the terminal."""
+"""Sentences and numbers of a diagnosis, the same on the page and in the terminal."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.report.numbers import interval, quantity, rounded
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
     Difference,
-    Disturbance,
     Estimate,
     InconsistentFlights,
     NamedEffect,
+    SetAside,
 )
 from inclined_landing.models.effects import LIBRARY
 
-SETS = 7  # rows of the table of sets
 NAMES = 3  # of an equivalence class in its title
-PLANTS = {"analytic": "the equations", "mujoco": "MuJoCo"}
 REGIMES = {
     "hover": "hover",
     "climb": "climb and descent",
@@ -243,28 +240,20 @@ def how_much(d: Diagnosis) -> str:
         ratio, ends = d.thrust_over_weight
         times = f"{rounded(ratio, ends, '1')} times the modelled one ({interval(ends, '1')})"
         lines.append(f"With the named effects, thrust over weight is {times} at the flights' usual command.")
-    lines += _grown_angles(d)
     material = [one for one in d.residual.depends_on if d.residual.material(one)]
     if material:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
         lines.append(f"{repeats}: {axis(most)}, {_dependence(most)}.")
+    if not (d.residual.depends_on or d.inconsistent_flights):
+        like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
+        lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
     if d.disturbed:
         times = listed([f"{ratio:.1f} in {channel}" for channel, ratio in d.disturbed.items()])
         lines.append(f"Disturbances are larger than in the reference flights, by a factor of {times}.")
     if d.verdict == "undecided":
         lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")
     return " ".join(lines)
-
-
-def _grown_angles(d: Diagnosis) -> list[str]:
-    """Return a sentence on the angles that the corrected vehicle predicts worse within a window."""
-    grown = [
-        f"{row.channel} from {quantity(row.before, row.unit)} to {quantity(row.after, row.unit)}"
-        for row in d.where
-        if row.regime == "all" and row.unit == "rad" and row.after > (1.0 + thresholds.WORSE) * row.before
-    ]
-    return [f"With the correction, errors of angles within a window grow: {listed(grown)}."] if grown else []
 
 
 def _dependence(d: Dependence) -> str:
@@ -285,11 +274,6 @@ class Answer:
     says: str = ""  # the physical meaning, a sentence
     notes: tuple[str, ...] = ()  # sentences on what limits the name
 
-    @property
-    def size(self) -> str:
-        """Return the sizes with their intervals on one line."""
-        return ", ".join(f"{f'{name} {number}'.strip()} ({ends})" for name, number, ends in self.sizes)
-
 
 def answers(d: Diagnosis) -> list[Answer]:
     """Return named effects, or those among which it is undecided, then what material depends on."""
@@ -303,15 +287,8 @@ def answers(d: Diagnosis) -> list[Answer]:
             size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
             moved = ("displacement in 1 s", size, ends)
             name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
-            found.append(
-                Answer(
-                    name,
-                    how,
-                    (moved,),
-                    centimetres(one.displacement),
-                    "landing-eval plan designs a better flight.",
-                )
-            )
+            cost, then = centimetres(one.displacement), "landing-eval plan designs a better flight."
+            found.append(Answer(name, how, (moved,), cost, then))
     return found
 
 
@@ -352,78 +329,34 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
     these, n = listed(c.flights), len(c.others)
     if len(c.flights) == n:
         subject = f"Two groups of flights contradict each other: {these} against {listed(c.others)}."
-        apart = "diagnose the two groups separately"
+        names = "the first group", "the second"
     else:
         verb = "contradicts" if len(c.flights) == 1 else "contradict"
         subject = f"{these} {verb} the other {n} flights."
-        apart = f"diagnose {these} separately from the other {n} flights"
+        names = c.flights[0] if len(c.flights) == 1 else "these flights", "the others"
     return [
         subject,
-        *(_difference_sentence(c, one) for one in c.differences),
-        f"Was the vehicle or the calibration different? The result below mixes the two; {apart} "
-        f"(run landing-eval gap on the logs of each). False-alarm rate: {100 * c.false_alarms:g} %.",
+        *(_difference_sentence(one, *(names[::-1] if one.swapped else names)) for one in c.differences),
+        "Was the vehicle or the calibration different? The result below mixes the two; run landing-eval gap "
+        f"on the logs of each. False-alarm rate: {100 * c.false_alarms:g} %.",
     ]
 
 
-def _difference_sentence(c: InconsistentFlights, one: Difference) -> str:
-    """Return a sentence on one effect by which groups of flights differ."""
-    effect = LIBRARY[one.effect]
-    if len(c.flights) == len(c.others):
-        there, model = "the first group", "the second"
-    else:
-        there, model = c.flights[0] if len(c.flights) == 1 else "these flights", "the others"
-    if one.swapped:
-        there, model = model, there
-    values = {
-        name: rounded(x, one.ci95[name], effect.parameter(name).unit)
-        if name in one.ci95
-        else quantity(x, effect.parameter(name).unit)
+def _difference_sentence(one: Difference, there: str, model: str) -> str:
+    """Return a sentence on one effect by which flights differ from a model of the others."""
+    units = {p.name: p.unit for p in LIBRARY[one.effect].parameters}
+    texts = {
+        name: (x, rounded(x, one.ci95[name], units[name]) if name in one.ci95 else quantity(x, units[name]))
         for name, x in one.values.items()
     }
     ends = [
-        f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{interval(x, effect.parameter(name).unit)}"
+        f"{label(name) + ' ' if len(one.ci95) > 1 else ''}{interval(x, units[name])}"
         for name, x in one.ci95.items()
     ]
-    texts = {name: (x, values[name]) for name, x in one.values.items()}
     lines = f"Compared with {model}, in {there} {said(one.effect, texts)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
     others = [label(name) for name in one.confounded_with]
     return f"{lines} The difference could equally be {listed(others, 'or')}." if others else lines
-
-
-def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
-    """Return the effects that are named or possible with their probabilities, most probable first."""
-    names = dict.fromkeys([*(n for e in d.effects for n in e.members), *d.possible])
-    return sorted(((label(n), d.probability(n)) for n in names), key=lambda row: -row[1])
-
-
-def set_rows(d: Diagnosis) -> list[tuple[str, float]]:
-    """Return the most probable sets of effects that matter with their probabilities."""
-    together: dict[str, float] = {}
-    for one in d.sets:
-        what = " + ".join(label(name) for name in one.effects if name not in d.immaterial) or "nothing"
-        together[what] = together.get(what, 0.0) + one.probability
-    rows = sorted(together.items(), key=lambda row: -row[1])[:SETS]
-    rest = 1.0 - sum(part for _, part in rows)
-    return [*rows, ("all other sets", rest)] if rows and rest > 0.005 else rows
-
-
-NOISE_HEADS = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
-
-
-def noise_rows(disturbance: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
-    """Return the noise and disturbance of every channel under NOISE_HEADS."""
-    rows: list[tuple[str, ...]] = []
-    for channel, q in disturbance.items():
-        size, time = ("none", ""), ("", "")
-        if q.size_ci95[1] > 0.0:
-            size = rounded(q.size, q.size_ci95, q.unit), interval(q.size_ci95, q.unit)
-            if not any(digit in size[0].split()[0] for digit in "123456789"):
-                size = "none", size[1]
-        if q.size_ci95[0] > 0.0:  # else its correlation time is not identifiable
-            time = quantity(q.time, "s"), interval(q.time_ci95, "s")
-        rows.append((channel, quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
-    return rows
 
 
 def axis(d: Dependence) -> str:
@@ -431,45 +364,20 @@ def axis(d: Dependence) -> str:
     return {"forward": "along the heading", "left": "across the heading"}.get(d.channel, f"in {d.channel}")
 
 
-def dependence_sentence(d: Dependence) -> str:
-    """Return a sentence on a function of the residual."""
-    cost = f"on held-out flights it displaces the vehicle by {centimetres(d.displacement)} within a second"
-    most = max(d.regimes, key=d.regimes.__getitem__, default="")
-    where = ""
-    if most:
-        where = f", mostly in {REGIMES.get(most, label(most))} ({quantity(d.regimes[most], d.unit)})"
-    return f"A residual of {quantity(d.size, d.unit)} {axis(d)} depends on {d.on}{where}; {cost}."
-
-
 def centimetres(metres: float) -> str:
     """Return a length as `6.2 cm`."""
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
 
 
-def sentences(d: Diagnosis, flight: str = "") -> list[str]:
-    """Return the sentences below the headline; flight: sentence on the most informative flight."""
-    lines = []
-    for one in answers(d):
-        lines.append(" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]))
-    lines += [flight or possible_sentence(d), *residual_sentences(d), how_much(d)]
-    return [text for text in lines if text]
+def causes(d: Diagnosis, flight: str = "") -> list[str]:
+    """Return a paragraph for each answer, then one on what is possible; flight: on the one to fly next."""
+    lines = [" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]) for one in answers(d)]
+    return [*lines, *filter(None, [flight or possible_sentence(d)])]
 
 
-def residual_sentences(d: Diagnosis) -> list[str]:
-    """Return sentences on the residual's functions, large and small."""
-    residual = d.residual
-    lines = [dependence_sentence(one) for one in residual.depends_on if residual.material(one)]
-    small = [one for one in residual.depends_on if not residual.material(one)]
-    if small:
-        most = max(small, key=lambda one: one.displacement)
-        size = quantity(most.size, most.unit)
-        more = f"A smaller part of the residual {axis(most)} depends on {most.on} ({size}"
-        moved = f", {centimetres(most.displacement)} within a second" if most.displacement > 0.0 else ""
-        lines.append(f"{more}{moved}).")
-    if not (residual.depends_on or d.inconsistent_flights):
-        like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
-        lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
-    return lines
+def set_aside(one: SetAside) -> str:
+    """Return a sentence on a flight that was not used."""
+    return f"{one.flight} was set aside and not used: {one.reason}"
 
 
 def notes(*groups: Sequence[str]) -> list[str]:
@@ -483,3 +391,73 @@ def plain(text: str) -> str:
         text = text.replace(name, label(name))
     text = text.replace("m/s2", "m/s²")
     return text if not text or text.endswith((".", "!", "?")) else text + "."
+
+
+# Unit -> factor to the displayed unit, and its name.
+SHOWN = {
+    "1": (1.0, ""),
+    "rad": (180.0 / math.pi, "deg"),
+    "rad/s": (180.0 / math.pi, "deg/s"),
+    "s": (1e3, "ms"),
+    "m": (1e3, "mm"),
+    "N": (1e3, "mN"),
+    "kg": (1e3, "g"),
+    "1/s": (100.0, "%/s"),
+    "rad/(rad s)": (1.0, "per s"),
+    "1/V": (100.0, "%/V"),
+    "1/m": (1.0, "per m"),
+    "m/s2": (1.0, "m/s²"),
+    "rad/s2": (180.0 / math.pi, "deg/s²"),
+    "s2/m2": (1.0, "s²/m²"),
+}
+
+
+def shown(unit: str) -> tuple[float, str]:
+    """Return the factor to the displayed unit, and its name."""
+    return SHOWN.get(unit, (1.0, unit))
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with three digits in the displayed unit: 0.012 s is 12 ms."""
+    factor, name = shown(unit)
+    value *= factor
+    text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:#.3g}".rstrip(".")
+    return f"{text} {name}".rstrip()
+
+
+def exact(value: float, unit: str) -> str:
+    """Return a number of the model with four digits in the displayed unit."""
+    factor, name = shown(unit)
+    value *= factor
+    return f"{value:.0f} {name}".rstrip() if abs(value) >= 1e4 else f"{value:.4g} {name}".rstrip()
+
+
+def interval(ends: Sequence[float], unit: str) -> str:
+    """Return an interval with the significant digits of its width, `0.876 to 0.884`."""
+    factor, name = shown(unit)
+    low, high = (factor * x for x in ends)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "not known"
+    if high - low <= 1e-6 * abs(high):
+        return quantity(ends[0], unit)
+    places = _places(max(high - low, 1e-3 * abs(high)))
+    return f"{_fixed_point(low, places)} to {_fixed_point(high, places)} {name}".rstrip()
+
+
+def rounded(value: float, ends: Sequence[float], unit: str) -> str:
+    """Return a number with the decimal places of its interval."""
+    factor, name = shown(unit)
+    width = factor * (ends[1] - ends[0])
+    if not (math.isfinite(width) and width):
+        return quantity(value, unit)
+    return f"{_fixed_point(factor * value, _places(max(width, 1e-3 * abs(factor * value))))} {name}".rstrip()
+
+
+def _places(width: float) -> int:
+    """Return the decimal places that show two digits of a width; negative: tens, hundreds."""
+    return min(6, 1 - math.floor(math.log10(abs(width)))) if width else 3
+
+
+def _fixed_point(value: float, places: int) -> str:
+    """Return a number rounded to decimal places, never -0; negative places: tens, hundreds."""
+    return f"{round(value, places) + 0.0:.{max(0, places)}f}" if value else "0"

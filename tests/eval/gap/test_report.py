@@ -23,8 +23,7 @@ from inclined_landing.eval.gap.plan.doubt import most_informative_flight
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import figures, files, words
 from inclined_landing.eval.gap.report.figures import Track
-from inclined_landing.eval.gap.report.numbers import interval
-from inclined_landing.eval.gap.report.page import page, show
+from inclined_landing.eval.gap.report.page import page, probability_rows, set_rows, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -48,7 +47,6 @@ from inclined_landing.models.parameters import constants, load_vehicle
 
 FLIGHTS = ("a", "b", "c")
 SCALE, TRIM, WIND = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}, {"x": 0.1, "y": 0.0}
-NBSP = "\u00a0"
 
 
 def estimate(effect, name, value):
@@ -126,7 +124,7 @@ def track():
     times = (t[:21], t[20:])
     flown = np.outer(t, [0.0, 0.1, 1.0])
     there = (flown[:21], flown[20:])
-    return Track("d", True, 1.0, t, flown, times, tuple(p + p**2 for p in there), there)
+    return Track("d", True, t, flown, times, tuple(p + p**2 for p in there), there)
 
 
 def test_what_repeats_matters_by_the_second_that_it_moves():
@@ -186,8 +184,8 @@ def test_nothing_is_said_where_the_errors_are_those_of_the_reference():
     rougher = words.headline(left(d, 0.5))
     assert rougher.startswith("No effect is named: the error is larger than in the reference flights, 50 cm")
     said = words.how_much(dataclasses.replace(d, disturbance=rough))
-    assert "(reference flights: 35 cm, noise alone: 1.0 cm). Disturbances are larger" in said
-    assert said.endswith("than in the reference flights, by a factor of 2.0 in z.")
+    assert "(reference flights: 35 cm, noise alone: 1.0 cm). The remaining error does not depend" in said
+    assert said.endswith("Disturbances are larger than in the reference flights, by a factor of 2.0 in z.")
 
 
 def test_unknown_stands_beside_names_where_much_repeats():
@@ -350,7 +348,7 @@ def test_pieces_of_the_attitude_loops_are_one_name():
         "step of the command, before at 200 ms."
     )
     d = dataclasses.replace(example(), effects=(one,))
-    assert d.values() == parts and "240 ms (220 to 260 ms)" in page(d, None, versions={}).replace(NBSP, " ")
+    assert d.values() == parts and "220 to 260 ms" in page(d, None, versions={})
 
 
 def test_what_was_not_named_is_possible_from_some_probability_on():
@@ -449,13 +447,13 @@ def test_headlines_say_what_is_known_and_what_is_not():
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
 def test_the_page_stands_alone(verdict, track):
     d = example(verdict)
-    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",)).replace("\u00a0", " ")
+    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
-    assert text.count("data:image/svg+xml") == {"effects": 6, "unknown": 7, "nothing": 3}[verdict]
+    assert text.count("data:image/png") == 1
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
     assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
-    assert ("0.300 m/s² in z depends on place, mostly in hover" in text) == (verdict == "unknown")
+    assert ("21 cm repeats from flight to flight: in z, depending on place" in text) == (verdict == "unknown")
 
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
@@ -464,7 +462,7 @@ def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
         heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
-    assert "the fit to all others" in page(d, None, versions={})
+    assert "a fit to the others" in page(d, None, versions={})
     figures.overview(example("nothing"), None)
 
 
@@ -475,7 +473,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     vehicle = load_vehicle()
     plan_input = PlanInput.of(d, vehicle, VehiclePosterior.of_file(None, vehicle))
     flight, _ = most_informative_flight(plan_input)
-    text = page(d, None, versions={}, flight=flight).replace("\u00a0", " ")
+    text = page(d, None, versions={}, flight=flight)
     body = re.sub(r"<[^>]+>", " ", text[text.index("<body>") :])
     show(d, flight=flight)
     seen = [" ".join(one.split()) for one in (body, capsys.readouterr().out)]
@@ -483,7 +481,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     for name in ("thrust_scale", "mass", "attitude_trim"):
         marginal = sum(one["probability"] for one in record["sets"] if name in one["effects"])
         assert d.probability(name) == plan_input.probabilities[name] == pytest.approx(marginal)
-        rows = dict(words.probability_rows(d))
+        rows = dict(probability_rows(d))
         assert rows[words.label(name)] == d.probability(name)
     for one in seen:
         for name in ("thrust_scale", "mass"):
@@ -492,12 +490,12 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     for effect, entry in zip(d.effects, record["effects"]):
         assert entry["probability"] == effect.probability == pytest.approx(d.probability(*effect.members))
         for _, number, ends in words.size_rows(effect):
-            assert f"{number} ({ends})" in seen[0] and f"{number} {ends}" in seen[1]
+            assert all(f"{number} {ends}" in one for one in seen)
         assert all(words.title(effect) in one and words.how_sure(effect) in one for one in seen)
         for name, p in effect.parameters.items():
             assert entry["parameters"][name]["value"] == p.value
-            assert f"{words.value(p)} {interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
-    for names, part in words.set_rows(d):
+            assert f"{words.value(p)} {words.interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
+    for names, part in set_rows(d):
         assert f"{names} {words.probability(part)}" in seen[0]
     # Sizes: every decimal of the effects' sentences is that of the size with its interval.
     for effect in d.effects:
@@ -505,7 +503,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
         assert set(said) <= set(re.findall(r"\d+\.\d+", str(words.size_rows(effect))))
 
 
-def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
+def test_flights_that_contradict_the_others_are_said_before_the_answer(capsys):
     differences = (
         Difference("thrust_scale", ("mass",), False, {"scale": 0.86}, {"scale": (0.84, 0.88)}),
         Difference("thrust_delay", (), True, {"delay": 0.01}, {"delay": (0.008, 0.012)}),
@@ -520,10 +518,8 @@ def test_flights_that_contradict_the_others_are_said_before_the_verdict(capsys):
     assert "0.860 times the modelled thrust (95 % interval: 0.840 to 0.880)." in out
     assert "The difference could equally be mass." in out
     assert "Compared with b, in the others thrust commands act 10.0 ms after" in out
-    text = page(d, None, versions={}).replace("\u00a0", " ")
-    assert text.index("b contradicts the other 2 flights.") < text.index(
-        "Thrust over mass is 12 % lower", text.index("<body>")
-    )
+    text = page(d, None, versions={})
+    assert text.index("b contradicts the other 2 flights.") < text.index("What to change")
     record = json.loads(storage.to_json(d.to_json()))["inconsistent_flights"][0]
     assert record["flights"] == ["b"] and record["differences"][0]["ci95"]["scale"] == [0.84, 0.88]
 
