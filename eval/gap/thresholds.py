@@ -2,8 +2,8 @@
 
 Of each: what it decides; what a larger value trades off; what error rate was measured, and by what:
 
-    blind      python -m tests.validation gap-blind --set dev --out DIR
-    fresh      python -m tests.validation gap-blind --set fresh --seed 2131 --cases 66 --out DIR
+    blind      python -m tests.validation gap-blind --set dev, of commit aa975e64
+    fresh      the same with --set fresh --seed 2131 --cases 66
     again      the same with --seed 8101, and 8202, --cases 22 each, by the present search
     agreement  python -m tests.validation gap-agreement --family dev --cases 6 --seed 0 --out DIR
     six        45 cases of the families of `blind` and of RotorPy, of six flights each, drawn from seed 9001

@@ -17,7 +17,7 @@ _EXTRAS = {
     "export": ("onnx",),
     "ray": ("ray",),
     "fly": ("cflib",),
-    "baselines": ("rotorpy", "torchdiffeq", "roma", "pybullet"),
+    "baselines": ("rotorpy", "torchdiffeq", "roma"),
     "mocap": ("motioncapture",),
 }
 LONGEST = 400  # characters of a sentence; beyond, its middle is left out

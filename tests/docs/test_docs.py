@@ -102,7 +102,7 @@ def test_pages_for_users_are_short():
         "FOO=1 nohup landing-train landing --step 5 &",
         "make dem",
         "pip install 'inclined-landing[everything]'",
-        "python -m tests.validation gap-blind --sets dev --out DIR",
+        "python -m tests.validation gap-blind --set dev --out DIR",
     ],
 )
 def test_a_wrong_line_is_found(line):

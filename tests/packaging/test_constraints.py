@@ -10,7 +10,7 @@ import pytest
 from tests import ROOT
 
 OLDEST, NEWEST = "3.11.0", "3.14"
-# What people install; `mocap` and, of the baselines, pybullet have no wheel for the newest Python.
+# What people install; `mocap` has no wheel for the newest Python.
 EXTRAS = ("test-all", "wheel")
 SOURCES_ONLY = "moviepy"  # the last version that goes with today's pillow has no wheel
 

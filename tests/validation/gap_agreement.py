@@ -62,7 +62,7 @@ def command(
         seed: of realities and flights.
         processes: realities at a time.
     """
-    check_known("family", [family], blind.SETS)
+    check_known("family", [family], ("dev", "fresh"))
     members = blind.SETS[family]
     calls = {f"{family}_{seed}_{k}": (members[k % len(members)], (seed, k)) for k in range(cases)}
     rows = [

@@ -1,14 +1,13 @@
 """`landings`: effects of contact named from landings on contact that is not MuJoCo's.
 
 Twelve landings of a healthy vehicle identify its contact, twelve others have a hidden cause; the next case
-has other landings, and the same identification. The vehicle lands on the feet of the independent simulator
-(springs, dampers and bristles) or on Bullet's contact (impulses, restitution, a friction cone).
+has other landings, and the same identification. The vehicle lands on the feet of the independent simulator:
+springs, dampers and bristles.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -23,45 +22,37 @@ from inclined_landing.eval.gap.flights.landings import LandingReference, landing
 from inclined_landing.eval.gap.infer.contact import contact_posterior
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
-from tests.validation import simulator
 from tests.validation.gap_blind import causes, generate
 from tests.validation.gap_blind.accepted import EFFECT
-from tests.validation.shared import answered, check_known, table_of
+from tests.validation.shared import answered, table_of
 
-ENGINES = ("springs", "bullet")
 COUNT = 12  # landings to identify with, and of a case
 IDENTIFY = 99  # in place of the number of a case, in the seed of the landings
 # Of one seed: every cause in every size, and after each size nothing hidden.
 CASES = [(c, s if c else "") for s in causes.SIZES[::-1] for c in (*causes.LANDINGS, "")]
 
 
-def flown(engine: str, cause: str, size: str, seed: tuple[int, int]) -> list[FlightLog]:
-    """Return landings on an engine's contact with a cause hidden, or none."""
-    if engine == "bullet":
-        from tests.validation.gap_blind.bullet_reality import fly
-    else:
-        fly = simulator.fly
+def flown(cause: str, size: str, seed: tuple[int, int]) -> list[FlightLog]:
+    """Return landings with a cause hidden, or none."""
     rng = np.random.default_rng(seed)
     drawn = causes.draw(cause, size, rng) if cause else causes.Drawn({}, {})
-    return generate.logs(generate.land_all(drawn, rng, count=COUNT, fly=fly), contact=True)
+    return generate.logs(generate.land_all(drawn, rng, count=COUNT), contact=True)
 
 
 @functools.lru_cache(4)
-def identified(engine: str, seed: int) -> tuple[Vehicle, LandingReference]:
+def identified(seed: int) -> tuple[Vehicle, LandingReference]:
     """Return the healthy vehicle that landings identify, and what these leave."""
-    plain = flown(engine, "", "", (seed, IDENTIFY))
-    vehicle, reference, _ = landing_reference(plain, load_vehicle(), LIBRARY)
+    vehicle, reference, _ = landing_reference(flown("", "", (seed, IDENTIFY)), load_vehicle(), LIBRARY)
     return vehicle, reference
 
 
-def judged(engine: str, cause: str, size: str, seed: tuple[int, int]) -> list[dict]:
+def judged(cause: str, size: str, seed: tuple[int, int]) -> list[dict]:
     """Return the effects named: class, probability, whether sure, value and interval."""
-    vehicle, reference = identified(engine, seed[0])
-    landings = landings_of(flown(engine, cause, size, seed), vehicle, reference)
+    vehicle, reference = identified(seed[0])
+    landings = landings_of(flown(cause, size, seed), vehicle, reference)
     named = contact_effects(*contact_posterior(landings, vehicle, LIBRARY, reference))
     return [
         {"class": e.members, "probability": e.probability, "sure": e.sure, "value": p.value, "ci95": p.ci95}
@@ -72,44 +63,31 @@ def judged(engine: str, cause: str, size: str, seed: tuple[int, int]) -> list[di
 
 def command(
     out: Folder,
-    engine: Annotated[str, tyro.conf.arg(metavar="{springs,bullet}")] = "springs",
     seed: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SEED [SEED ...]")] = (501, 502, 503),
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
-    """Hidden causes in landings of two engines: what gap names (half an hour a seed on one core).
+    """Hidden causes in landings of the independent simulator: what gap names (half an hour a seed).
 
     Args:
         out: folder for an answer a case; an interrupted run goes on in it.
-        engine: the independent simulator's feet, or Bullet (needs pybullet).
         seed: of the sets, eighteen cases each.
         processes: cases judged at a time.
     """
-    check_known("engine", [engine], ENGINES)
-    if engine == "bullet" and importlib.util.find_spec("pybullet") is None:
-        raise UserError("--engine bullet needs pybullet; pip install 'inclined-landing[baselines]'")
-    calls = {
-        f"{engine}_{s}_{k:02d}": (engine, cause, size, (s, k))
-        for s in seed
-        for k, (cause, size) in enumerate(CASES)
+    calls = {f"{s}_{k:02d}": (c, size, (s, k)) for s in seed for k, (c, size) in enumerate(CASES)}
+    answers = answered(Path(out), judged, calls, processes)
+    print(table_of([row(cause, size, calls, answers) for cause, size in dict.fromkeys(CASES)]))
+
+
+def row(cause: str, size: str, calls: dict[str, tuple], answers: dict[str, list[dict]]) -> dict:
+    """Return of a cause and size: right and alone, right among others or possible, sure and wrong."""
+    own = [answers[name] for name, call in calls.items() if call[:2] == (cause, size)]
+    right = [[bool(cause) and EFFECT.get(cause, cause) in e["class"] for e in a] for a in own]
+    sure = [hit for a, hits in zip(own, right) for e, hit in zip(a, hits) if e["sure"]]
+    alone = sum(len(a) == 1 and a[0]["sure"] and hits[0] for a, hits in zip(own, right))
+    return {
+        "hidden": f"{cause}, {size}" if cause else "nothing",
+        "sure and alone": proportion(alone, len(own)) if cause else None,
+        "among the names": proportion(sum(map(any, right)), len(own)) if cause else None,
+        "no name": proportion(sum(not a for a in own), len(own)),
+        "sure names wrong": f"{sure.count(False)} of {len(sure)}",
     }
-    print(table_of(rows(list(calls.values()), list(answered(Path(out), judged, calls, processes).values()))))
-
-
-def rows(calls: list[tuple], answers: list[list[dict]]) -> list[dict]:
-    """Return by cause and size: right and alone, right among others or possible, sure and wrong."""
-    found = []
-    for cause, size in sorted(set(CASES), key=CASES.index):
-        own = [a for (_, c, s, _), a in zip(calls, answers) if (c, s) == (cause, size)]
-        right = [[bool(cause) and EFFECT.get(cause, cause) in e["class"] for e in a] for a in own]
-        sure = [r for a, each in zip(own, right) for e, r in zip(a, each) if e["sure"]]
-        alone = sum(len(a) == 1 and a[0]["sure"] and r[0] for a, r in zip(own, right))
-        found.append(
-            {
-                "hidden": f"{cause}, {size}" if cause else "nothing",
-                "sure and alone": proportion(alone, len(own)) if cause else None,
-                "among the names": proportion(sum(map(any, right)), len(own)) if cause else None,
-                "no name": proportion(sum(not a for a in own), len(own)),
-                "sure names wrong": f"{sure.count(False)} of {len(sure)}",
-            }
-        )
-    return found

@@ -66,7 +66,7 @@ def drawn(seed: int) -> cases.Case:
     """Return the case of a seed: the causes take turns, of weak size, then medium, then strong."""
     turn, number = divmod(seed - 1, len(FREE_FLIGHT))
     cause = list(FREE_FLIGHT)[number]
-    return cases.draw("dev", "single", cause=cause, size=SIZES[turn % len(SIZES)], seed=(9053, seed))
+    return cases.draw("dev", cause, SIZES[turn % len(SIZES)], (9053, seed))
 
 
 def two_rounds(seed: int) -> dict:

@@ -30,7 +30,7 @@ def test_one_command_runs_them_from_the_root():
     [
         ("gap-blin", "unknown command 'gap-blin', perhaps gap-blind; see python -m tests.validation --help"),
         ("gap-agreement --out {out} --family moon", "unknown family 'moon'; choose from dev, fresh"),
-        ("gap-blind --out {file}", "the run folder {file} exists and is not a folder"),
+        ("gap-blind --out {file}", "cannot create the folder {file}/answers: not a directory"),
         ("gap-example --out {folder}", "the run folder {folder} exists and is not empty"),
         ("causes {folder}/none --out {out}", "{folder}/none: no folder"),
         ("gap-example --cause moon --out {out}", "unknown cause 'moon'; choose from thrust_scale"),

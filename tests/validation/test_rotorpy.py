@@ -83,17 +83,16 @@ def test_drag_slows_and_wind_leans(flown):
 
 
 def test_a_case_is_drawn_and_flown(monkeypatch):
-    case = cases.draw("rotorpy", "single", "rotor_drag", "medium", seed=2)
-    monkeypatch.setattr(cases, "IDENTIFY", 2)
-    one, again = case.fly(1.0), case.fly(1.0)
-    assert [len(part) for part in (one.identify, one.gap, one.heldout)] == [2, 10, 3]
-    assert np.array_equal(one.gap[4].position, again.gap[4].position)
-    assert one.label["parameters"]["rotor_drag"]["lateral"] != 1.0
-    assert one.gap[0].rate == pytest.approx(case.reality.log_rate)
+    case = cases.draw("rotorpy", "rotor_drag", "medium", 2)
+    monkeypatch.setattr(cases, "FLIGHTS", 2)
+    (healthy, hidden), (_, again) = case.fly(1.0), case.fly(1.0)
+    assert len(healthy) == len(hidden) == 2 and case.label()["parameters"]["rotor_drag"]["lateral"] != 1.0
+    assert np.array_equal(hidden[1].position, again[1].position)
+    assert hidden[0].rate == pytest.approx(case.reality.log_rate)
     with pytest.raises(ValueError, match="cannot have ground_effect"):
-        cases.draw("rotorpy", "single", "ground_effect")
+        cases.draw("rotorpy", "ground_effect", "medium", 2)
     # Motors that are slower still would not fly: such a case is drawn again.
-    lags = [cases.draw("rotorpy", "single", "motor_lag", "strong", seed=k) for k in range(8)]
+    lags = [cases.draw("rotorpy", "motor_lag", "strong", k) for k in range(8)]
     assert all(rotorpy.flies(one.reality, World(**one.drawn["motor_lag"].world)) for one in lags)
-    for one in cases.of_set("rotorpy", 1):
+    for one in cases.population(("rotorpy",), 1, 100):
         assert not set(one.causes) & cases.LACKS

@@ -2,9 +2,9 @@
 
 MuJoCo's contact is a damped spring on accelerations, with friction that answers within 1/damping. Other
 engines have other laws, and nature has another again. The numbers were measured with MuJoCo's law on landings
-of two engines, Bullet (impulses, restitution, a friction cone) and the independent simulator of
-tests/validation (springs and dampers on forces, bristles), and on tosses of a real cube
-(tests/validation/tosses.py): see docs/evidence/hidden_effects.md.
+of two engines, Bullet (impulses, restitution, a friction cone; tests/validation of commit cd884583) and the
+independent simulator of tests/validation (springs and dampers on forces, bristles), and on tosses of a real
+cube (tests/validation/tosses.py): see docs/evidence/hidden_effects.md.
 """
 
 from __future__ import annotations

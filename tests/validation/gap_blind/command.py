@@ -1,102 +1,160 @@
-"""`gap-blind`: draw a set, seal its labels, identify and diagnose every case as a user would,
-open the labels, count."""
+"""`gap-blind`: draw cases, identify and diagnose each as a user would, score the answers, and count."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
-import time
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated
 
 import tyro
 from msgspec import Meta
 
 from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.base.options import Folder, Seed
+from inclined_landing.eval.gap import diagnose
+from inclined_landing.eval.gap.answer.identification import Identification, identify
+from inclined_landing.eval.gap.plan.reading import PlanInput
+from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
+from inclined_landing.models.parameters import load_vehicle
 
-from ..shared import answered, check_known
-from .cases import ROTORPY, SETS, Case, of_set
+from ..shared import answered, check_known, table, table_of
+from .cases import ROTORPY, SETS, Case, population
 from .score import score_case
-from .tables import markdown, results_of
 
-_NEEDED = {
-    "rotorpy": ("rotorpy", "torch", "torchdiffeq", "roma"),
-}
-_SET, _LABELS = "set.json", "sealed/labels.json"
+_ROTORPY = ("rotorpy", "torch", "torchdiffeq", "roma")
 
 
 def command(
     out: Folder,
-    set: Annotated[str, tyro.conf.arg(metavar="{dev,fresh,rotorpy}")] = "dev",
+    sets: Annotated[tuple[str, ...], tyro.conf.arg(metavar="{dev,fresh,rotorpy} ...")] = (),
+    cases: Annotated[int, Meta(ge=1, le=10**4)] = 120,
     seed: Seed = 0,
-    cases: Annotated[int, Meta(ge=1, le=10**6)] | None = None,
     processes: Annotated[int, Meta(ge=1, le=256)] = 2,
 ) -> None:
-    """Hidden causes in flights of independent simulators: what gap names (minutes).
+    """Hidden causes in flights of independent simulators: what gap names (twenty minutes for 120 cases).
 
     Args:
-        out: folder for results.json and table.md; an interrupted run goes on in it.
-        set: development (thresholds are chosen on it) or fresh (scored once), whose vehicles share no
-            structure; or flights of RotorPy (needs rotorpy).
-        seed: of the set.
-        cases: at most so many, every stratum keeping its share (default: all).
-        processes: cases diagnosed at a time.
+        out: folder for an answer of each case, results.json and table.md; an interrupted run goes on in it.
+        sets: dev (thresholds were chosen on it), fresh (shares no structure with dev), rotorpy (flights of
+            RotorPy, if it is installed); default: all.
+        cases: drawn at random from the plans of all these sets, some 90 each.
+        seed: of cases and flights.
+        processes: cases at a time.
     """
-    check_known("set", [set], (*SETS, ROTORPY))
-    if missing := [name for name in _NEEDED.get(set, ()) if importlib.util.find_spec(name) is None]:
-        raise UserError(f"--set {set} needs {missing[0]}; pip install 'inclined-landing[baselines]'")
-    drawn = {case.name: case for case in of_set(set, seed, cases)}
-    labels = {name: case.label() for name, case in drawn.items()}
-    with runs.owned(out, _SET):
-        storage.remove_parts(out)
-        description = _open_set(out, {"set": set, "seed": seed, "cases drawn": len(drawn)}, labels)
-        calls = {name: (case,) for name, case in drawn.items()}
-        reports = answered(out / "reports", _case, calls, processes)
-    rows = [{"case": name} | score_case(labels[name], reports[name]) for name in sorted(drawn)]
-    results = description | results_of(rows)
-    storage.write_json(out / "results.json", results)
-    storage.write_text(out / "table.md", markdown(results))
-    print(markdown(results))
-    print(f"{len(drawn)} cases were judged; the table is {out / 'table.md'}.")
+    check_known("set", sets, SETS)
+    missing = [name for name in _ROTORPY if importlib.util.find_spec(name) is None]
+    if missing and ROTORPY in sets:
+        raise UserError(f"--sets rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
+    chosen = sets or tuple(name for name in SETS if not (missing and name == ROTORPY))
+    drawn = {case.name: case for case in population(chosen, seed, cases)}
+    found = answered(out / "answers", answer, {name: (case,) for name, case in drawn.items()}, processes)
+    rows = [{"case": name, "set": name.split("_")[0]} | row for name, row in found.items()]
+    text = markdown(rows)
+    settings = {"sets": chosen, "seed": seed, "versions": runs.versions()}
+    storage.write_json(out / "results.json", settings | {"shares": shares(rows), "cases": rows})
+    storage.write_text(out / "table.md", text)
+    print(text)
 
 
-def _open_set(out: Path, description: dict, labels: dict) -> dict:
-    """Seal the labels and return the set's record, after a check that the folder holds this very set."""
-    sealed = storage.to_json(labels) + "\n"
-    description = description | {"labels sha256": hashlib.sha256(sealed.encode("utf-8")).hexdigest()}
-    if (out / _SET).exists():
-        found = storage.read_json(out / _SET, "record")
-        if not isinstance(found, dict) or {key: found.get(key) for key in description} != description:
-            raise UserError(f"{out / _SET} is damaged or that of another blind set; choose another folder")
-    else:
-        found = description | {"versions": runs.versions()}
-        storage.write_json(out / _SET, found)
-    with storage.made((out / _LABELS).parent):
-        storage.write_text(out / _LABELS, sealed)
+def answer(case: Case) -> dict:
+    """Fly one case, identify its vehicle, diagnose the flights with the cause, and score the report."""
+    healthy, flights = case.fly()
+    try:
+        known = identify(healthy, load_vehicle())
+        d = diagnose(flights, known.vehicle, reference=known.reference, curves=False)
+    except UserError as error:
+        return score_case(case.label(), {"verdict": f"failed: {error}", "effects": []}) | {"plan": False}
+    errors = {"error": d.gap["analytic"].before if "analytic" in d.gap else None}
+    errors["reference error"] = d.reference.error if d.reference else None
+    return score_case(case.label(), d.to_json()) | errors | {"plan": _plan_takes(d, known)}
+
+
+def _plan_takes(d: Diagnosis, known: Identification) -> bool:
+    try:
+        PlanInput.of(d, known.vehicle, known.reference)
+    except (UserError, LookupError, ValueError):
+        return False
+    return True
+
+
+def _single(row: Mapping, *sizes: str) -> bool:
+    return row["kind"] == "single" and row["size"] in sizes
+
+
+# What is counted: whether a row is in a share, None where the share is not about it, a list where it is about
+# several of its names or numbers.
+SHARES: dict[str, Callable[[Mapping], bool | list[bool] | None]] = {
+    "sure names that are wrong": lambda r: [not right for right in r["sure"]],
+    "one cause, medium or strong: sure and alone": lambda r: (
+        r["sure alone"] if _single(r, "medium", "strong") else None
+    ),
+    "of these medium": lambda r: r["sure alone"] if _single(r, "medium") else None,
+    "of these strong": lambda r: r["sure alone"] if _single(r, "strong") else None,
+    "the same, sure or possible": lambda r: r["among"] if _single(r, "medium", "strong") else None,
+    "one weak cause: named alone, sure or possible": lambda r: r["alone"] if _single(r, "weak") else None,
+    "two causes: both named alone, sure or possible": lambda r: r["alone"] if r["kind"] == "pair" else None,
+    "nothing hidden: `nothing`": lambda r: r["verdict"] == "nothing" if r["kind"] == "nothing" else None,
+    "nothing hidden: no sure name": lambda r: not r["sure"] if r["kind"] == "nothing" else None,
+    "answers `nothing` with a medium or strong cause hidden": lambda r: (
+        r["kind"] in ("single", "pair", "outside") and r["size"] != "weak"
+        if r["verdict"] == "nothing"
+        else None
+    ),
+    "cause outside the library: `unknown`": lambda r: (
+        r["verdict"] == "unknown" if r["kind"] == "outside" else None
+    ),
+    "only a disturbance: no wrong sure name": lambda r: (
+        all(r["sure"]) if r["kind"] == "disturbance" else None
+    ),
+    "95 % intervals that hold the truth": lambda r: [
+        x for held in r["covered"].values() for x in held.values()
+    ],
+    "`unknown` together with a right sure name": lambda r: (
+        r["verdict"] == "unknown" if r["kind"] in ("single", "pair") and r["right sure"] else None
+    ),
+    "reports that `plan` takes": lambda r: r["plan"],
+}
+# Of these shares a case in which they are false, or true, has failed.
+FAILED = dict.fromkeys(
+    ("one cause, medium or strong: sure and alone", "nothing hidden: `nothing`", *list(SHARES)[10:13]), False
+)
+FAILED |= {"sure names that are wrong": True, "reports that `plan` takes": False}
+
+
+def shares(rows: Sequence[Mapping]) -> dict[str, dict]:
+    """Return the proportions of some cases by what is counted."""
+    found = {}
+    for words, hit in SHARES.items():
+        hits = [x for row in rows for x in _listed(hit(row))]
+        found[words] = proportion(sum(hits), len(hits))
     return found
 
 
-def _case(case: Case) -> dict:
-    """Fly one case, identify its vehicle as a user would, and return the report of the diagnosis."""
-    from inclined_landing.eval.gap import diagnose
-    from inclined_landing.eval.gap.answer.identification import identify
-    from inclined_landing.eval.gap.model.reference import VehiclePosterior
-    from inclined_landing.models.parameters import load_vehicle
+def _listed(hit: bool | list[bool] | None) -> list[bool]:
+    return hit if isinstance(hit, list) else [] if hit is None else [hit]
 
-    flown, began = case.fly(), time.perf_counter()
-    if flown.identify:
-        found = identify(flown.identify, load_vehicle())
-        vehicle, reference = case.vehicle(found.vehicle), found.reference
-    else:
-        vehicle = case.vehicle(load_vehicle())
-        reference = VehiclePosterior.of_file(None, vehicle)
-    spent, began = time.perf_counter() - began, time.perf_counter()
-    known = {"reference": reference, "heldout": flown.heldout, "plants": ("analytic", "mujoco")}
-    try:
-        report = diagnose(flown.gap, vehicle, **known, curves=False).to_json()
-    except UserError as error:
-        report = {"verdict": "failed", "effects": [], "notes": [str(error)]}
-    return report | {"identify seconds": spent, "wall seconds": time.perf_counter() - began}
+
+def markdown(rows: Sequence[Mapping]) -> str:
+    """Return the table of shares, by set and of all, and one of the cases that failed in any of FAILED."""
+    groups = {name: [row for row in rows if row["set"] == name] for name in SETS}
+    groups = {name: some for name, some in groups.items() if some} | {"all": list(rows)}
+    counted = {name: shares(some) for name, some in groups.items()}
+    lines: list[list] = [["cases", *map(len, groups.values())]]
+    lines += [[words, *(one[words] for one in counted.values())] for words in SHARES]
+    wrong = [sum(row["possible wrong"] for row in some) / len(some) for some in groups.values()]
+    lines.append(["wrong possible names per case", *wrong])
+    failed = [
+        {"case": row["case"], "failed": "; ".join(why), "verdict": row["verdict"]}
+        | {"named": ", ".join(row["effects"]), "error [cm]": _cm(row, "error")}
+        | {"reference": _cm(row, "reference error")}
+        for row in rows
+        if (why := [words for words, bad in FAILED.items() if bad in _listed(SHARES[words](row))])
+    ]
+    return table(["", *groups], lines) + ("\n" + table_of(failed) if failed else "")
+
+
+def _cm(row: Mapping, key: str) -> str:
+    return f"{100 * row[key]:.1f}" if row.get(key) is not None else ""

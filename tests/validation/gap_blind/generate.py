@@ -5,7 +5,7 @@ Names and sizes are in `causes.py`; whole cases in `cases.py`. The same argument
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -58,16 +58,11 @@ def fly_all(
     return recordings
 
 
-def land_all(
-    drawn: Drawn, rng: np.random.Generator, *, count: int = LANDINGS, fly: Callable = fly
-) -> list[Recording]:
+def land_all(drawn: Drawn, rng: np.random.Generator, *, count: int = LANDINGS) -> list[Recording]:
     """Land `count` times in the world of `drawn`; only landings that come to rest on the feet are kept.
 
     The pilot goes by the nominal platform. Every fourth landing is on the floor, 2 m beside it, where
     height and tilt of the platform do not matter.
-
-    Args:
-        fly: the function of the simulator, or that of `bullet_reality`.
     """
     c = reference().constants
     recordings = []

@@ -1,17 +1,7 @@
 """The scorer: judges one report against what was hidden.
 
-Outcome of one case, in this order:
-
-- nothing hidden, or only a disturbance: `right` (verdict nothing, or names of what comes with it), `false
-  alarm` (an effect is named) or `false unknown`;
-- a cause outside the library: `flagged` (verdict unknown), `misnamed` (only effects) or `missed`;
-- no effect and the verdict undecided, whatever is hidden: `undecided`, neither quiet nor a wrong `nothing`;
-- else `named` (every hidden cause is the name of an effect, or one of its declared aliases is), `tie` (every
-  one is at least in the class of an effect), `half` (some of several causes), `misnamed` (none, but effects
-  are named), `missed` (no effects).
-
 An effect whose class holds neither a hidden cause, nor an alias, nor what physically comes with it
-(`accepted.py`) is *spurious*: a case with one is never `named` or `tie` but `spurious`.
+(`accepted.py`) is *spurious*. A cause is *alone* where it is named and no effect is spurious.
 """
 
 from __future__ import annotations
@@ -23,7 +13,7 @@ from inclined_landing.models.effects import LIBRARY
 from tests.validation.simulator import constants
 
 from .accepted import EFFECT, LEVEL, NOT_COMPARED, accepted, entailed
-from .causes import DISTURBANCE, SIZES, UNKNOWN
+from .causes import DISTURBANCE, UNKNOWN
 
 _WEIGHT = constants().mass * constants().gravity  # N
 # (radius/(4 h))^2 four radii above the ground, where the library reads the strength
@@ -31,123 +21,77 @@ _NEAR_GROUND = 1.0 / 256.0
 
 
 def score_case(label: Mapping, report: Mapping) -> dict:
-    """Return the judgement of one report against its label, a flat row.
+    """Return what a report says about a case, by what it is counted for.
 
     label as of `cases.Case.label`; report as report.json: `verdict`, `effects` with `name`, `members`,
-    `parameters`, optionally `sure`, `sets` and `possible`.
+    `sure`, `parameters`, and `possible`.
+
+    - kind: nothing, disturbance, outside (the library), single or pair
+    - verdict, effects: of the report; sure: whether each sure name is right
+    - alone, sure alone: all causes are named, or named and sure, and no name is spurious
+    - among: all causes are among the names, those confounded with them, and the possible ones
+    - right sure: a sure name is right
+    - possible wrong: how many of the possible names are not right
+    - covered: of the number of each cause that is compared, whether its 95 % interval holds the truth
     """
-    effects = report["effects"]
-    found = [effect["name"] for effect in effects]
+    effects, possible = report["effects"], set(report.get("possible", ()))
     classes = [{effect["name"], *effect["members"]} for effect in effects]
-    welcome = _welcome(label)
-    spurious = [name for name, members in zip(found, classes) if not members & welcome]
+    welcome, causes = _welcome(label), _to_name(label)
+    alone = all(members & welcome for members in classes)
+    sure = {effect["name"] for effect in effects if effect["sure"]}
     return {
-        **{key: label[key] for key in ("family", "stratum", "causes", "size")},
+        "causes": label["causes"],
+        "size": label["size"],
+        "kind": _kind(label["causes"]),
         "verdict": report["verdict"],
-        "effects": found,
-        "spurious": spurious,
-        "outcome": _outcome(label, report, spurious, found, classes),
-        "sure": [bool(members & welcome) for e, members in zip(effects, classes) if e.get("sure")],
-        "among": _among(label, classes, report.get("possible", ())),
-        **_answers(label, report, spurious),
-        "belief": belief(label, report),
+        "effects": [effect["name"] for effect in effects],
+        "sure": [bool(members & welcome) for e, members in zip(effects, classes) if e["sure"]],
+        "alone": alone and all(_named(cause, classes) for cause in causes),
+        "sure alone": alone and all(_named(cause, [{name} for name in sure]) for cause in causes),
+        "among": all(_named(cause, [set().union(*classes, possible)]) for cause in causes),
+        "right sure": bool(sure & welcome),
+        "possible wrong": len(possible - welcome),
         "covered": {c: x for c in label["causes"] if (x := covered(c, label, effects))},
     }
 
 
-def _answers(label: Mapping, report: Mapping, spurious: list[str]) -> dict:
-    """Return what the shares over all strata count; None where a case says nothing about one.
+def _kind(causes: list[str]) -> str:
+    if not causes:
+        return "nothing"
+    for kind, names in (("outside", UNKNOWN), ("disturbance", DISTURBANCE)):
+        if set(causes) & set(names):
+            return kind
+    return "pair" if len(causes) > 1 else "single"
 
-    - `quiet`: nothing is hidden; the answer is nothing
-    - `alone`: one cause of the library, medium or strong; it is sure, and no name is spurious
-    - `wrong nothing`: the answer is nothing; a medium or strong cause, not a mere disturbance, is hidden
-    - `outside`: a cause is outside the library; the answer is unknown
-    - `beside`: a cause of the library has a sure name that is right; the answer is unknown
-    - `possible wrong`: how many of the possible names are not right
-    """
-    large = label["size"] in SIZES[1:]
-    outside = set(label["causes"]) & set(UNKNOWN)
-    hidden = [cause for cause in label["causes"] if cause not in DISTURBANCE]
-    sure = {effect["name"] for effect in report["effects"] if effect.get("sure")}
-    welcome, verdict = _welcome(label), report["verdict"]
-    one = large and len(hidden) == 1 and not outside
-    return {
-        "quiet": None if label["causes"] else verdict == "nothing",
-        "alone": _found(hidden[0], sure, []) == "named" and not spurious if one else None,
-        "wrong nothing": bool(large and hidden) if verdict == "nothing" else None,
-        "outside": verdict == "unknown" if outside else None,
-        "beside": verdict == "unknown" if hidden and not outside and sure & welcome else None,
-        "possible wrong": len(set(report.get("possible", ())) - welcome),
-    }
+
+def _to_name(label: Mapping) -> list[str]:
+    return [cause for cause in label["causes"] if cause not in DISTURBANCE]
 
 
 def _welcome(label: Mapping) -> set[str]:
     """Return the names that are right next to, or instead of, the causes' own."""
-    hidden = [*label["causes"], *label["base"]]
-    return {name for c in hidden for names in (*accepted(c), entailed(c)) for name in names}
+    return {name for c in label["causes"] for names in (*accepted(c), entailed(c)) for name in names}
 
 
-def _found(cause: str, names: Iterable[str], classes: list[set]) -> str | None:
-    if any(option <= set(names) for option in accepted(cause)):
-        return "named"
-    if any(all(any(one in members for members in classes) for one in option) for option in accepted(cause)):
-        return "tie"
-    return None
+def _named(cause: str, classes: list[set]) -> bool:
+    """Return whether every effect of one of the options that name the cause is in some class."""
+    return any(
+        all(any(one in members for members in classes) for one in option) for option in accepted(cause)
+    )
 
 
-def _among(label: Mapping, classes: list[set], possible: Iterable[str]) -> bool | None:
-    """Return whether every cause is among the names, those confounded with them, and the possible ones."""
-    causes = [cause for cause in label["causes"] if cause not in DISTURBANCE]
-    if not causes or set(causes) & set(UNKNOWN):
-        return None
-    every = set().union(*classes, possible)
-    return all(any(option <= every for option in accepted(cause)) for cause in causes)
+def belief(label: Mapping, report: Mapping) -> float:
+    """Return the probability that the report gives the truth: of all sets that are right.
 
-
-def _outcome(label, report, spurious, found, classes) -> str:
-    if report["verdict"] == "failed":
-        return "failed"
-    if report["verdict"] == "undecided" and not found:
-        return "undecided"
-    unknown = report["verdict"] == "unknown"
-    if set(label["causes"]) <= set(DISTURBANCE):
-        quiet = not unknown and report["verdict"] != "undecided"
-        return "false alarm" if spurious else "right" if quiet else "false unknown"
-    if set(label["causes"]) & set(UNKNOWN):
-        return "flagged" if unknown else "misnamed" if found else "missed"
-    if not found:
-        return "missed"
-    states = [_found(cause, found, classes) for cause in label["causes"]]
-    if not any(states):
-        return "misnamed"
-    if not all(states):
-        return "half"
-    if spurious:
-        return "spurious"
-    return "named" if all(state == "named" for state in states) else "tie"
-
-
-def belief(label: Mapping, report: Mapping) -> float | None:
-    """Return the probability that the report gives the truth: all sets that are right.
-
-    None where it has no probabilities, or no set of the library is true. Names that free flight cannot tell
-    apart count as one.
+    Names that free flight cannot tell apart count as one.
     """
-    if not report.get("sets") or set(label["causes"]) & set(UNKNOWN):
-        return None
-    believed: dict[frozenset[str], float] = {}
+    welcome, causes = _welcome(label), _to_name(label)
+    right = []
     for one in report["sets"]:
-        names = frozenset(LEVEL[0] if name in LEVEL else name for name in one["effects"])
-        if not 0.0 <= one["probability"] <= 1.0:
-            raise ValueError(f"a probability of {one['probability']}")
-        believed[names] = believed.get(names, 0.0) + one["probability"]
-    welcome = _welcome(label)
-    causes = [cause for cause in label["causes"] if cause not in DISTURBANCE]
-
-    def right(names: frozenset[str]) -> bool:
-        return names <= welcome and all(_found(cause, names, []) for cause in causes)
-
-    return min(1.0, math.fsum(p for names, p in believed.items() if right(names)))
+        names = {LEVEL[0] if name in LEVEL else name for name in one["effects"]}
+        if names <= welcome and all(_named(cause, [{name} for name in names]) for cause in causes):
+            right.append(one["probability"])
+    return min(1.0, math.fsum(right))
 
 
 def covered(cause: str, label: Mapping, effects: Iterable[Mapping]) -> dict[str, bool]:

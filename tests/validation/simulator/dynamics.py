@@ -227,7 +227,7 @@ def pull_load(s, mass, c, w, ds):
 def feet(s, tx, ty, tz, anchor, mass, c, w, r, contact, ds):
     """The torque (x, y, z) with that of the feet added, and their forces added to ds."""
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
-    arm = c.arm * w.foot_spread
+    arm = c.arm
     for k in range(4):
         contact[k] = 0.0
         x, y, z = arm * SIDE_X[k], arm * SIDE_Y[k], -c.foot_height - w.foot_height
@@ -284,7 +284,7 @@ def move_anchors(s, r, anchor, contact, c, w):
     """Where the feet stick after a step: set on first touch, dragged along by slipping, lost in the air."""
     rotation(s[QUATERNION : QUATERNION + 4], r)
     nx, nz = math.sin(w.surface_tilt), math.cos(w.surface_tilt)
-    arm = c.arm * w.foot_spread
+    arm = c.arm
     for k in range(4):
         x, y, z = arm * SIDE_X[k], arm * SIDE_Y[k], -c.foot_height - w.foot_height
         px = s[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z

@@ -167,7 +167,6 @@ class World(NamedTuple):
     stiffness_scale: float = 1.0
     damping_scale: float = 1.0
     foot_height: float = 0.0  # m, by which the feet reach lower
-    foot_spread: float = 1.0  # factor of their distance from the centre
     # Causes that no library of the workflow has.
     updraft: float = 0.0  # m/s at the centre of a column
     updraft_x: float = 0.0
