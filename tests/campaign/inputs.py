@@ -15,10 +15,6 @@ samples = 12
 seed = 5
 maps = [["inclination", "mass"]]
 
-[simulation]
-duration = 0.4
-timestep = 0.004
-
 [parameters]
 inclination = { from = 10, to = 40 }
 friction = [0.5, 1.0]
