@@ -50,7 +50,6 @@ COMMANDS = {
     ),
     "video": ("pictures", "Render a video of flights, one after the other."),
     "replay": ("", "Show flights of policies and logs in 3D, on one page for the browser."),
-    "view": ("replay", "Show flights of a policy in MuJoCo's viewer in real time; needs a display."),
     "curves": (
         "pictures",
         "Plot the learning curves of training runs of one task; seeds as median and range.",
@@ -89,7 +88,7 @@ COMMANDS = {
 GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
-    "Pictures": ("figure", "picture", "video", "replay", "view", "curves"),
+    "Pictures": ("figure", "picture", "video", "replay", "curves"),
     "Physics": ("equivalence", "contact", "landings", "effects"),
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly",),

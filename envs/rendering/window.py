@@ -109,7 +109,6 @@ class Window:
         commands: np.ndarray,
         platform: np.ndarray | None,
         *,
-        text: str = "",
         seconds: float = 0.0,
     ) -> None:
         """Show a state (13,) under commands (4,); does nothing once the window is closed.
@@ -137,8 +136,6 @@ class Window:
             data.ctrl[:] = commands
             data.mocap_pos[self._mocap], data.mocap_quat[self._mocap] = places[0][0], places[1][0]
             mujoco.mj_forward(self.model, data)
-        if text:
-            self._viewer.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, text, ""))
         self._viewer.sync()
 
     def close(self) -> None:
@@ -150,9 +147,3 @@ class Window:
         patience = time.monotonic() + 2.0
         while viewer.m is not None and time.monotonic() < patience:
             time.sleep(0.01)
-
-    def __enter__(self) -> Window:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()

@@ -27,7 +27,7 @@ from tests.eval.test_answers import LONG, QUICK
 
 LINES = {line.split()[0]: line for line in [*LONG, *QUICK] if "/20/" not in line and "/run" not in line}
 LINES |= {name: f"{name} {{place}}/log.csv --out {{place}}/out" for name in ("gap", "identify")}
-LINES |= {"curves": "curves {place} --out {place}/out.png", "view": "view landing"}
+LINES |= {"curves": "curves {place} --out {place}/out.png"}
 LINES |= {"replay": "replay {place}/log.csv --out {place}/a.html"}
 NUMBERS = ("nan", "inf", "-inf", "1e300", "9" * 400, "heavy", "", "１２", "1,2", "0x10", "1j", "None!",
            "\x1b[31m\n")  # fmt: skip

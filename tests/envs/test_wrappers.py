@@ -80,24 +80,10 @@ print("clean")
 
 @pytest.mark.slow
 @pytest.mark.gl
-@pytest.mark.parametrize("kind", ["human", "view", "interrupted"])
-def test_windows_open_follow_and_close_cleanly(kind):
+def test_a_window_opens_follows_and_closes_cleanly():
     """On a virtual display with OpenGL in software: seconds for a picture."""
     if shutil.which("xvfb-run") is None:
         pytest.skip("no virtual display here (Debian: apt-get install xvfb)")
-    view = [sys.executable, "-m", "inclined_landing.eval", "view", "touchdown", "--start", "0.3,1.5"]
-    words = {
-        "human": [sys.executable, "-c", HUMAN],
-        "view": [*view, "--slow", "0.1"],
-        "interrupted": ["timeout", "-s", "INT", "60", *view, "--again"],
-    }[kind]
     screen = ["xvfb-run", "-a", "-s", "-screen 0 320x240x24"]
-    done = subprocess.run([*screen, *words], capture_output=True, text=True, timeout=500)
-    if kind == "interrupted":  # timeout's own code says that it had to; nothing was left behind
-        assert done.returncode in (124, 130) and done.stderr.endswith("landing-eval: interrupted\n")
-    else:
-        assert done.returncode == 0, done.stderr
-    if kind == "human":
-        assert done.stdout.endswith("clean\n")
-    if kind == "view":
-        assert "flight 1: from x 0.3, z 1.5 m: at rest on the slope" in done.stderr
+    done = subprocess.run([*screen, sys.executable, "-c", HUMAN], capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0 and done.stdout.endswith("clean\n"), done.stderr

@@ -84,7 +84,7 @@ MANY = [(name, o) for name in COMMANDS for o, (_, many) in options_of(COMMANDS[n
 ENOUGH = {
     **{"gap": "a.csv --out o", "identify": "a.csv --out o", "logs": "a.csv", "replay": "a.csv --out a.html"},
     **{"video": "landing --out a.mp4", "robustness": "landing --over thrust effects vehicles moving"},
-    **{"success": "landing", "touchdown": "touchdown", "view": "landing", "figure": "landing --out o"},
+    **{"success": "landing", "touchdown": "touchdown", "figure": "landing --out o"},
 }
 
 

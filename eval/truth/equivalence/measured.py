@@ -11,11 +11,9 @@ from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
-    check_cases,
     closed_loop,
     convergence,
     flying,
-    inconsistencies,
     isolated,
     levels,
     motor,
@@ -43,8 +41,6 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
         "convergence": lambda: convergence.section(v, full.commands),
         "bandwidth": lambda: bandwidth.section(v, full, recorded),
         "closed loop": lambda: closed_loop.section(policy, starts),
-        "check cases": lambda: check_cases.section(v),
-        "inconsistencies": lambda: inconsistencies.section(v, recorded),
     }
     sections, figures = [], {}
     for what, measured in work.items():

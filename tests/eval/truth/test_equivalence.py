@@ -20,11 +20,9 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.base.claims import Claim, Section, number
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
-    check_cases,
     closed_loop,
     convergence,
     flying,
-    inconsistencies,
     isolated,
     levels,
     measured,
@@ -88,16 +86,6 @@ def test_plugin_free_twin(flights):
     check(twin.section(V, flights[0].commands).claims)
 
 
-@pytest.mark.parametrize("integrator, brick", [("RK4", 4e-4), ("implicitfast", 0.07)])
-def test_a_rigid_body_tumbles_as_euler_says(integrator, brick, monkeypatch):
-    """In 10 s RK4 strays by a third of what is claimed of 30 s at most; a first-order one by more."""
-    monkeypatch.setattr(check_cases, "DURATION", 10.0)
-    found = check_cases.errors(integrator, 9.81)
-    limits = flying.WORDS.tables["check_cases"]
-    met = all(found[name] <= limits[name]["high"] / 3.0 for name in ("sphere", "brick", "damped"))
-    assert met == (integrator == "RK4") and found["brick"] < brick
-
-
 def test_discrete_motor_function():
     check(motor.section(V, 0).claims)
     assert np.ptp(motor.discrete(V, motor.commands(V, 0))) > 0.2  # N: the commands do something
@@ -145,12 +133,6 @@ def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
     assert not part.passed and not part.tables[1:]
 
 
-def test_inconsistencies(flights):
-    part = inconsistencies.section(V, flights[0])
-    check(part.claims)
-    assert len(part.tables[0].rows) == 6
-
-
 @pytest.mark.parametrize("measured, low, high, passed", [
     (1.0, -math.inf, 1.0, True), (1.1, -math.inf, 1.0, False), (math.nan, -math.inf, 1.0, False),
     (0.4, 0.5, math.inf, False), (0.5, 0.5, math.inf, True), (math.nan, 0.5, math.inf, False),
@@ -177,11 +159,11 @@ def test_command_writes_page_json_and_figures(tmp_path):
     assert cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]) == 0
     record = json.loads((out / "report.json").read_text())
     assert record["passed"] and not record["failed"], record["failed"]
-    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 90
+    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 80
     page = (out / "report.html").read_text()
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     files = sorted(path.name for path in out.glob("*.png"))
-    assert len(images) == len(files) == 3
+    assert len(images) == len(files) == 2
     assert {base64.b64decode(image) for image in images} == {(out / name).read_bytes() for name in files}
     assert not re.search(r'(src|href)="(?!data:|#)', page)  # self-contained
     for section in record["sections"].values():
