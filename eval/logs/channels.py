@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from inclined_landing.eval.logs import clock, limits, units, vehicles
+from inclined_landing.eval.logs import clock, limits, units
 from inclined_landing.eval.logs.mapping import AttitudePid, ColumnMap, Mixer, Source, find, patterns
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.base.errors import UserError, shown
@@ -82,13 +82,6 @@ def _on_its_clock(
         raise UserError(f'{where}: no time column ({called}); a mapping file can name it with t = "NAME"')
     names = list(record.columns)
     asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
-    dated = int(np.flatnonzero(~np.isnan(time.value))[-1]) + 1
-    if dated > 1 and 0 < len(time.value) - dated <= limits.MOST_AT_THE_END:
-        note = f"the last {len(time.value) - dated} rows have no time and were cut"
-        record = dataclasses.replace(record.rows(np.arange(dated)), notes=(*record.notes, note))
-        time = dataclasses.replace(time, value=time.value[:dated])
-    axes = [c for key in ("x", "y", "z") for s in column_map.sources(key) for c in s.columns]
-    vehicles.check_one(record, time.value, [n for c in axes if (n := find(names, c, where)) is not None])
     t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])
     if rows is not None:
         late = int((t < np.maximum.accumulate(t)).sum())
@@ -180,13 +173,13 @@ def _channel(
 def _combined(
     canonical: str, source: Source, found: list[str], record: Record, notes: list[str]
 ) -> np.ndarray:
-    """Return the column of a source (m,), or the sum, mean or mean square of several, with a note."""
+    """Return the column of a source (m,), or the mean or mean square of several, with a note."""
     if source.column is not None:
         return record.columns[found[0]]
     value = np.sum([record.columns[name] ** (2 if source.mean_square else 1) for name in found], axis=0)
-    kind = "sum" if source.sum else "mean" if source.mean else "mean square"
+    kind = "mean" if source.mean else "mean square"
     notes.append(f"{canonical} is derived: the {kind} of {', '.join(found)}")
-    return value if source.sum else value / len(found)
+    return value / len(found)
 
 
 def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, Channel]:

@@ -513,33 +513,6 @@ def test_the_command_names_two_vehicles(tmp_path, capsys):
     assert read_log(files[0]).notes == ()
 
 
-@pytest.mark.parametrize(
-    ("columns", "words"),
-    [
-        ({"x": 1 / 0.3048}, "3.* times along x and 1.* times along y .* another unit"),
-        ({"y": 1 / 0.3048}, "1.* times along x and 3.* times along y .* another unit"),
-        ({"pitch": 1 / 5}, "5.* times along pitch and .* along roll|times along x"),
-    ],
-)
-@pytest.mark.parametrize("heading", [0.0, 0.2])
-def test_one_axis_in_another_unit_is_refused(columns, words, heading):
-    log = flight(heading=heading)
-    table = log_table(log)
-    changed = change(log, **{name: factor * table[name].to_numpy() for name, factor in columns.items()})
-    changed = dataclasses.replace(changed, velocity=None)
-    assert any(f.decision == "refuse" and re.search(words, f.text) for f in check_log(changed))
-
-
-def test_a_height_in_feet_is_said():
-    """Thrust goes with the 1.25th power of the command in these flights: 1.25/0.3048 = 4.1."""
-    log = flight()
-    changed = change(log, z=log.position[:, 2] / 0.3048)
-    assert any(
-        "z accelerates 4." in finding.text and "feet" in finding.text for finding in check_log(changed)
-    )
-    assert not any("feet" in finding.text for finding in check_log(log))
-
-
 @pytest.mark.parametrize("factor", [50.0, 20.0, 0.1])
 def test_a_clock_that_attitude_and_acceleration_contradict_is_refused(factor):
     """Rows that are 0.01 s apart, read in another unit; 5 % of the step for noise and smoothing."""
