@@ -30,8 +30,8 @@ def command(
     Args:
         reference: logs of the reference vehicle. It is identified from these first, and gap names what has
             changed since.
-        out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml; with --reference
-            also for the vehicle identified from these, in reference/.
+        out: new folder for report.html, report.json, gap.png, vehicle.toml and landing.xml, and in reference/
+            the vehicle that the flights were compared with, unless it is the shipped one.
     """
     from inclined_landing.envs.shared import runs
     from inclined_landing.eval.base.progress import stages
@@ -79,12 +79,14 @@ def command(
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
             save_figure(picture, folder / "gap.png")
-            base = source.vehicle
+            kept = folder / REFERENCE
+            if found or source.vehicle:
+                kept.parent.mkdir()
             if found:
-                base = folder / REFERENCE
-                base.parent.mkdir()
-                files.write_identified(found, base.parent, base=source.vehicle)
-            files.write(d, nominal, folder, base=base)
+                files.write_identified(found, kept.parent, base=source.vehicle)
+            elif source.vehicle:
+                files.keep_vehicle(source.vehicle, kept)
+            files.write(d, nominal, folder, base=kept if found else source.vehicle)
             answer = d.to_json() | {"summary": words.how_much(d), "flight": flight}
             files.write_report(folder, "gap", html, answer, source, began, versions)
         written = out

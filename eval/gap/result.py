@@ -19,7 +19,7 @@ T = TypeVar("T")
 Verdict = Literal["effects", "nothing", "unknown", "undecided"]
 VERSION = 1  # of report.json
 HORIZON = 1.0  # s, after which the simulation of a log restarts at the measured state
-REFERENCE = "reference/vehicle.toml"  # in a report's folder: the vehicle that gap identified and diagnosed
+REFERENCE = "reference/vehicle.toml"  # in a report's folder: the vehicle diagnosed, if not shipped
 _DRAWN = {"corrected", "horizon"}  # not in report.json: the vehicle file, and curves of a figure
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from msgspec import Meta
 
-from inclined_landing.eval.base.options import RunFolder, Seed, VehicleFile
+from inclined_landing.eval.base.options import RunFolder
 from inclined_landing.eval.gap.plan import SECONDS
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ def command(
     /,
     out: RunFolder,
     seconds: Annotated[float, Meta(ge=8.0, le=120.0)] = SECONDS,
-    vehicle: VehicleFile = None,
-    seed: Seed = 0,
 ) -> None:
     """Plan a safe flight that best separates the candidate explanations of a report.
 
@@ -34,31 +32,27 @@ def command(
 
     Args:
         report: report folder that landing-eval gap wrote.
-        out: new folder for flight.csv, plan.json and plan.png.
+        out: new folder for flight.csv and plan.json.
         seconds: duration of the flight.
-        vehicle: the vehicle file (TOML) of the report, if it has been moved.
-        seed: seed for the search.
     """
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.base.progress import stages
-    from inclined_landing.eval.base.style import save_figure
     from inclined_landing.eval.gap import thresholds
     from inclined_landing.eval.gap.plan import doubt
     from inclined_landing.eval.gap.plan.design import design
-    from inclined_landing.eval.gap.plan.picture import picture
     from inclined_landing.eval.gap.plan.reading import read_report
     from inclined_landing.eval.gap.report import words
     from inclined_landing.models.base import storage
 
-    plan_input, arena = read_report(report, vehicle)
+    plan_input, arena = read_report(report)
     best = plan_input.hypotheses[0]
     if best.probability >= thresholds.DECIDED and not plan_input.vary:
         probability = words.probability(best.probability)
         say(f"No flight is needed: {doubt.set_label(best)} has a probability of {probability}.")
         return
     with stages() as tick:
-        plan = design(plan_input, seconds=seconds, seed=seed, tick=tick)
+        plan = design(plan_input, seconds=seconds, tick=tick)
     found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
     beyond = doubt.measured_otherwise(found)
     if not (plan_input.vary or doubt.is_worth_flying(found, plan.gain)):
@@ -72,10 +66,7 @@ def command(
     lines += doubt.why_near(plan)
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.reference.csv())
-        storage.write_json(
-            folder / "plan.json", to_json(plan, plan_input, found, report, seed) | {"text": lines}
-        )
-        save_figure(picture(plan, found, plan_input.platform), folder / "plan.png")
+        storage.write_json(folder / "plan.json", to_json(plan, plan_input, found, report) | {"text": lines})
     flight = out / "flight.csv"
     say(*doubt.flight(plan), *lines)
     command = doubt.fly_command(flight, plan_input.platform, arena)
@@ -84,7 +75,7 @@ def command(
     say(f"The most informative flight is {flight}.", style="bold")
 
 
-def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path, seed: int) -> dict:
+def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path) -> dict:
     """Return the contents of plan.json; probabilities before the flight are those of the report."""
     import numpy as np
 
@@ -105,7 +96,6 @@ def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report:
         "report": str(report),
         "platform": plan_input.platform,
         "seconds": plan.path.seconds,
-        "seed": seed,
         "in_doubt": [dataclasses.asdict(one) for one in found],
         "sets": sets,
         "expected": plan.expected_accuracy,
@@ -121,6 +111,5 @@ def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report:
             "tilt": float(np.abs(states[:, 6:8]).max()),
             "lowest": float(states[:, 2].min()),
         },
-        "refused": [dataclasses.asdict(v) for v in plan.refused],
         "versions": runs.versions(),
     }

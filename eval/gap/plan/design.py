@@ -17,7 +17,7 @@ from inclined_landing.eval.gap.plan.information import (
 )
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.plan.safety import Flown, Violation
+from inclined_landing.eval.gap.plan.safety import Flown
 from inclined_landing.eval.gap.plan.setpoints import Setpoints, setpoints
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.threads import two_at_a_time
@@ -46,7 +46,6 @@ class Plan:
     gain: float  # nat, expected information gain: decrease of the entropy of the sets
     flown: list[Flown]  # the simulated flights, by set
     without: np.ndarray | None  # (K, K) expected without pieces close to a surface; None where it has none
-    refused: tuple[Violation, ...]  # of flights that were simulated before and not safe
 
     @property
     def path(self) -> Path:
@@ -69,7 +68,6 @@ def design(
     plan_input: PlanInput,
     *,
     seconds: float = SECONDS,
-    seed: int = 0,
     tick: Callable[[str], None] = lambda what: None,
 ) -> Plan:
     """Return the safe flight with the largest expected information about which set of effects is missing.
@@ -89,8 +87,8 @@ def design(
     noise_levels = plan_input.noise_levels
     tick("drawing manoeuvres")
     coverage = RegressorCoverage(plan_input.vary, space, noise_levels.noise)
-    search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(seed))
-    refused: list[Violation] = []
+    search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(0))
+    last = ""
     for _ in range(ATTEMPTS):
         tick("choosing manoeuvres")
         chosen, far = search.best()
@@ -98,7 +96,7 @@ def design(
         points = setpoints(path, vehicle)
         tick("simulating the planned flight")
         violation, flown = safety.simulate_plan(
-            points, discrimination.vehicles[:SIMULATED], space, noise_levels, seed
+            points, discrimination.vehicles[:SIMULATED], space, noise_levels
         )
         if violation is None:
             tick("computing the expected information")
@@ -106,13 +104,10 @@ def design(
             grams = discrimination.flown_grams(logs, platform=plan_input.platform)
             expected, gain = discrimination.forecast(grams), discrimination.gain(grams)
             without = None if far is None else discrimination.forecast(far)
-            return Plan(points, discrimination, expected, gain, flown, without, tuple(refused))
-        refused.append(violation)
+            return Plan(points, discrimination, expected, gain, flown, without)
+        last = f"{violation.text} after {violation.time:.1f} s"
         search.exclude(path, violation.time)
-    raise UserError(
-        f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last "
-        f"{refused[-1].text} after {refused[-1].time:.1f} s"
-    )
+    raise UserError(f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last {last}")
 
 
 def discrimination_of(plan_input: PlanInput) -> ModelDiscrimination:

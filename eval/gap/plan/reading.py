@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from inclined_landing.eval.gap.plan.information import NoiseLevels
 from inclined_landing.eval.gap.result import REFERENCE, VERSION, Diagnosis, ScoredSet, marginal
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, shown
-from inclined_landing.models.effects import LIBRARY, Effect
+from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -24,14 +24,13 @@ ROOM = (
     *("platform_inclination", "platform_surface_height"),
 )
 CHANNELS = ("x", "y", "z", "roll", "pitch", "yaw")
+Positive = Annotated[float, Meta(ge=1e-9, le=1e300)]
 
 
-class _Disturbance(Struct, frozen=True):
-    """An entry of `disturbance`; None: a typical level."""
-
-    noise: Annotated[float, Meta(ge=1e-9, le=1e300)] | None = None
-    size: Annotated[float, Meta(ge=0, le=1e300)] | None = None
-    time: Annotated[float, Meta(ge=1e-3, le=1e300)] | None = None
+class _Level(Struct, frozen=True):
+    noise: Positive
+    size: Annotated[float, Meta(ge=0, le=1e300)]
+    time: Positive
 
 
 class _Dependence(Struct, frozen=True):
@@ -51,7 +50,7 @@ class _Report(Struct, frozen=True):
     platform: bool = False
     verdict: str = ""
     residual: _Residual = _Residual()
-    disturbance: dict[str, _Disturbance] = {}
+    disturbance: dict[str, _Level] = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,10 +80,8 @@ class PlanInput:
         typical = NoiseLevels.typical()
         levels = np.array([typical.noise, typical.disturbance, typical.time])
         for k, channel in enumerate(CHANNELS):
-            if channel in report.disturbance:
-                known = report.disturbance[channel]
-                for j, level in enumerate((known.noise, known.size, known.time)):
-                    levels[j, k] = levels[j, k] if level is None else level
+            if known := report.disturbance.get(channel):
+                levels[:, k] = known.noise, known.size, known.time
         return PlanInput(
             hypotheses=sorted(hypotheses.values(), key=lambda h: -h.probability),
             probabilities=probabilities,
@@ -96,62 +93,47 @@ class PlanInput:
         )
 
 
-def read_report(folder: Path, vehicle: Path | None = None) -> tuple[PlanInput, Path | None]:
-    """Return the input of a plan from `report.json` and `run.json`; vehicle: file of the vehicle diagnosed.
+def read_report(folder: Path) -> tuple[PlanInput, Path | None]:
+    """Return the input of a plan from a report's folder, and the vehicle file if its room is another.
 
-    Without `vehicle` it is the one that gap identified and put into the folder, or else that of `run.json`.
-    Also that file where its room is not that of the shipped vehicle. Raises UserError, naming file and entry,
-    for what is missing or invalid.
+    Raises UserError, naming file and entry, for what is missing or invalid.
     """
     if not folder.is_dir():
         raise UserError(
             f"{shown(folder)} is not a folder; name the report folder that landing-eval gap wrote"
         )
-    path, run = folder / "report.json", folder / "run.json"
-    data = schema.parse(storage.read_json(path, "report"), dict[str, Any], f"report {path}: ")
-    options: dict[str, Any] = {}
-    if run.is_file():
-        options = schema.parse(storage.read_json(run, "record"), dict[str, Any], f"record {run}: ")
-    if vehicle is None and (folder / REFERENCE).is_file():
-        vehicle = folder / REFERENCE
-    elif vehicle is None and isinstance(options.get("vehicle"), str):
-        vehicle = Path(options["vehicle"])
+    path = folder / "report.json"
+    where = f"report {path}: "
+    data = schema.parse(storage.read_json(path, "report"), dict[str, Any], where)
     if data.get("version") != VERSION or "sets" not in data:
         raise UserError(f"report {path} was not written by this version of landing-eval gap; run gap again")
+    vehicle = folder / REFERENCE if (folder / REFERENCE).is_file() else None
     diagnosed, shipped = load_vehicle(vehicle), load_vehicle()
-    same = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
-    where = f"report {path}: "
-    content = schema.parse({"platform": options.get("platform", False)} | data, _Report, where)
-    library = {name: effect.sized_for(diagnosed) for name, effect in LIBRARY.items()}
-    _check(content.sets, library, f"{where}sets")
-    _check(content.unidentifiable_sets, library, f"{where}unidentifiable_sets")
+    usual = all(getattr(diagnosed, name) == getattr(shipped, name) for name in ROOM)
+    content = schema.parse(data, _Report, where)
+    for kind in ("sets", "unidentifiable_sets"):
+        _check(getattr(content, kind), diagnosed, f"{where}{kind}")
     if sum(one.probability for one in content.sets) <= 0.0:
         raise UserError(f"{where}no set has a probability above 0")
     found = PlanInput.of(content, diagnosed, read_reference(vehicle, diagnosed)[0])
-    return found, None if same else vehicle
+    return found, None if usual else vehicle
 
 
-def _check(rows: Sequence[ScoredSet], library: Mapping[str, Effect], where: str) -> None:
-    """Raise UserError for an unknown effect, or a value that is missing or out of bounds.
-
-    library: its effects with the bounds that apply to the vehicle diagnosed.
-    """
+def _check(rows: Sequence[ScoredSet], vehicle: Vehicle, where: str) -> None:
+    """Raise UserError for an effect or parameter that is unknown or missing, or a value out of bounds."""
+    library = {name: effect.sized_for(vehicle) for name, effect in LIBRARY.items()}
     for k, row in enumerate(rows):
-        what = f"{where}[{k}]"
-        unknown = [n for n in row.effects if n not in library]
-        if unknown:
-            raise UserError(f"{what} has the unknown effect {shown(repr(unknown[0]), 60)}")
-        for name in (n for n in row.effects if not library[n].contact):
+        for name in row.effects:
+            if name not in library:
+                raise UserError(f"{where}[{k}] has the unknown effect {shown(repr(name), 60)}")
+            if library[name].contact:
+                continue
             if name not in row.values:
-                raise UserError(f"{what}.values.{name} is missing")
-            parameters = {p.name: p for p in library[name].parameters}
-            for kind in ("values", "standard_errors"):
-                given = getattr(row, kind).get(name, {})
-                if unknown := [key for key in given if key not in parameters]:
-                    at = f"{what}.{kind}.{name}"
-                    raise UserError(f"{at} has the unknown parameter {shown(repr(unknown[0]), 60)}")
+                raise UserError(f"{where}[{k}].values.{name} is missing")
+            bounds = {p.name: p.bounds for p in library[name].parameters}
             for key, value in row.values[name].items():
-                low, high = parameters[key].bounds
+                low, high = bounds.get(key, (0.0, -1.0))
                 if not low <= value <= high:
-                    unit, at = parameters[key].unit, f"{what}.values.{name}.{key}"
-                    raise UserError(f"{at} is {value:g} {unit}; it must be from {low:g} to {high:g}")
+                    at = f"{where}[{k}].values.{name}.{shown(key, 60)}"
+                    must = f"must be from {low:g} to {high:g}" if key in bounds else "is unknown"
+                    raise UserError(f"{at} is {value:g}; it {must}")

@@ -104,14 +104,14 @@ class Flown:
 
 
 def simulate_plan(
-    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels, seed: int = 0
+    points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels
 ) -> tuple[Violation | None, list[Flown]]:
     """Return the first violation when each of `vehicles`, with its uncertainty, flies the plan.
 
     Also the flights of every one. noise_levels: measurement noise of the pilot's feedback, and disturbance.
     """
     flown = two_at_a_time(
-        lambda k: fly(points, vehicles[k], space, noise_levels, (seed, k)), range(len(vehicles))
+        lambda k: fly(points, vehicles[k], space, noise_levels, (0, k)), range(len(vehicles))
     )
     violations = [w for one in flown if (w := _simulation_violation(one.states, points, space)) is not None]
     return min(violations, key=lambda w: w.time, default=None), flown

@@ -18,7 +18,7 @@ from inclined_landing.eval.gap.report.words import interval
 from inclined_landing.eval.gap.result import Diagnosis, Disturbance, NamedEffect
 from inclined_landing.models import effects
 from inclined_landing.models.base import storage
-from inclined_landing.models.parameters import load_vehicle, write_vehicle
+from inclined_landing.models.parameters import load_vehicle, locate_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
@@ -67,6 +67,14 @@ def write_identified(found: Identification, folder: Path, *, base: Path | None =
     heading = "Identified by landing-eval identify.\nEvery command accepts it with --vehicle."
     write_vehicle(folder / VEHICLE, *described(found), base=base, heading=heading)
     write_posterior(folder / VEHICLE, found.reference)
+
+
+def keep_vehicle(vehicle: Path, file: Path) -> None:
+    """Copy a vehicle file or shipped vehicle, and its posterior if there is one, to `file`."""
+    source = locate_vehicle(vehicle)
+    for original, copy in ((source, file), (posterior_path(source), posterior_path(file))):
+        if original.is_file():
+            storage.write_bytes(copy, original.read_bytes())
 
 
 def write_posterior(vehicle: Path, reference: VehiclePosterior) -> None:
