@@ -84,36 +84,31 @@ def diagnosis(*effects, possible=(), verdict="effects", inconsistent=(), set_asi
     )
 
 
+SENSOR = dataclasses.replace(ROW, kind="unknown", inconsistent=("b", "c"))
+
+
 @pytest.mark.parametrize(
-    ("answer", "expected"),
+    ("row", "answer", "expected"),
     [
-        # Right by itself, or by a class that holds a right name.
-        (diagnosis(effect("mass", ["mass"])), (True, True, [])),
-        (diagnosis(effect("thrust_bias", ["thrust_bias", "thrust_scale"])), (True, True, [])),
-        # Named but not sure, or only possible: not sure, and never wrong.
-        (diagnosis(effect("mass", ["mass"], sure=False)), (False, True, [])),
-        (diagnosis(possible=["mass"]), (False, True, [])),
-        (diagnosis(effect("wind", ["wind"], sure=False)), (False, False, [])),
+        # Sure and right by itself, or by a class that holds a right name; possible; wrong; flagged.
+        (ROW, diagnosis(effect("mass", ["mass"])), (True, True, [], False)),
+        (ROW, diagnosis(effect("thrust_bias", ["thrust_bias", "mass"])), (True, True, [], False)),
+        (ROW, diagnosis(effect("mass", ["mass"], sure=False)), (False, True, [], False)),
+        (ROW, diagnosis(possible=["mass"]), (False, True, [], False)),
+        (ROW, diagnosis(effect("wind", ["wind"], sure=False)), (False, False, [], False)),
         # What goes with the cause is neither right nor wrong; anything else is wrong.
-        (diagnosis(effect("attitude_trim", ["attitude_trim"])), (False, False, [])),
-        (diagnosis(effect("mass", ["mass"]), effect("wind", ["wind"])), (True, True, ["wind"])),
+        (ROW, diagnosis(effect("attitude_trim", ["attitude_trim"])), (False, False, [], False)),
+        (ROW, diagnosis(effect("wind", ["wind"])), (False, False, ["wind"], False)),
+        (ROW, diagnosis(verdict="unknown"), (False, False, [], True)),
+        # Flights that must be inconsistent, or set aside; in ROW there are none.
+        (SENSOR, diagnosis(inconsistent=("data/b",), set_aside=("data/c",)), (False, False, [], True)),
+        (SENSOR, diagnosis(inconsistent=("data/b", "data/a")), (False, False, [], False)),
+        (ROW, diagnosis(inconsistent=("b",)), (False, False, [], False)),
     ],
 )
-def test_judgement(answer, expected):
-    got = causes.judged(ROW, answer)
-    assert (got["right sure"], got["right possible"], got["wrong"]) == expected
-    assert got["sure names"] == sum(e.sure for e in answer.effects)
-
-
-def test_flagged_is_unknown_or_flights_that_must_be_inconsistent():
-    sensor = dataclasses.replace(ROW, kind="unknown", inconsistent=("b", "c"))
-    assert not causes.judged(ROW, diagnosis())["flagged"]
-    assert causes.judged(ROW, diagnosis(verdict="unknown"))["flagged"]
-    assert causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/c")))["flagged"]
-    assert causes.judged(sensor, diagnosis(inconsistent=("data/b",), set_aside=("data/c",)))["flagged"]
-    assert not causes.judged(sensor, diagnosis(inconsistent=("data/b", "data/a")))["flagged"]
-    assert not causes.judged(sensor, diagnosis())["flagged"]
-    assert not causes.judged(ROW, diagnosis(inconsistent=("b",)))["flagged"]  # none was told to be
+def test_judgement(row, answer, expected):
+    got = causes.judged(row, answer)
+    assert (got["right sure"], got["right possible"], got["wrong"], got["flagged"]) == expected
 
 
 def test_found_thrust_is_that_over_mass():
@@ -152,6 +147,3 @@ def test_summary_counts_by_hand():
         (7, 14),
     ]
     assert "61 to 15 cm" in causes.errors(results)
-    lines = [causes.cells(r) for r in (RESULT | {"flights": [3, 2], "named": [], "possible": {}}, ERROR)]
-    assert lines[0]["recorded size"] == "thrust 0.9" and lines[0]["found"] == "0.893 [0.87, 0.917]"
-    assert lines[0].keys() == lines[1].keys() and lines[1]["verdict"].startswith("not read")

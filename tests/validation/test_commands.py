@@ -1,6 +1,5 @@
 """The commands of `python -m tests.validation`, and what they were run for: flights, vehicles, a page."""
 
-import re
 import subprocess
 import sys
 
@@ -8,14 +7,11 @@ import pandas
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle, locate_vehicle
 from tests import ROOT
 from tests.validation import __main__ as validation
 from tests.validation import gap_example
-from tests.validation.causes import _expanded
 from tests.validation.identified import vehicles
-from tests.validation.simulator import World
 
 
 def test_one_command_runs_them_from_the_root():
@@ -68,23 +64,3 @@ def test_a_shipped_vehicle_is_what_its_entry_says(name):
     text = locate_vehicle(name).read_text("utf-8")
     assert f'based_on = "{entry["base"]}"' in text
     assert entry["commit"] in text
-
-
-def test_no_flight_of_the_heldout_half_of_the_causes_is_among_them():
-    """Those are the odd ones from log100 on, and of the flights with a load."""
-    for entry in vehicles().values():
-        patterns = [*entry["fitted"], *(p for one in entry["judged"] for p in one["flights"])]
-        flights = [flight for pattern in patterns for flight in _expanded(pattern)]
-        assert not any("payload" in flight for flight in flights)
-        numbers = [int(n) for flight in flights for n in re.findall(r"logs/log(\d+)", flight)]
-        assert all(n < 100 or n % 2 == 0 for n in numbers)
-        fitted = {flight for pattern in entry["fitted"] for flight in _expanded(pattern)}
-        assert not fitted & {f for one in entry["judged"] for p in one["flights"] for f in _expanded(p)}
-
-
-@pytest.mark.parametrize("name", gap_example.CAUSES)
-def test_a_case_is_hidden_in_the_simulator_and_known_to_the_library(name):
-    hidden = gap_example.CAUSES[name]
-    assert set(hidden.world) <= set(World._fields)
-    assert LIBRARY[name].apply(load_vehicle(), hidden.parameters) != load_vehicle()
-    assert f"| {name.replace('_', ' ')} |" in (ROOT / "docs/evidence/teaching.md").read_text("utf-8")

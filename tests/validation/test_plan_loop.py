@@ -1,4 +1,4 @@
-"""The planned loop: its cases, the plan as the simulator flies it, and its counts."""
+"""The planned loop: the plan as the simulator flies it, and its counts."""
 
 import numpy as np
 
@@ -6,16 +6,7 @@ from inclined_landing.eval.gap.plan import pieces
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import plan_loop, simulator
-from tests.validation.gap_blind.causes import FREE_FLIGHT
 from tests.validation.simulator import control
-
-
-def test_causes_take_turns_and_sizes_with_them():
-    turn = len(FREE_FLIGHT)
-    some = [plan_loop.drawn(seed) for seed in (1, 2, turn + 1, 2 * turn + 1)]
-    first, second = list(FREE_FLIGHT)[:2]
-    assert [case.causes[0] for case in some] == [first, second, first, first]
-    assert [case.size for case in some] == ["weak", "weak", "medium", "strong"]
 
 
 def test_the_simulator_flies_a_plan_where_it_leads():
