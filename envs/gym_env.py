@@ -17,10 +17,10 @@ and of the single environment, the only one that renders:
 
 | option | default | meaning |
 |---|---|---|
-| `render_mode` | None | "rgb_array": `render` returns images; "human": MuJoCo's viewer, in real time |
+| `render_mode` | None | "rgb_array": `render` returns images |
 | `width`, `height` | 640, 480 | size of the picture in pixels |
 | `camera` | "arena" | viewpoint; "arena" shows the whole arena |
-| `render_backend` | "auto" | "ray", "gl", or "auto": OpenGL if it runs on hardware |
+| `render_backend` | "ray" | "ray" casts rays on the processor, "gl" is OpenGL |
 
 and of the vector environment:
 
@@ -34,8 +34,8 @@ and of the vector environment:
 vehicle of the vector environment has its own seed, and starts like a single environment with that seed. Other
 names, types and sizes raise a UserError, a ValueError with a message of one sentence.
 
-`copy.deepcopy` and pickle return an environment that continues identically, with its own window. A forked
-process can continue to use an environment of its parent, except for windows and OpenGL (`render_backend`).
+`copy.deepcopy` and pickle return an environment that continues identically. A forked process can continue to
+use an environment of its parent, except for OpenGL (`render_backend`).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from inclined_landing.models.base.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
 _RESET = ("state", "reset_mask")  # options of the vector environment's reset
-_METADATA: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
 
 def _seeds(seed, n: int) -> list[int | None] | None:
@@ -70,10 +70,7 @@ def _seeds(seed, n: int) -> list[int | None] | None:
 
 
 class TaskEnv(gym.Env):
-    """Gymnasium environment of one vehicle on one task.
-
-    Its `metadata` lists the render modes of this machine: "human" only if there is a display.
-    """
+    """Gymnasium environment of one vehicle on one task."""
 
     metadata = _METADATA
     task_name: str
@@ -88,23 +85,15 @@ class TaskEnv(gym.Env):
         width: int = 640,
         height: int = 480,
         camera: str = "arena",
-        render_backend: str = "auto",
+        render_backend: str = "ray",
         **task_options,
     ):
-        modes = _METADATA["render_modes"]
-        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in modes)):
-            raise UserError(
-                f"render_mode must be 'human', 'rgb_array' or None, not {shown(repr(render_mode), 40)}"
-            )
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode == "rgb_array")):
+            raise UserError(f"render_mode must be 'rgb_array' or None, not {shown(repr(render_mode), 40)}")
         if render_mode == "rgb_array":
             from inclined_landing.envs.rendering import check_picture_options
 
             check_picture_options(width, height, camera, render_backend)
-        from inclined_landing.envs.rendering.window import check_display, headless
-
-        if render_mode == "human":
-            check_display()
-        self.metadata = _METADATA | {"render_modes": modes[1:] if headless() else modes}
         self.batch = make_batch(
             self.task_name, 1, plant=plant, plant_options=plant_options, vehicle=vehicle, **task_options
         )
@@ -115,7 +104,6 @@ class TaskEnv(gym.Env):
         self._picture: dict[str, Any] = {"width": width, "height": height, "camera": camera}
         self._backend = render_backend
         self._renderer: Any = None
-        self._window: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Return (observation, info) of a new episode, at random or from `options["state"]`."""
@@ -125,9 +113,7 @@ class TaskEnv(gym.Env):
         self.batch.draw_from(self.np_random)
         if state is not None:
             state = np.atleast_2d(as_floats(state, "the start state"))
-        observation = self.batch.reset(state=state)[0]
-        self._show(0.0)
-        return observation, {}
+        return self.batch.reset(state=state)[0], {}
 
     def step(self, action):
         """Return (observation, reward, terminated, truncated, info); see the class docstring."""
@@ -140,7 +126,6 @@ class TaskEnv(gym.Env):
             "is_success": bool(step.success[0]),
             "touched": bool(self.batch.touched[0]),
         }
-        self._show(self.batch.plant.control_period)
         return (
             step.observation[0],
             float(step.reward[0]),
@@ -154,44 +139,22 @@ class TaskEnv(gym.Env):
         self.batch.task.conditions = conditions
 
     def render(self) -> np.ndarray | None:
-        """Return the present scene as (height, width, 3) uint8; None without a render mode and in "human"
-        mode, whose window follows every step automatically.
-        """
-        if self.render_mode != "rgb_array":
+        """Return the present scene as (height, width, 3) uint8; None without a render mode."""
+        if self.render_mode is None:
             return None
         from inclined_landing.envs.rendering import make_renderer, pose_from_state
 
         if self._renderer is None:
             self._renderer = make_renderer(vehicle=self.task.vehicle, backend=self._backend, **self._picture)
         plant = self.batch.plant
-        return self._renderer.render(
-            pose_from_state(plant.state[0], self._platform, has_base=plant.motion is None)
-        )
-
-    @property
-    def _platform(self) -> np.ndarray | None:
-        """State (12,) of the platform, see `Plant.platform`; None without one."""
-        plant = self.batch.plant
-        return plant.platform[0].copy() if plant.present[0] else None
-
-    def _show(self, seconds: float) -> None:
-        """Show the present state in the window, if there is one, `seconds` after the previous state."""
-        if self.render_mode != "human":
-            return
-        if self._window is None:
-            from inclined_landing.envs.rendering.window import Window
-
-            self._window = Window(self.task.vehicle)
-        self._window.show(self.batch.plant.state[0], self.batch.commands[0], self._platform, seconds=seconds)
+        platform = plant.platform[0].copy() if plant.present[0] else None
+        return self._renderer.render(pose_from_state(plant.state[0], platform, has_base=plant.motion is None))
 
     def __getstate__(self) -> dict:
         """Return the state that a copy shares with this environment, without its renderer."""
-        return self.__dict__ | {"_renderer": None, "_window": None}
+        return self.__dict__ | {"_renderer": None}
 
     def close(self) -> None:
-        if self._window is not None:
-            self._window.close()
-            self._window = None
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

@@ -14,7 +14,7 @@ import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 
-from inclined_landing.envs.shared.command_line import bound, completion, exit_code, parse, shell_of, versions
+from inclined_landing.envs.shared.command_line import bound, exit_code, parse, versions
 from inclined_landing.models.base.errors import UserError
 
 # Command: the package it is in, and the first line of its docstring.
@@ -119,9 +119,6 @@ def _run(words: list[str]) -> int | None:
     if name == "--version":
         print(versions("landing-eval"))
         return 0
-    if name.partition("=")[0] == "--print-completion":
-        print(completion(shell_of(words), "landing-eval", {name: find(name) for name in COMMANDS}), end="")
-        return 0
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         wrong = f"unknown command {name!r}" if name else "no command"
@@ -140,7 +137,6 @@ def _help() -> str:
         [
             *lines,
             "",
-            "landing-eval COMMAND --help lists the options. --version prints the versions;",
-            "--print-completion bash, zsh or fish prints a completion script.",
+            "landing-eval COMMAND --help lists the options. --version prints the versions.",
         ]
     )

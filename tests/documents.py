@@ -139,7 +139,7 @@ def _target(program: str, rest: list[str]):
     """What the words of a command are parsed into; None for those of a program itself (--help, --version)."""
     if program == "tests.validation":
         return bound(validation.find(rest[0]))
-    if rest and rest[0] in ("--version", "--print-completion"):  # of either program
+    if rest and rest[0] in ("--version",):  # of either program
         return None
     if program == "landing-train" and rest[:1] == ["sweep"]:
         return bound(sweep)

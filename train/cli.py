@@ -41,12 +41,6 @@ def _train(arguments: list[str]) -> int:
         return command_line.parse(command_line.bound(command), "landing-train sweep", arguments[1:])()
     from inclined_landing.train.config import TrainConfig, flag_of
 
-    if arguments and arguments[0].partition("=")[0] == "--print-completion":
-        print(
-            command_line.completion(command_line.shell_of(arguments), "landing-train", {"": TrainConfig}),
-            end="",
-        )
-        return 0
     if any(word in ("-h", "--help", "--help-all") for word in arguments):
         print(help_page("--help-all" in arguments))
         return 0

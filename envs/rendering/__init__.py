@@ -4,12 +4,10 @@
     frame = renderer.render(data, trail=states, ghosts=[goal], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
-own renderer. "auto" uses OpenGL if it runs on hardware, rays otherwise.
+own renderer.
 """
 
 from __future__ import annotations
-
-import contextlib
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from inclined_landing.envs.rendering.pose import Ghost, Pose, pose_from_state, q
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.vehicle import Vehicle
 
-BACKENDS = ("auto", "gl", "ray")
+BACKENDS = ("ray", "gl")
 CAMERAS = ("arena", "side", "hero", "pad", "track", "chase", "closeup", "onboard")
 
 __all__ = [
@@ -55,7 +53,7 @@ def make_renderer(
     width: int = 640,
     height: int = 480,
     camera: str | View = "arena",
-    backend: str = "auto",
+    backend: str = "ray",
     *,
     vehicle: Vehicle | None = None,
     scale: float | None = None,
@@ -68,14 +66,10 @@ def make_renderer(
     for "gl" if OpenGL is missing.
     """
     check_picture_options(width, height, camera, backend)
-    if backend != "ray":
-        from inclined_landing.envs.rendering.gl import GLRenderer, probe
+    if backend == "gl":
+        from inclined_landing.envs.rendering.gl import GLRenderer
 
-        if backend == "gl":
-            return GLRenderer(vehicle, width, height, camera, scale)
-        if not isinstance(camera, View) and probe().hardware:
-            with contextlib.suppress(UserError):  # a device that does not start, or not after a fork
-                return GLRenderer(vehicle, width, height, camera, scale)
+        return GLRenderer(vehicle, width, height, camera, scale)
     from inclined_landing.envs.rendering.ray import RayRenderer
 
     return RayRenderer(vehicle, width, height, camera, scale)

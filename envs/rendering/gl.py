@@ -1,4 +1,4 @@
-"""MuJoCo's own OpenGL renderer, used only after a probe for OpenGL.
+"""MuJoCo's own OpenGL renderer, used only after a search for OpenGL.
 
 Without OpenGL MuJoCo 4.0 raises at the first renderer and aborts the process at the second. The libraries are
 therefore searched with ctypes first; nothing here runs at import and no environment variable of MuJoCo is
@@ -7,9 +7,8 @@ set. In a forked process whose parent has used OpenGL, the next call would hang,
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import dataclasses
-import functools
 import os
 from typing import Any, cast
 
@@ -31,7 +30,6 @@ _LOST = (
     "OpenGL does not work in a process forked from one that has used it; start the process with 'spawn', or "
     "use backend='ray'"
 )
-_EGL_PLATFORM_DEVICE, _EGL_EXTENSIONS = 0x313F, 0x3055
 _MAX_GEOMS = 20000
 _process: int | None = None  # that used OpenGL first
 
@@ -41,77 +39,33 @@ def lost() -> bool:
     return _process not in (None, os.getpid())
 
 
-@dataclasses.dataclass(frozen=True)
-class Probe:
-    """OpenGL on this machine: kind "egl", "osmesa" or "" (none), on hardware or not."""
-
-    kind: str
-    hardware: bool
-    missing: str
-
-
-def _library(*names: str) -> ctypes.CDLL | None:
+def _loads(*names: str) -> bool:
+    """Return whether one of these libraries loads."""
     for name in names:
-        try:
-            return ctypes.CDLL(name)
-        except OSError:
-            continue
-    return None
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
 
 
-def _egl_devices(egl: ctypes.CDLL) -> list[bool]:
-    """Return one entry per EGL device that initialises: True for hardware."""
-    egl.eglGetProcAddress.restype = ctypes.c_void_p
-    egl.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-    kinds = {
-        "eglQueryDevicesEXT": (ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p),
-        "eglGetPlatformDisplayEXT": (
-            ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p,
-        ),
-        "eglQueryDeviceStringEXT": (ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int),
-    }  # fmt: skip
-    calls = {}
-    for name, kind in kinds.items():
-        address = egl.eglGetProcAddress(name.encode())
-        if not address:
-            return []
-        calls[name] = ctypes.CFUNCTYPE(*kind)(address)
-    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
-    if not calls["eglQueryDevicesEXT"](16, devices, ctypes.byref(count)):
-        return []
-    found = []
-    for device in devices[: count.value]:
-        display = calls["eglGetPlatformDisplayEXT"](_EGL_PLATFORM_DEVICE, device, None)
-        # never terminated: a display is shared with every other user in the process
-        if display and egl.eglInitialize(display, None, None):
-            extensions = calls["eglQueryDeviceStringEXT"](device, _EGL_EXTENSIONS) or b""
-            found.append(b"EGL_MESA_device_software" not in extensions)
-    return found
-
-
-@functools.cache
-def probe() -> Probe:
-    """Return the available OpenGL without loading that of MuJoCo: EGL first, then OSMesa.
+def _kind() -> str:
+    """Return "egl" or "osmesa", whose libraries are there; raises UserError, with the remedy, for neither.
 
     If PYOPENGL_PLATFORM is set, as after MuJoCo has loaded the OpenGL of MUJOCO_GL, no other is available.
     """
     wanted, missing = os.environ.get("PYOPENGL_PLATFORM", "").lower(), []
-    if wanted in ("", "egl"):
-        egl, gl = _library("libEGL.so.1"), _library("libOpenGL.so.0", "libGL.so.1")
-        if egl is None:
-            missing.append("libEGL")
-        if gl is None:
-            missing.append("libGL")
-        if egl is not None and gl is not None:
-            devices = _egl_devices(egl)
-            if devices:
-                return Probe("egl", any(devices), "")
-            missing.append("an EGL device")
-    if wanted in ("", "osmesa"):
-        if _library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so") is not None:
-            return Probe("osmesa", False, "")
-        missing.append("libOSMesa")
-    return Probe("", False, " and ".join(missing) or "an off-screen OpenGL that PYOPENGL_PLATFORM allows")
+    needed = {
+        "egl": {"libEGL": ("libEGL.so.1",), "libGL": ("libOpenGL.so.0", "libGL.so.1")},
+        "osmesa": {"libOSMesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")},
+    }
+    for kind, libraries in needed.items():
+        if wanted in ("", kind):
+            absent = [library for library, names in libraries.items() if not _loads(*names)]
+            if not absent:
+                return kind
+            missing += absent
+    which = " and ".join(missing) or "an off-screen OpenGL that PYOPENGL_PLATFORM allows"
+    raise UserError(f"no OpenGL rendering, because {which} is missing: {_REMEDY}.")
 
 
 def _context(width: int, height: int):
@@ -119,11 +73,9 @@ def _context(width: int, height: int):
     global _process
     if lost():
         raise UserError(_LOST)
-    found = probe()
-    if not found.kind:
-        raise UserError(f"no OpenGL rendering, because {found.missing} is missing: {_REMEDY}.")
+    kind = _kind()
     try:
-        if found.kind == "egl":
+        if kind == "egl":
             from mujoco.egl import GLContext
         else:
             from mujoco.osmesa import GLContext

@@ -30,7 +30,6 @@ from typing import Any, Literal, TextIO, get_args, get_origin
 from inclined_landing.models.base import imports
 from inclined_landing.models.base.errors import UserError, not_installed, shown
 
-SHELLS = ("bash", "zsh", "fish")
 # New objects until Python looks for cycles among them. Imports make 300 000 that stay: at the usual 700 a
 # fifth of the time of importing goes into looking through them over and over.
 _YOUNG = 20_000
@@ -201,30 +200,6 @@ def _wrapped_helps(page: str, width: int) -> str:
 def _text(row: str, column: int) -> str:
     """Return the text of a row in the column of help texts; "" if it has none."""
     return row[column:] if row[column - 2 : column].isspace() else ""
-
-
-def completion(shell: str, prog: str, targets: Mapping[str, Callable]) -> str:
-    """Return tyro's script that completes a command line.
-
-    targets: by command; only "" for a program without commands. Raises UserError for an unknown shell.
-    """
-    import tyro
-
-    if shell not in SHELLS:
-        raise UserError(f"--print-completion takes one of {', '.join(SHELLS)}, not {shown(shell, 40)!r}")
-    script, arguments = io.StringIO(), ["--tyro-print-completion", shell]
-    with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
-        if "" in targets:
-            tyro.cli(targets[""], prog=prog, args=arguments, config=_config())
-        else:
-            tyro.extras.subcommand_cli_from_dict(dict(targets), prog=prog, args=arguments, config=_config())
-    return script.getvalue()
-
-
-def shell_of(arguments: Sequence[str]) -> str:
-    """Return SHELL of `--print-completion SHELL` or `--print-completion=SHELL`; "" if it is not given."""
-    _, _, joined = arguments[0].partition("=")
-    return joined or " ".join(arguments[1:2])
 
 
 def versions(prog: str) -> str:

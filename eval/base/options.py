@@ -97,7 +97,7 @@ class Look:
         camera: viewpoint. video and picture also know flight, which frames the entire flight.
         width: width of the picture in pixels.
         height: height of the picture in pixels.
-        backend: gl is OpenGL, ray is ray casting, auto is OpenGL if it runs on hardware.
+        backend: ray casts rays on the processor, gl is OpenGL.
     """
 
     camera: Annotated[str, tyro.conf.arg(metavar="{arena,side,hero,pad,track,chase,closeup,onboard}")] = (
@@ -105,7 +105,7 @@ class Look:
     )
     width: Pixels = 1280
     height: Pixels = 720
-    backend: Annotated[str, tyro.conf.arg(metavar="{auto,ray,gl}")] = "auto"
+    backend: Annotated[str, tyro.conf.arg(metavar="{ray,gl}")] = "ray"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -122,13 +122,10 @@ def _simulation() -> tuple[bool, str]:
 def _rendering() -> tuple[bool, str]:
     """Return how pictures are rendered; ray casting needs only MuJoCo."""
     from inclined_landing.envs.rendering import make_renderer
-    from inclined_landing.envs.rendering.gl import probe
 
-    if probe().hardware:
-        return True, "backend auto: OpenGL on hardware"
-    with make_renderer(64, 48, backend="ray") as renderer:
+    with make_renderer(64, 48) as renderer:
         renderer.render(None)
-    return True, "backend auto: ray casting on the processor"
+    return True, "ray casting on the processor"
 
 
 def _video() -> tuple[bool, str]:

@@ -125,7 +125,7 @@ def render_flight(
     camera: str | View = "arena",
     width: int = 640,
     height: int = 480,
-    backend: str = "auto",
+    backend: str = "ray",
     fps: float = FPS,
     slow: float = 1.0,
     title: str | None = None,
@@ -173,7 +173,7 @@ def strobe(
     width: int = 1280,
     height: int = 720,
     copies: int = 10,
-    backend: str = "auto",
+    backend: str = "ray",
     renderer: Any = None,
 ) -> np.ndarray:
     """Return one picture of a whole flight, with copies of the vehicle along its path and a solid last one.

@@ -56,16 +56,11 @@ def vec_env(n=3, task="landing", plant="analytic", seed=0, **options) -> BatchVe
 # --- Gymnasium, one vehicle --------------------------------------------------------------------------
 
 
-def test_an_environment_is_shown_to_people_only_where_there_is_a_display(task, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
+def test_both_checkers_pass(task):
     env = gym.make(IDS[task], **{name: PICTURE[name] for name in ("width", "height", "render_backend")})
     assert env.observation_space.shape == (SIZES[task][0],) and env.action_space.shape == (SIZES[task][1],)
     assert env.metadata["render_modes"] == ["rgb_array"]
     gymnasium_check(env.unwrapped)  # tries all render modes of its metadata
-    monkeypatch.setenv("DISPLAY", ":0")
-    assert gym.make(IDS[task], plant="analytic").metadata["render_modes"] == ["human", "rgb_array"]
 
 
 @pytest.mark.parametrize("kind", [InclinedLandingEnv, SetpointEnv])
@@ -94,7 +89,7 @@ def test_every_task_has_its_environments_and_its_manual():
 
 
 def test_other_render_modes_are_refused():
-    with pytest.raises(UserError, match="render_mode must be 'human', 'rgb_array' or None, not 'ansi'"):
+    with pytest.raises(UserError, match="render_mode must be 'rgb_array' or None, not 'ansi'"):
         InclinedLandingEnv(render_mode="ansi")
     with pytest.raises(UserError, match="the vector environment does not render"):
         gym.make_vec(IDS["landing"], num_envs=2, render_mode="rgb_array")

@@ -109,7 +109,6 @@ def test_a_sentence_says_what_came_out(line, outcome, tmp_path, monkeypatch, cap
 
 
 def test_every_command_has_its_line():
-    """But view, which needs a display."""
     assert {line.split()[0] for line in QUICK | LONG} == set(COMMANDS) | {"train"}
 
 

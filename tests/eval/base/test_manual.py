@@ -77,19 +77,6 @@ def test_versions_of_both_programs(capsys):
     assert [re.fullmatch(form, line)[1] for line in lines] == ["landing-eval", "landing-train"]
 
 
-# ---- completion
-
-
-def test_what_is_asked_for_is_printed_and_another_shell_refused(capsys):
-    for words in (["--print-completion", "bash"], ["--print-completion=bash"]):
-        assert train(words) == 0
-        assert re.search("^complete .* landing-train$", capsys.readouterr().out, re.MULTILINE)
-    for words in (["--print-completion", "tcsh"], ["--print-completion"]):
-        assert train(words) == 2
-        printed = capsys.readouterr()
-        assert printed.out == "" and "takes one of bash, zsh, fish, not" in printed.err
-
-
 # ---- demo
 
 
