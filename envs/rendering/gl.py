@@ -54,7 +54,7 @@ def _kind() -> str:
     If PYOPENGL_PLATFORM is set, as after MuJoCo has loaded the OpenGL of MUJOCO_GL, no other is available.
     """
     wanted, missing = os.environ.get("PYOPENGL_PLATFORM", "").lower(), []
-    needed = {
+    needed: dict[str, dict[str, tuple[str, ...]]] = {
         "egl": {"libEGL": ("libEGL.so.1",), "libGL": ("libOpenGL.so.0", "libGL.so.1")},
         "osmesa": {"libOSMesa": ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")},
     }
