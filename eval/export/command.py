@@ -55,7 +55,7 @@ def command(
     if format == "c" and 4 * terms["cost"]["constants"] > c_source.SMALL:
         say(f"its constants take {4 * terms['cost']['constants']} bytes of flash in addition to the firmware")
     say(
-        f"The policy {loaded.name} is exported as {format}; {out / 'contract.md'} describes its inputs and "
+        f"The policy {loaded.name} is exported as {format}; {out / 'contract.json'} describes its inputs and "
         "outputs."
     )
 
@@ -80,7 +80,6 @@ def write(policy: Policy, format: str, out: str | Path) -> dict:
         importlib.import_module(FORMATS[format]).write(folder, policy.task, network, terms, tested)
         storage.write_json(folder / "vectors.json", tested.table())
         storage.write_json(folder / "contract.json", terms)
-        storage.write_text(folder / "contract.md", contract.to_markdown(terms))
     return terms
 
 

@@ -1,7 +1,6 @@
 """The contract of an export: the meaning of each input and output, and the origin of the policy.
 
-`contract.json` is made from the task, the policy and its metadata; `contract.schema.json` is its schema, and
-`to_markdown` returns the same as readable text.
+`contract.json` is made from the task, the policy and its metadata; `contract.schema.json` is its schema.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import COLUMNS
 from inclined_landing.eval.export.network import ExportNetwork
-from inclined_landing.eval.export.templates import render
 from inclined_landing.eval.export.vectors import TOLERANCE
 from inclined_landing.models.attitude import COMMAND_NAMES, COMMAND_UNITS, STATE_UNITS
 from inclined_landing.models.base import storage
@@ -117,20 +115,13 @@ def describe(policy: Policy, network: ExportNetwork) -> dict:
                 "onnx": "every action of that row is NaN",
             },
         },
-        "cost": network.cost(),
+        "cost": {"constants": network.numbers},
         "versions": runs.packages(),
         "licence": {
             "spdx": importlib.metadata.metadata("inclined-landing")["License-Expression"],
             "of": "the exported code; a policy you trained is yours",
         },
     }
-
-
-def to_markdown(contract: dict) -> str:
-    """Return the contract as readable Markdown."""
-    entry = contract["input"]
-    names = list(zip(entry["names"], entry["centre"], entry["scale"]))
-    return render("contract.md.j2", names=names, **contract)
 
 
 def _task(task: Task) -> dict:

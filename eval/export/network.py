@@ -1,17 +1,4 @@
-"""The float32 network of a policy that every export contains, and the cost of one action.
-
-The estimated times count the instructions of the loops of the C export as arm-none-eabi-gcc 12 -Os compiles
-them for a Cortex-M4F, each with the cycles of Arm's reference manual (DDI 0439D, tables 3-1 and 7-1). They
-were not measured on a vehicle, where interrupts and other tasks also take time.
-
-One product of `dense`, of four at once: half a cycle for x (vldmia, 2), 2 for the weight (vldr), 3 for the
-product and sum (vfma), 1 to 1.5 for counting and branching (4 to 6): 6.5 to 7. Waiting for the weight adds up
-to 1; and at 168 MHz a line of four weights comes from flash after five wait states, 1.25 cycles each, if
-nothing is prefetched: 9.25 at most.
-
-One tanh of `activate`: 3 divisions of 14, 6 fused sums of 3, 29 other cycles, 89 with a branch of three;
-without waiting, 80.
-"""
+"""The float32 network of a policy that every export contains."""
 
 from __future__ import annotations
 
@@ -23,12 +10,6 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.models.base.errors import UserError
 
 _SMALLEST = float(np.finfo(np.float32).tiny)
-_CLOCK = 168e6  # Hz, of the STM32F405 in a Crazyflie 2.1
-_PRODUCT = (6.5, 9.25)  # cycles, at least and at most
-_TANH = (80.0, 90.0)
-_RELU = (8.0, 12.0)
-_INPUT = (20.0, 30.0)  # division by the scale, clip, check: 14 and some
-_TANH_OPERATIONS = 19  # additions, multiplications and divisions of one tanh
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,21 +60,3 @@ class ExportNetwork:
     def numbers(self) -> int:
         """Number of constants, four bytes each."""
         return 2 * self.inputs + sum(w.size + b.size for w, b in zip(self.weights, self.biases))
-
-    def cost(self) -> dict:
-        """Return the cost of one action for the contract: operation counts and estimated times."""
-        products = sum(w.size for w in self.weights)
-        hidden, last = sum(self.sizes[:-1]), self.sizes[-1] * self.squashed
-        tanh = self.activation == "Tanh"
-        low, high = (
-            product * products + each * hidden + end * last + scaled * self.inputs
-            for product, each, end, scaled in zip(_PRODUCT, _TANH if tanh else _RELU, _TANH, _INPUT)
-        )
-        operations = 2 * (products + self.inputs) + _TANH_OPERATIONS * last
-        return {
-            "constants": self.numbers,
-            "multiply_adds": products,
-            "activations": hidden + last,
-            "floating_point_operations": operations + (_TANH_OPERATIONS if tanh else 1) * hidden,
-            "stm32f405_estimate_us": [round(1e6 * cycles / _CLOCK) for cycles in (low, high)],
-        }

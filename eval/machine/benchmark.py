@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from inclined_landing.envs.shared import runs
+from inclined_landing.envs.shared.measures import Measure, median
 from inclined_landing.eval.base.options import Flag, NewFolder, Seed
 from inclined_landing.models.base.errors import UserError
 
 if TYPE_CHECKING:
     from inclined_landing.envs.policy import Policy
     from inclined_landing.envs.sb3 import BatchVecEnv
+    from inclined_landing.eval.study.engine import Results
 
 VEHICLES = 256
 _PLANTS = {
@@ -32,6 +35,30 @@ _ACTIONS = 2000  # that are timed one by one
 _TRAINING_STEPS = 100_000
 
 
+def middle(values: np.ndarray) -> dict[str, Any]:
+    """Return the median with the range."""
+    found = median(values)
+    return found | {"low": found["min"], "high": found["max"]}
+
+
+RATE = Measure(
+    name="steps_per_second",
+    title="steps per second",
+    statistic=middle,
+    unit="1/s",
+    digits=0,
+    note="median (smallest to largest); a step includes task, reward and resets",
+)
+ACTION = Measure(name="action_us", title="one action", statistic=middle, unit="us", shown_unit="us", digits=1)
+TRAINING = Measure(
+    name="training_steps_per_second",
+    title="steps per second of training",
+    statistic=middle,
+    unit="1/s",
+    digits=0,
+)
+
+
 def command(
     *,
     seed: Seed = 0,
@@ -43,21 +70,37 @@ def command(
     Args:
         seed: seed for actions and training.
         json: print only JSON on standard output.
-        out: new folder for benchmark.json.
+        out: new folder for benchmark.json and a page.
     """
+    import pandas as pd
+
     from inclined_landing.envs.policy import load_policy
-    from inclined_landing.envs.shared.runs import hand_over, versions
+    from inclined_landing.eval.study import engine
+    from inclined_landing.eval.study.show import hand_over
 
-    report: dict[str, Any] = {"command": "benchmark", "seed": seed, "versions": versions()}
-    report["load_before"] = os.getloadavg()
-    report["environments"] = step_rates(_REPEATS, seed)
-    report["action_us"] = action_times(load_policy("landing"), _ACTIONS, seed)
-    report["training_steps_per_second"] = training_rate(_TRAINING_STEPS, seed)
-    report["load_after"] = os.getloadavg()
-    hand_over(report, _show, json, out)
+    before = os.getloadavg()[0]
+    measured = [
+        *({"plant": name, RATE.name: x} for name, rates in step_rates(_REPEATS, seed).items() for x in rates),
+        *({ACTION.name: x} for x in action_times(load_policy("landing"), _ACTIONS, seed)),
+        {TRAINING.name: training_rate(_TRAINING_STEPS, seed)},
+    ]
+    loads = {"before": before, "after": os.getloadavg()[0]}
+    study = engine.Study(
+        name="benchmark",
+        title=f"Speed on this machine, {VEHICLES} vehicles",
+        cases=(),
+        views=[
+            engine.View(("plant",), (RATE,), "control steps, by plant", across=True),
+            engine.View((), (ACTION, TRAINING), "actions and training", across=True),
+        ],
+        remarks=_remarks,
+        series="plant",
+        facts=[engine.fact("load of this machine", name, load) for name, load in loads.items()],
+    )
+    hand_over("benchmark", [engine.count(study, pd.DataFrame(measured))], json=json, out=out)
 
 
-def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
+def step_rates(repeats: int, seed: int) -> dict[str, list[float]]:
     """Return control steps per second of 256 vehicles under random actions, for each plant.
 
     A step is one of `BatchVecEnv`, including task, reward, resets and episode statistics. The plants are
@@ -65,7 +108,6 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
     """
     from inclined_landing.envs.batch import BatchEnv
     from inclined_landing.envs.sb3 import BatchVecEnv
-    from inclined_landing.envs.shared.statistics import spread
     from inclined_landing.envs.tasks import make_task
     from inclined_landing.models.plants import make_plant
 
@@ -86,23 +128,18 @@ def step_rates(repeats: int, seed: int) -> list[dict[str, Any]]:
                 environment.step(action)
             if repeat >= 2:  # the first blocks compile and warm up
                 rates[label].append(_BLOCK * VEHICLES / (time.perf_counter() - began))
-    return [
-        {"plant": label, "vehicles": VEHICLES, "steps_per_second": spread(rate)}
-        for label, rate in rates.items()
-    ]
+    return rates
 
 
-def action_times(policy: Policy, repeats: int, seed: int) -> dict[str, Any]:
-    """Return the microseconds that a policy takes for one action."""
-    from inclined_landing.envs.shared.statistics import spread
-
+def action_times(policy: Policy, repeats: int, seed: int) -> list[float]:
+    """Return the microseconds that a policy takes for each of some actions."""
     rows = np.random.default_rng(seed).normal(size=(repeats + 10, len(policy.centre))).astype(np.float32)
     microseconds = []
     for row in rows:
         began = time.perf_counter()
         policy.predict(row)
         microseconds.append(1e6 * (time.perf_counter() - began))
-    return spread(microseconds[10:])
+    return microseconds[10:]
 
 
 def training_rate(steps: int, seed: int) -> float:
@@ -122,23 +159,12 @@ def training_rate(steps: int, seed: int) -> float:
         return float(storage.read_json(Path(folder, "run", "metrics.json"), "metrics")["steps_per_second"])
 
 
-def _show(report: dict[str, Any]) -> None:
-    from inclined_landing.envs.shared.tables import new_table, say, show_table
-
-    rows, machine = report["environments"], report["versions"]
-    loads = report["load_before"][0], report["load_after"][0]
-    say(
-        f"{machine['cpu']}, {machine['cores']} cores, load {loads[0]:.1f} before and {loads[1]:.1f} after; "
-        f"Python {machine['python']}, MuJoCo {machine['mujoco']}, torch {machine['torch']}; "
-        f"seed {report['seed']}. Median (smallest to largest)."
-    )
-    table = new_table(f"Control steps per second, {VEHICLES} vehicles", "plant", "steps per second")
-    for row in rows:
-        rate = "{median:,.0f} ({min:,.0f} to {max:,.0f})".format(**row["steps_per_second"])
-        table.add_row(row["plant"], rate)
-    show_table(table)
-    say(
-        f"This machine simulates {rows[0]['steps_per_second']['median']:,.0f} control steps per second "
-        f"({rows[0]['plant']}), takes {report['action_us']['median']:.0f} us for an action, "
-        f"and trains at {report['training_steps_per_second']:,.0f} steps per second."
-    )
+def _remarks(results: Results) -> list[str]:
+    machine, first = runs.versions(), next(iter(_PLANTS))
+    loads = [f"{row['value']:.1f} {row['name']}" for row in results.study.facts]
+    rate, action, training = map(results.one, (RATE, ACTION, TRAINING))
+    return [
+        f"{machine['cpu']}, {machine['cores']} cores, load {' and '.join(loads)}.",
+        f"This machine simulates {rate['value']:,.0f} control steps per second ({first}), takes "
+        f"{action['value']:.0f} us for an action, and trains at {training['value']:,.0f} steps per second.",
+    ]

@@ -1,9 +1,8 @@
-"""Films of flights, one after the other or side by side."""
+"""Films of flights, one after the other."""
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -40,36 +39,6 @@ def film(
 
     total = sum(round(flight.t[-1] * sampled) + 1 + rest for flight in flights)
     return frames(), total, sampled / slow
-
-
-def film_side_by_side(
-    takes: Sequence[Sequence[Flight]], titles: Sequence[str], sampled: float, slow: float, **look: Any
-) -> tuple[Iterator[np.ndarray], int, float]:
-    """Return the same for flights side by side, one per title; the last frame of shorter flights is held."""
-    columns = math.ceil(math.sqrt(len(titles)))
-    lines = math.ceil(len(titles) / columns)
-    tile = look | {"width": look["width"] // columns // 2 * 2, "height": look["height"] // lines // 2 * 2}
-    rest = round(_REST * sampled / slow)
-    lengths = [1 + max(round(flight.t[-1] * sampled) for flight in take) for take in takes]
-
-    def frames():
-        for take, length in zip(takes, lengths):
-            films = [
-                render_flight(flight, fps=sampled, slow=slow, title=title, **tile)
-                for flight, title in zip(take, titles)
-            ]
-            seen = [next(each) for each in films]
-            seen += [np.full_like(seen[0], 255)] * (columns * lines - len(seen))
-            for _ in range(length):
-                picture = [
-                    np.concatenate(seen[k : k + columns], axis=1) for k in range(0, len(seen), columns)
-                ]
-                picture = np.concatenate(picture)
-                yield picture
-                seen[: len(films)] = [next(each, last) for each, last in zip(films, seen)]
-            yield from itertools.repeat(picture, rest)
-
-    return frames(), sum(lengths) + rest * len(lengths), sampled / slow
 
 
 def write(files: Mapping[Path, int], frames: Iterator[np.ndarray], total: int, rate: float) -> None:

@@ -128,14 +128,12 @@ def render_flight(
     backend: str = "ray",
     fps: float = FPS,
     slow: float = 1.0,
-    title: str | None = None,
     renderer: Any = None,
 ) -> Iterator[np.ndarray]:
     """Yield frames (height, width, 3) uint8, `fps` of them per second of flight.
 
-    slow: slow-down factor, stated by a label in the picture; other labels state the end of the flight and its
-    title, if it has one. renderer: draw with this one, made for the same look, and leave it open, so that its
-    background is reused.
+    slow: slow-down factor, stated by a label in the picture; other labels state the end of the flight.
+    renderer: draw with this one, made for the same look, and leave it open, so that its background is reused.
     """
     times = np.arange(flight.t[0], flight.t[-1] + 0.5 / fps, 1.0 / fps)
     frames = np.minimum(np.searchsorted(flight.t, times - 1e-9), len(flight.t) - 1)
@@ -154,8 +152,7 @@ def render_flight(
                 ghosts=[] if close else ghosts[k],
                 caption=caption(flight, k),
             )
-            title_label: list[Label] = [] if title is None else [(title, None)]
-            draw_labels(frame, title_label + speed_label(slow) + labels_of(flight, k))
+            draw_labels(frame, speed_label(slow) + labels_of(flight, k))
             yield frame
 
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-from pathlib import Path
 from typing import Annotated
 
-import tyro
 from msgspec import Meta
 
 from inclined_landing.eval.base.options import (
@@ -31,7 +28,6 @@ from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
 GIF_FPS = 25.0  # players slow down faster ones
-Compare = Annotated[tuple[str, ...], tyro.conf.arg(metavar="VEHICLE [VEHICLE ...]")]
 _GIF = Only(lambda values: values["out"].suffix.lower() != ".gif", "with a .gif file in --out")
 
 
@@ -41,13 +37,12 @@ def command(
     *,
     out: File,
     start: Starts = (),
-    drawn: Annotated[Drawn, only_without("start"), only_without("compare")] = 0,
+    drawn: Annotated[Drawn, only_without("start")] = 0,
     seed: Annotated[Seed, only_with("drawn")] = 0,
     look: Flat[Look] = Look(camera=FITTED, width=960, height=540),
     gif: Annotated[Flag, _GIF] = False,
     slow: Annotated[float, Meta(ge=0.1, le=20)] = 1.0,
     until: Until = "rest",
-    compare: Annotated[Compare, only_without("vehicle")] = (),
     flown: Flat[Flown] = Flown(),
 ) -> None:
     """Render a video of flights, one after the other.
@@ -62,14 +57,12 @@ def command(
         slow: slow-down factor; 2 plays at half speed, as a label in the picture states.
         until: end of a landing; goal stops with the policy's flight, rest continues with the motors cut,
             simulated in MuJoCo, until the vehicle is at rest.
-        compare: vehicle files, or names of shipped vehicles, flown by the same policy side by side.
     """
     from inclined_landing.envs.flights import record_flights
     from inclined_landing.eval.pictures import film
     from inclined_landing.eval.pictures.flights import (
         choose_starts,
         continue_flights,
-        fly_from,
         say_outcomes,
         start_points,
     )
@@ -82,22 +75,12 @@ def command(
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     look = checked_look(look)
     loaded = flown.load(policy)
-    others = {name: dataclasses.replace(flown, vehicle=Path(name)).load(policy) for name in compare}
     where = choose_starts(loaded.task, start_points(start, loaded.task), drawn, seed)
-    flights = [] if compare else record_flights(loaded, flown.plant, where)
+    flights = continue_flights(record_flights(loaded, flown.plant, where), until)
     shown = dataclasses.asdict(look)
     most = GIF_FPS if out.suffix.lower() == ".gif" else FPS
     sampled = min(FPS, most * slow)  # there are no more states
-    if compare:
-        rows = [
-            continue_flights(fly_from(other, start_points(start, other.task), flown.plant), until)
-            for other in others.values()
-        ]
-        flights = list(itertools.chain(*rows))
-        frames, total, rate = film.film_side_by_side(list(zip(*rows)), tuple(others), sampled, slow, **shown)
-    else:
-        flights = continue_flights(flights, until)
-        frames, total, rate = film.film(flights, sampled, slow, **shown)
+    frames, total, rate = film.film(flights, sampled, slow, **shown)
     files = {out: 1}
     if gif and out.suffix.lower() != ".gif":
         files[out.with_suffix(".gif")] = math.ceil(rate / GIF_FPS - 1e-9)

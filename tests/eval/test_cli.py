@@ -228,6 +228,3 @@ def test_doctor_names_the_remedy(monkeypatch, capsys):
     assert cli.main(["doctor"]) == 2
     text = " ".join(capsys.readouterr().out.split())
     assert "are not built" in text and "native plugins: run `make` in the repository" in text
-
-
-# ---- benchmark

@@ -38,8 +38,6 @@ REFUSED = [
       for option in ("ranges a", "draws 3", "starts 3", "seed 3", "scenario a", "flights 3")),
     "video landing --out a.gif --gif",
     "video landing --out a.mp4 --seed 3",
-    "video landing --out a.mp4 --vehicle a --compare b",
-    "video landing --out a.mp4 --compare a --drawn 3",
     "video landing --out a.mp4 --start 0,2 --drawn 3",
 ]  # fmt: skip
 

@@ -12,7 +12,6 @@ from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.starts import usual_starts
 from inclined_landing.eval.cli import main
-from inclined_landing.eval.pictures.film import film_side_by_side
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import render_flight, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
@@ -39,20 +38,6 @@ def test_frames_follow_the_clock():
     assert all(frame.shape == (120, 160, 3) and frame.dtype == np.uint8 for frame in frames)
     assert len(list(render_flight(flight(), fps=25, **options))) == 11
     assert (frames[0] != frames[-1]).any()
-
-
-def test_flights_beside_each_other_wait_for_the_longest():
-    takes = [(flight(0.2), flight(0.4), flight(0.1))]
-    frames, total, rate = film_side_by_side(
-        takes, ("a", "b", "c"), 50.0, 2.0, width=242, height=160, backend="ray"
-    )
-    frames = list(frames)
-    assert len(frames) == total == 21 + 25 and rate == 25.0  # a second of rest, shown at half the speed
-    assert all(frame.shape == (160, 240, 3) for frame in frames)
-    left, right = frames[10][:80, :120], frames[10][:80, 120:]
-    np.testing.assert_array_equal(left, frames[20][:80, :120])  # ended at 0.2 s
-    assert (right != frames[20][:80, 120:]).any()
-    assert (frames[0][80:, 120:] == 255).all()  # nothing in the fourth part
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
