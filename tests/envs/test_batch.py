@@ -141,31 +141,6 @@ def test_conditions_of_running_episodes_do_not_change():
     assert step.success.tolist() == [True, False]
 
 
-def test_records_can_be_restored():
-    env = build(3, plant="mujoco")
-    trajectory(env, 20)
-    records, plant, rng = env.episode_state(), env.plant.save(), env.rng.bit_generator.state
-    actions = np.random.default_rng(0).uniform(-1, 1, (30, 3, 2))
-
-    def go(env):
-        rows = []
-        for row in actions:
-            step = env.step(row)
-            rows += [step.observation, step.reward]
-            done = np.flatnonzero(step.terminated | step.truncated)
-            if len(done):
-                rows.append(env.reset(done))
-        return [*rows, env.length, env.total, env.touched]
-
-    first = [a.copy() for a in go(env)]
-    other = build(3, plant="mujoco", seed=9)
-    other.plant.restore(plant)
-    other.restore_episodes(records)
-    other.rng.bit_generator.state = rng
-    for x, y in zip(first, go(other), strict=True):
-        np.testing.assert_array_equal(x, y)
-
-
 def test_an_episode_taken_over_begins_where_the_vehicle_is():
     env = build(2, "touchdown", "mujoco")
     env.reset()

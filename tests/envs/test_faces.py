@@ -1,14 +1,11 @@
 """The faces of the environment: Gymnasium, its vector environment, and Stable-Baselines3."""
 
-import copy
-import pickle
 import sys
 import warnings
 
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from gymnasium.utils.env_checker import check_env as gymnasium_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
@@ -160,42 +157,6 @@ def test_wrong_resets_and_actions_are_one_sentence(task):
         single.step(["up", "down"])
     with pytest.raises(UserError, match="reward_scale must be a positive number"):
         vec_env(task=task, reward_scale=float("inf"))
-
-
-def test_tensors_are_actions_but_for_those_with_a_gradient(task):
-    zero = torch.zeros(SIZES[task][1])
-    for env, action in (
-        (gym.make(IDS[task], plant="analytic"), zero),
-        (make_vec(task=task), zero.expand(3, -1)),
-        (vec_env(task=task), zero.expand(3, -1)),
-    ):
-        env.reset()
-        env.step(action)
-        with pytest.raises(UserError, match=r"real numbers; convert a tensor with tensor\.detach\(\)"):
-            env.step(action.clone().requires_grad_())
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("plant", ["analytic", "mujoco"])
-def test_copies_of_environments_go_on_alike(plant, copied):
-    """Through the restarts of their episodes; a copy draws its own pictures."""
-    single = gym.make(IDS["landing"], plant=plant, history=2, **PICTURE)
-    for env, ones in (
-        (single, np.ones(2)),
-        (make_vec(plant=plant), np.ones((3, 2))),
-        (vec_env(plant=plant), np.ones((3, 2))),
-    ):
-        env.reset()
-        env.step(ones)
-        env.render() if env is single else None
-        other = copied(env)
-        np.testing.assert_array_equal(env.step(ones)[0], other.step(ones)[0])
-        first, second = env.reset(), other.reset()
-        np.testing.assert_array_equal(
-            *((first[0], second[0]) if isinstance(first, tuple) else (first, second))
-        )
-    np.testing.assert_array_equal(single.render(), copied(single).render())
-    single.close()
 
 
 # --- Gymnasium, many vehicles ------------------------------------------------------------------------

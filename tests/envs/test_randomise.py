@@ -85,6 +85,8 @@ def test_a_file_of_ranges(tmp_path):
     ("[rotor]\narm = [0.03, 0.04]", "rotor.arm cannot vary between vehicles"),
     ("[platform]\nwidth = [0.7, 0.8]", "platform.width cannot vary between vehicles"),
     ("[effects.mass]\nscale = [", "is not TOML"),
+    ("vehicles = ['hummingbird']", "vehicles must be a list of at least 2 entries, each text, not "),
+    ("vehicles = ['hummingbird', 'sparrow']", "vehicle file sparrow does not exist"),
 ])  # fmt: skip
 def test_wrong_files_are_refused(text, sentence, tmp_path):
     with pytest.raises(UserError, match=sentence) as refused:
@@ -282,29 +284,6 @@ def test_vehicles_between_named_ones_are_possible(tmp_path):
     np.testing.assert_allclose(arm, 0.0354 * (mass / 0.0393) ** power, rtol=1e-12)
     for vehicle in pool:  # and all else is the plant's
         assert vehicle.platform_width == V.platform_width and vehicle.command_pwm_range == V.command_pwm_range
-
-
-def test_the_shipped_row_of_vehicles_has_a_thrust_to_weight_that_quadrotors_have():
-    for seed in (0, 1):
-        pool = read_ranges("vehicles").draw(V, seed)
-        ratio = np.array([v.command_pwm_range[1] / v.hover_pwm for v in pool])
-        assert 1.5 < ratio.min() < 1.75 and 2.7 < ratio.max() < 4.0
-        # And attitude commands that reach into the goal box of the slope.
-        task = make_task("landing")
-        needed = abs(task.inclination) - task.goal_half_widths[4]
-        assert min(v.attitude_gain * v.command_angle_limit for v in pool) > needed
-        mass = [v.body_mass for v in pool]
-        assert min(mass) < 0.0285 and max(mass) > 0.4
-
-
-@pytest.mark.parametrize("text, sentence", [
-    ("vehicles = ['hummingbird']", "vehicles must be a list of at least 2 entries, each text, not "),
-    ("vehicles = ['hummingbird', 'sparrow']", "vehicle file sparrow does not exist"),
-])  # fmt: skip
-def test_wrong_rows_of_vehicles_are_refused(text, sentence, tmp_path):
-    with pytest.raises(UserError, match=sentence) as refused:
-        written(tmp_path, text)
-    assert str(refused.value).startswith(f"randomise file {tmp_path}")
 
 
 def test_no_vehicle_begins_in_its_platform():

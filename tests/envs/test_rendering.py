@@ -124,18 +124,6 @@ def test_the_default_camera_sees_every_start(width, height):
     assert (pixels >= 0).all() and (pixels <= [width, height - caption_height(height)]).all()
 
 
-def test_ghost_is_translucent(hero):
-    state, qpos = hovering(), qpos_of_state(hovering(1.3, 1.5))
-    plain = hero.render(state).astype(float)
-    half = hero.render(state, ghosts=[Ghost(qpos, alpha=0.5)]).astype(float)
-    full = hero.render(state, ghosts=[Ghost(qpos, alpha=1.0)]).astype(float)
-    mask = changed(plain, full)
-    assert mask.sum() > 50
-    # linear in alpha, each of the three pictures rounded to integers
-    np.testing.assert_allclose(half[mask], 0.5 * (plain + full)[mask], atol=1.01)
-    assert hero.render(state, ghosts=[qpos]).shape == (H, W, 3)
-
-
 def test_trail_is_hidden_behind_the_platform():
     points = np.array([[-0.6, 0.6, 0.6], [0.6, 0.6, 0.6]])  # behind the base, seen from y < 0
     with make_renderer(W, H, "side", "ray") as renderer:
@@ -198,13 +186,6 @@ def test_import_touches_neither_opengl_nor_learning():
     )
     environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp"}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment)
-
-
-def test_films_alone_draw_the_rotors_discs():
-    """In MuJoCo's viewer a translucent disc would cast a solid shadow over the feet."""
-    film = make_renderer(64, 48, "closeup", "ray").model
-    for model, seen in ((build_spec().compile(), False), (film, True)):
-        assert (model.mat_rgba[model.geom_matid[model.geom("disc_front_left").id], 3] > 0) == seen
 
 
 GL = """

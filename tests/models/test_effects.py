@@ -238,14 +238,6 @@ def test_sizes_go_with_the_vehicle():
             np.testing.assert_allclose(sizes[0], np.multiply(times, sizes[1]), rtol=1e-12)
 
 
-def test_a_drag_is_sized_by_the_weight():
-    """Rotor drag at the hover inflow over the weight: twice the coefficient needed, twice the share."""
-    drag, quiet = LIBRARY["rotor_drag"].parameter("lateral"), V.changed(motor_pwm_to_speed=(0.02, 190.0))
-    # Rotors at half the speed, 0.0200 P + 190 for 0.0408 P + 381, with the same coefficient: half the drag.
-    share = (drag.sized_for(quiet).plausible - 1.0) / (drag.plausible - 1.0)
-    assert share == pytest.approx(2.0, rel=0.02)  # 0.0408/0.02 is 2.04
-
-
 @pytest.mark.parametrize("name", FREE)
 def test_both_plants_fly_the_effect_alike(name):
     vehicle = changed(name)
@@ -343,19 +335,6 @@ def test_a_delay_shifts_the_commands(kind):
     late = fly(plant_of(kind, N, vehicle), COMMANDS[:60])
     shifted = np.concatenate([np.repeat(COMMANDS[:1], 3, axis=0), COMMANDS[:57]])
     np.testing.assert_allclose(late, fly(plant_of(kind, N, V), shifted), rtol=1e-9, atol=1e-9)
-
-
-def test_the_flight_changes_smoothly_with_a_delay():
-    """The derivative on both sides of a whole number of steps is the same; a held command has a jump."""
-
-    def final(delay):
-        return fly(plant_of("analytic", N, changed("thrust_delay", delay=delay)), COMMANDS[:40])[-1, :, Z]
-
-    step = 1e-5
-    below, at, above = (final(0.02 + k * step) for k in (-1, 0, 1))
-    slope = (above - below) / (2 * step)
-    assert np.abs(slope).max() > 0.1
-    np.testing.assert_allclose((at - below) / step, slope, atol=0.01 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize("kind", BOTH)
@@ -756,11 +735,3 @@ def test_a_moment_comes_with_the_rate_at_which_it_is_taken_over():
         new = effect.apply(held, {"x": x, "y": 0.0, "hold": 0.5})
         assert new.effects_attitude_hold == pytest.approx(hold, abs=1e-5)
     assert effect.apply(V, {"x": 1e-9, "hold": 0.5}).effects_attitude_hold == 0.5
-
-
-def test_a_quick_rate_loop_may_have_little_less_lag():
-    """A vehicle may lack 17 ms of the shipped lag of 20 ms, 10 of 13 ms, and none of 2 ms."""
-    lag = LIBRARY["second_order_attitude"].parameter("rate_lag")
-    for present, low in ((0.02, lag.bounds[0]), (0.013, lag.bounds[0] + 0.007), (0.002, 0.0)):
-        own = lag.sized_for(V.changed(attitude_bandwidth=1.0 / present))
-        assert own.bounds == (pytest.approx(low, abs=1e-12), lag.bounds[1])

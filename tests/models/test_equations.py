@@ -134,22 +134,6 @@ def test_the_exact_steps_are_the_equations():
     np.testing.assert_allclose(flown[:, LAG], lag, rtol=1e-8)
 
 
-@pytest.mark.parametrize("damping", [0.4, 0.7, 1.0, 1.3])
-def test_damping_moves_the_poles_to_the_roots_of_its_equation(damping):
-    """Of the derivative and of the exact step: s^2 + damping (B + 1/tau) s + B/tau."""
-    v = dataclasses.replace(V, attitude_time_constant=0.06, attitude_damping=damping)
-    a, b = 1 / v.attitude_time_constant, v.attitude_bandwidth
-    poles = np.roots([1.0, damping * (a + b), a * b])
-    assert np.iscomplex(poles).all() == (damping < 0.85)
-    t, k = np.arange(31) * 0.02, v.attitude_gain
-    residues = poles[::-1] / (poles - poles[::-1])  # of the step response 1 + sum of residue exp(pole t)
-    exact = 0.3 * k * (1.0 + (residues[:, None] * np.exp(poles[:, None] * t)).sum(axis=0).real)
-    steps = attitude_loops.angle_steps(1, np.full(30, 0.3), column(np.zeros(30)), 0.0, 0.02, forces.pack(v))
-    np.testing.assert_allclose(steps, exact, atol=1e-12)
-    end = fly(hovering(), [v.hover_pwm, 0, 0.3, 0], 0.6, 1200, rate_loop=True, vehicle=v)[0]
-    assert end[PITCH] == pytest.approx(exact[-1], rel=1e-8)  # (B h)^4 / 120 of each step's change
-
-
 @pytest.mark.parametrize(
     "damping, integral, hold, saturation, error",
     [
@@ -184,26 +168,6 @@ def test_the_angle_step_of_any_loop_follows_the_equations(damping, integral, hol
     # The one is exact, the other errs by (B h)^4/120 = 1e-9 of each step's change. A saturation that begins
     # within a step of 4 ms errs by 4 ms of 1 rad/s / tau, over B 4e-4 rad.
     np.testing.assert_allclose(np.array(flown), np.array([angle, held_by]).T[1:], atol=error)
-
-
-def test_a_held_moment_tilts_as_without_integrals_through_a_high_pass():
-    """The answer to a moment, differentiated, is that without `hold` convolved with exp(-hold t)."""
-    hold, dt, n = 1.5, 0.01, 400
-    twist, zero = column(np.full(n, 8.0)), np.zeros(n)
-    twist[0] = 0.0  # begins after the first step: nothing is held yet
-    free, held = (
-        attitude_loops.angle_steps(0, zero, twist, 0.0, dt, forces.pack(V.changed(effects_attitude_hold=k)))
-        for k in (0.0, hold)
-    )
-    # x_held' = x_free' - hold x_held:  x_held(t) = integral of exp(-hold (t - s)) x_free'(s) ds
-    decay = np.exp(-hold * dt)
-    expected = np.zeros(n + 1)
-    for k in range(n):  # x_free' constant within a step: errs by its change, (B dt)^2/12 of 0.06 rad, once
-        rate = (free[k + 1] - free[k]) / dt
-        expected[k + 1] = decay * expected[k] + rate * (1.0 - decay) / hold
-    assert free[-1] > 0.025
-    np.testing.assert_allclose(held, expected, atol=1e-3 * free[-1])
-    assert abs(held[-1]) < 0.01 * free[-1]  # exp(-1.5 * 4) = 0.0025
 
 
 def test_the_exact_angle_step_where_the_poles_meet():

@@ -13,7 +13,6 @@ from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.plants.platforms import MOST, strays
-from inclined_landing.models.plants.recorder import impulses
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.surface import normals, relative
 
@@ -194,26 +193,6 @@ def test_force_on_a_heaving_platform(integrator):
     assert 0.25 * 4.0**3 * late < 0.3 * 4.0  # m/s2: small beside the acceleration of 4 m/s2
 
 
-@pytest.mark.parametrize("moving", [False, True])
-def test_impulses_of_contacts_explain_the_motion(moving):
-    """m dv = impulse - m g dt in every engine step of a drop onto a level platform, to rounding."""
-    plant = MujocoPlant(1, CALM, moving=moving, control_period=STEP, threads=1)
-    moves = motion(travel=(0.5, 0.2, 0.0), heave=SWELL["heave"]) if moving else None
-    standing(plant, moves, above=0.01)
-    met = 0.0
-    for _ in range(40):
-        given, before = impulses(plant, OFF)[0], plant.state[0, VX : VZ + 1].copy()
-        plant.step(OFF)
-        gained = MASS * (plant.state[0, VX : VZ + 1] - before)
-        np.testing.assert_allclose(
-            gained, given - [0, 0, MASS * G * STEP], rtol=0, atol=1e-9 * MASS * G * STEP
-        )
-        met = max(met, np.linalg.norm(given))
-    assert met > 5 * MASS * G * STEP
-    with pytest.raises(UserError, match="need the integrator RK4"):
-        impulses(MujocoPlant(1, integrator="implicitfast"), OFF)
-
-
 def slip(acceleration, friction: float, seconds: float) -> float:
     """Largest distance [m] that a mass slides on a level platform of a given acceleration(t) [m/s2]."""
     dt, speed, place, farthest = 1e-4, 0.0, 0.0, 0.0
@@ -262,19 +241,6 @@ def test_on_a_tilting_platform_it_slips_where_the_tangent_is_the_friction(mode):
     angle, rate = math.acos(normals(plant.platform)[0, 2]), 0.5 * turn * math.cos(turn * 2.0)
     late = rate * math.sqrt(2 * 5e-3 / (G * rate))
     assert math.atan(friction) < angle < math.atan(friction) + 1.5 * late
-
-
-def test_standing_on_a_swell_it_rides_along():
-    """On a platform that moves in all ways the vehicle stays where it stands, to 0.1 mm/s of creep."""
-    plant = standing(MujocoPlant(1, moving=True, threads=1), motion(travel=(0.5, 0.2, 0.0), **{
-        mode: (0.3 * size, turn, phase) for mode, (size, turn, phase) in SWELL.items()}))  # fmt: skip
-    platform, state = plant.platform[0].copy(), plant.state[0].copy()
-    place = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
-    for _ in range(150):
-        plant.step(OFF)
-    platform, state = plant.platform[0], plant.state[0]
-    now = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
-    assert np.abs(now - place)[:2].max() < 3e-4 and plant.contacts.touch[0, 0, 0]
 
 
 def test_a_platform_set_anew_stands_still():

@@ -160,27 +160,3 @@ def test_what_is_drawn_changes_no_physics_of_a_moving_platform():
     (states, pairs), (expected, others) = [run_of(m, (0.05, 0, 1.3), z=1.1, pitch=0.3) for m in models]
     np.testing.assert_array_equal(states, expected)
     assert pairs == others and pairs
-
-
-@pytest.mark.parametrize("slope", [-50, -45, -20, 0, 10, 45, 50])
-@pytest.mark.parametrize("azimuth", [0.0, 0.8])
-def test_the_drawn_base_is_closed_at_every_pose(slope, azimuth):
-    """Without recompiling: its upper corners are on the slab's underside, the lower below the floor."""
-    model = build_spec(V).compile()
-    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, 200)
-    bodies = [model.body(name).mocapid[0] for name in geometry.PLATFORM_BODIES]
-    (position,), (turn,) = geometry.platform_poses([math.radians(slope)], [True], V, azimuth=[azimuth])
-    data.mocap_pos[bodies], data.mocap_quat[bodies] = position, turn
-    mujoco.mj_forward(model, data)
-    everything = mujoco.mjtCatBit.mjCAT_ALL.value
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
-    corners = np.reshape(scene.skinvert, (-1, 3))
-    top = corners[corners[:, 2] > 0.1]
-    slab = data.body("platform")
-    local = (top - slab.xpos) @ slab.xmat.reshape(3, 3)
-    np.testing.assert_allclose(local[:, 2], -V.platform_thickness, atol=1e-6)  # of single precision
-    run = V.slab_half_length * math.cos(math.radians(slope))
-    c, s = math.cos(azimuth), math.sin(azimuth)
-    sizes = np.abs(corners[:, :2] @ [[c, -s], [s, c]])
-    np.testing.assert_allclose(sizes, np.broadcast_to([run, V.platform_depth / 2], sizes.shape), atol=1e-6)
-    assert (corners[corners[:, 2] <= 0.1, 2] <= 0.0).all() and len(top) == 12 and len(corners) == 20

@@ -21,7 +21,7 @@ from inclined_landing.envs.shared import runs
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.train import cli
 from inclined_landing.train.sweep import command, jobs
-from inclined_landing.train.sweep.recipe import Number, filled, read_recipe, shipped
+from inclined_landing.train.sweep.recipe import Number, read_recipe, shipped
 from inclined_landing.train.sweep.result import sum_up, take
 
 # In place of landing-train and landing-eval: notes its words, writes what the recipe looks for.
@@ -127,12 +127,6 @@ def test_every_command_is_done_once_for_every_run(place, capsys):
     assert sweep() == 0 and not calls()  # everything is there
     os.rename("runs/pretended", "elsewhere")
     assert sweep("--out", "elsewhere") == 0 and not calls()
-
-
-def test_side_by_side_the_cores_are_shared_out(place):
-    cores = len(os.sched_getaffinity(0))
-    assert sweep("--jobs", "4") == 0
-    assert {line.split()[-1] for line in calls() if line.startswith("landing")} == {str(max(1, cores // 4))}
 
 
 def test_what_was_interrupted_is_resumed_and_what_was_half_done_begun_again(place, capsys):
@@ -346,7 +340,3 @@ def test_numbers_are_taken_from_where_they_stand(tmp_path):
     (tmp_path / "m.json").unlink()
     with pytest.raises(UserError, match=r"m\.json does not exist"):
         of("n")
-
-
-def test_names_are_filled_in():
-    assert filled("{runs} {x} {", {"runs": "a b"}) == "a b {x} {"

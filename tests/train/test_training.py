@@ -164,20 +164,6 @@ def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
     assert load_policy(folder / "final.zip").metadata["steps"] == 512
 
 
-def test_a_run_of_other_options_goes_on(tmp_path):
-    """One that was begun where there were others: those that are gone play no part."""
-    folder, _ = train(config(tmp_path / "a", max_seconds=1e-6))
-    record = json.loads((folder / "run.json").read_text("utf-8"))
-    del record["config"]["net_arch"]
-    record["config"]["algorithm"] = "ppo"
-    (folder / "run.json").write_text(json.dumps(record), "utf-8")
-    assert train(TrainConfig(out=folder, resume=True))[1]["finished"]
-    record["config"]["seed"] = 1
-    (folder / "run.json").write_text(json.dumps(record), "utf-8")
-    with pytest.raises(UserError, match="belongs to another configuration: seed differs"):
-        Run(TrainConfig(out=folder, resume=True))
-
-
 @pytest.mark.parametrize(("net_arch", "update"), [((16, 8), "fast"), ((8,), "fast"), ((9, 8, 7), "stock")])
 def test_networks_of_other_sizes(net_arch, update, tmp_path):
     """They are trained, evaluated, read, flown, and gone on with."""

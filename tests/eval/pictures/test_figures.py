@@ -13,7 +13,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.eval import cli
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.pictures.figures.curriculum import STARTS, curriculum_figure
+from inclined_landing.eval.pictures.figures.curriculum import curriculum_figure
 from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 from inclined_landing.eval.pictures.learning import final_scores, learning_curves
 from inclined_landing.models.base.errors import UserError
@@ -209,28 +209,6 @@ def test_start_box_is_where_starts_come_from(conditions):
     # of 4000 uniform numbers the extremes lie within 1 % of the range with certainty (1 - 4e-18)
     np.testing.assert_allclose(starts.min(axis=0), low, atol=0.01 * (high - low).max())
     np.testing.assert_allclose(starts.max(axis=0), high, atol=0.01 * (high - low).max())
-
-
-@pytest.mark.parametrize("options", [{}, {"dimensions": 3}])
-def test_curriculum_figure_shows_its_conditions(options):
-    task = make_task("landing", **options)
-    before = task.conditions
-    axes = curriculum_figure(STAGES, task=task).axes
-    assert task.conditions is before
-    for panel, (title, conditions) in zip(axes, STAGES, strict=True):
-        assert panel.get_title(loc="left").endswith(title)
-        assert len(by_gid(panel.images, "start")) == STARTS
-        assert bool(by_gid(panel.patches, "slab")) == conditions.platform
-        (box,) = by_gid(panel.patches, "goal box")
-        assert box.get_width() == pytest.approx(2 * conditions.goal_size)
-        (box,) = by_gid(panel.patches, "starts")
-        for image in by_gid(panel.images, "start"):
-            x, z = middle(image)
-            assert box.get_x() <= x <= box.get_x() + box.get_width()
-            assert box.get_y() <= z <= box.get_y() + box.get_height()
-        (target,) = by_gid(panel.images, "target")
-        goal = np.array(task.goal_position)[[0, -1]]
-        np.testing.assert_allclose(middle(target), goal, atol=1e-12)
 
 
 # --- commands -------------------------------------------------------------------------------------

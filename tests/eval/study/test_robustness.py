@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -12,7 +11,6 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, robustness
 from inclined_landing.eval.study.engine import count
 from inclined_landing.eval.study.options import THRUSTS
-from inclined_landing.eval.study.panels import shares
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import check_vehicle, load_vehicle
@@ -112,33 +110,6 @@ def test_thrusts_survived_have_no_gap(good, ends):
     rows = [{"policy": "one", "thrust_scale": x, "strict": x in good, "flight": 0} for x in THRUSTS]
     results = counted(pd.DataFrame(rows))
     assert changes.survived(results, STRICT, "one") == ends
-
-
-def test_the_figure_shows_effects_that_cost_landings():
-    """And of these every size at which one costs some; the flights of two policies at 100 starts."""
-    landed = {
-        ("none", ""): (100, 100),
-        ("drag", "weak"): (100, 100),
-        ("drag", "medium"): (96, 100),
-        ("mass", "weak"): (97, 100),
-        ("mass", "medium"): (94, 100),
-    }
-    tables = [
-        pd.DataFrame({"strict": np.arange(100) < n, "flight": range(100)}).assign(
-            policy=policy, effect=effect, size=size, values="", thrust_scale=np.nan if size else 1.0
-        )
-        for (effect, size), counts in landed.items()
-        for policy, n in zip("ab", counts)
-    ]
-    results = counted(pd.concat(tables, ignore_index=True))
-    panels = {panel.title: shares(panel, results) for panel in results.study.panels}
-    shown = {name: row["count"] for name, row in panels["Medium effects"]["a"].items()}
-    assert shown == {"mass": 94} and not panels["Weak effects"]
-    assert panels["Medium effects"]["b"]["mass"]["count"] == 100
-    said = results.study.remarks(results)
-    assert "Under 1 of 2 effects every policy" in said[2]
-    # mean over the effects of the paired differences: (0.04 + 0.06) / 2
-    assert results.one("strict difference", policy="b", size="medium")["value"] == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(
