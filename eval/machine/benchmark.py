@@ -41,21 +41,20 @@ def middle(values: np.ndarray) -> dict[str, Any]:
     return found | {"low": found["min"], "high": found["max"]}
 
 
-RATE = Measure(
-    name="steps_per_second",
-    title="steps per second",
-    statistic=middle,
-    unit="1/s",
-    digits=0,
-    note="median (smallest to largest); a step includes task, reward and resets",
-)
-ACTION = Measure(name="action_us", title="one action", statistic=middle, unit="us", shown_unit="us", digits=1)
-TRAINING = Measure(
-    name="training_steps_per_second",
-    title="steps per second of training",
-    statistic=middle,
-    unit="1/s",
-    digits=0,
+RATE, ACTION, TRAINING = (
+    Measure(
+        name=name,
+        title=title,
+        statistic=middle,
+        unit=unit,
+        digits=digits,
+        note="median (smallest to largest)",
+    )
+    for name, title, unit, digits in (
+        ("steps_per_second", "steps per second, with task, reward and resets", "1/s", 0),
+        ("action_us", "microseconds for an action", "us", 1),
+        ("training_steps_per_second", "steps per second of training", "1/s", 0),
+    )
 )
 
 
