@@ -39,7 +39,6 @@ class _Run(NamedTuple):
     task: str
     learning: pd.DataFrame
     evaluations: pd.DataFrame
-    cut: list[Path]  # its tables that end within a row
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,16 +83,15 @@ def _read_run(folder: str | Path) -> _Run:
         task = msgspec.convert(record["config"]["task"], str)
     except (TypeError, KeyError, msgspec.ValidationError) as error:
         raise UserError(f"{folder / 'run.json'} does not name the trained task") from error
-    cut: list[Path] = []
-    learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)], cut)
+    learning = _read_table(folder / "learning.csv", ["steps", *(curve.column for curve in _LEARNING)])
     scores = [curve.column for curve in _SCORES]
     scores += [f"{column}_{kind}" for column in scores for kind in VEHICLE_KINDS]  # of a randomised run
-    evaluations = _read_table(folder / "evaluations.csv", ["steps"], cut, scores)
+    evaluations = _read_table(folder / "evaluations.csv", ["steps"], scores)
     if not set(scores) & set(evaluations):
         raise UserError(f"{folder / 'evaluations.csv'} lacks the column score")
     if learning.empty:
         raise UserError(f"{folder / 'learning.csv'} has no rows yet; the run is too short for curves")
-    return _Run(task, learning, evaluations, cut)
+    return _Run(task, learning, evaluations)
 
 
 def _score_curve(tables: Sequence[pd.DataFrame]) -> Curve:
@@ -103,18 +101,9 @@ def _score_curve(tables: Sequence[pd.DataFrame]) -> Curve:
     return shared[0] if shared else _SCORES[-1]
 
 
-def _read_table(
-    path: Path, columns: list[str], cut: list[Path], optional: Sequence[str] = ()
-) -> pd.DataFrame:
-    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them.
-
-    An incomplete last row, as in a truncated copy, is omitted; `path` is then added to `cut`.
-    """
+def _read_table(path: Path, columns: list[str], optional: Sequence[str] = ()) -> pd.DataFrame:
+    """Return columns of a CSV table of a run, NaN in empty cells; raise UserError for text in them."""
     text = storage.read_text(path, "table", storage.LARGEST_JSON)
-    rows, _, last = text.rstrip("\0").rpartition("\n")
-    if rows and (last or text.endswith("\0")) and last.count(",") < rows.partition("\n")[0].count(","):
-        text = rows + "\n"
-        cut.append(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
@@ -206,10 +195,7 @@ def _curriculum_end(learning: pd.DataFrame) -> float:
 
 
 def final_scores(runs: Sequence[str | Path]) -> list[str]:
-    """Return a sentence for each task of the runs: the score of the last evaluation, median and range.
-
-    Further sentences name truncated tables.
-    """
+    """Return a sentence for each task of the runs: the score of the last evaluation, median and range."""
     loaded = [_read_run(folder) for folder in runs]
     found = []
     for task in dict.fromkeys(run.task for run in loaded):
@@ -227,8 +213,7 @@ def final_scores(runs: Sequence[str | Path]) -> list[str]:
             if parts
             else f"{count}, not evaluated yet."
         )
-    cut = [path for run in loaded for path in run.cut]
-    return [*found, *(f"{path} ends within a row, which is left out." for path in cut)]
+    return found
 
 
 def _score_columns(curve: Curve, tables: Sequence[pd.DataFrame]) -> dict[str, str]:

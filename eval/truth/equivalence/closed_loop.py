@@ -11,7 +11,7 @@ from inclined_landing.envs.flights import Flight, record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.envs.tasks import hover_states
-from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import WORDS
 from inclined_landing.models.attitude import PITCH, VX, VZ, X, Z
@@ -36,8 +36,6 @@ class Comparison:
     same: float  # share of starts with the same outcome
     steps: np.ndarray  # (k,) control steps that the second takes longer
     period: float  # s, of a control step
-    distance: dict[str, float]  # Kolmogorov-Smirnov, of each quantity
-    p: dict[str, float]
     final: float  # m, largest distance of the final positions of flights of equal length
 
 
@@ -63,16 +61,12 @@ def quantities(flights: list[Flight]) -> np.ndarray:
 
 def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparison | None:
     """Return the comparison of two plants; None if fewer than FEWEST flights succeed in both."""
-    from scipy.stats import ks_2samp
-
     pairs = [(a, b) for a, b in zip(flown[first], flown[second]) if a.success and b.success]
     same = np.mean(
         [a.success == b.success and a.touched == b.touched for a, b in zip(flown[first], flown[second])]
     )
     if len(pairs) < FEWEST:
         return None
-    a, b = (quantities([pair[k] for pair in pairs]) for k in (0, 1))
-    tests = [ks_2samp(a[:, k], b[:, k]) for k in range(len(QUANTITIES))]
     equal = [(p, q) for p, q in pairs if len(p.t) == len(q.t)]
     final = max((np.linalg.norm(p.state[-1, :3] - q.state[-1, :3]) for p, q in equal), default=np.nan)
     return Comparison(
@@ -81,8 +75,6 @@ def compare(flown: dict[str, list[Flight]], first: str, second: str) -> Comparis
         float(same),
         np.array([len(q.t) - len(p.t) for p, q in pairs]),
         float(pairs[0][0].t[1]),
-        {name: float(t.statistic) for name, t in zip(QUANTITIES, tests)},
-        {name: float(t.pvalue) for name, t in zip(QUANTITIES, tests)},
         float(final),
     )
 
@@ -96,7 +88,6 @@ def claims(flown: dict[str, list[Flight]], twins: list[Comparison]) -> list[Clai
             claim("outcome", c.same),
             claim("time", float(np.mean(c.steps == 0))),
             claim("final", c.final),
-            claim("samples", min(c.p.values()), quantities=len(QUANTITIES)),
         ]
     share = {name: np.mean([f.strict for f in flights]) for name, flights in flown.items()}
     return [*result, WORDS.claim("closed_loop", "success", abs(share[VEHICLE] - share[PAPER]))]
@@ -117,7 +108,7 @@ def section(policy: Policy, starts: np.ndarray) -> Section:
         )
     if len(compared) < len(COMPARED):
         fewest = min(sum(f.success for f in fs) for fs in flown.values())
-        found, tables = [WORDS.claim("closed_loop", "few", fewest)], []
+        found = [WORDS.claim("closed_loop", "few", fewest)]
         remarks = ["Too few landings for a comparison."]
     else:
         *twins, cross = compared
@@ -128,17 +119,12 @@ def section(policy: Policy, starts: np.ndarray) -> Section:
             f"90 % of the starts: {early:+.2f} to {late:+.2f} s). A different rate loop flies a "
             "different path to the same goal."
         ]
-        tests = [(q, *(f"{number(c.distance[q])} ({number(c.p[q])})" for c in compared)) for q in QUANTITIES]
-        heads = tuple(f"{c.second} – {c.first}" for c in compared)
-        tables = [
-            Table("Two-sample distance D (and p) of Kolmogorov and Smirnov", ("quantity", *heads), tests)
-        ]
     heads = ("plant", "success", "without touching", *(f"{q} [{u}]" for q, u in zip(QUANTITIES, UNITS)))
     return WORDS.section(
         "closed_loop",
         found,
         {"policy": policy.path.name, "starts": len(starts)},
-        tables=[Table("Landings and medians at the goal box", heads, rows), *tables],
+        tables=[Table("Landings and medians at the goal box", heads, rows)],
         remarks=remarks,
         data={
             "plants": summary,

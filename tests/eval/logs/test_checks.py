@@ -480,14 +480,6 @@ def test_an_axis_that_never_changes_is_judged_by_how_the_vehicle_leans():
     assert "column y never changes: this axis cannot be checked" in found(still, "limit")
 
 
-@pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
-def test_a_command_that_is_no_longer_logged_is_named(column):
-    log = flight()
-    k = ["cmd_thrust_pwm", "cmd_roll"].index(column)
-    log.command[700:, k] = log.command[700, k]
-    assert any(f"column {column} stays at" in text for text in found(log, "limit"))
-
-
 @pytest.mark.parametrize("flies", [True, False])
 def test_a_log_that_stops_is_noticed_in_flight(flies):
     log = flight()

@@ -121,7 +121,7 @@ def test_closed_loop_in_both_plants(policy):
     starts = landing_starts.clear(policy.task, landing_starts.grid())[::6]
     part = closed_loop.section(policy, starts)
     check(part.claims)
-    assert len(part.data["plants"]) == 4 and len(part.tables) == 2
+    assert len(part.data["plants"]) == 4 and len(part.data["comparisons"]) == 3
 
 
 def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
@@ -130,7 +130,7 @@ def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
 
     monkeypatch.setattr(closed_loop, "record_flights", short)
     part = closed_loop.section(policy, landing_starts.grid()[:4])
-    assert not part.passed and not part.tables[1:]
+    assert not part.passed and not part.data["comparisons"]
 
 
 @pytest.mark.parametrize("measured, low, high, passed", [
