@@ -1,4 +1,4 @@
-"""The clock of a table: its column and unit, and the order of rows."""
+"""The clock of a table: its column and its unit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ NAMES = (
 # s between rows, at most: of a column t, which is in seconds unless no flight has so few rows, and of others,
 # where 0.3 s tells 3.3 rows per second from 3 300 in a unit a thousand times smaller.
 _LONGEST_STEP = {"t": 1.0 / limits.FEWEST_PER_SECOND, "": 0.3}
-LATEST_ROW = 1.0  # s that rows may come late and are still sorted
 
 
 def named(names: Iterable[str]) -> str | None:
@@ -80,34 +79,6 @@ def _unit_by_step(t: np.ndarray, longest: float) -> str:
     steps = steps[steps > 0.0]
     step = np.median(steps) if len(steps) else 0.0
     return next((unit for unit, size in units.UNITS["time"].items() if step * size <= longest), "s")
-
-
-def order(t: np.ndarray, columns: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return the rows (m,) sorted by time if they are in order of arrival; None if no sorting is needed.
-
-    Sorting is safe if the rows of each column are in order, as for log blocks that share a table, or late by
-    less than LATEST_ROW. The result is also None if a clock went back, because an instant then has two rows.
-    """
-    if not np.isfinite(t).all() or (np.diff(t) >= 0.0).all():
-        return None
-    if not all(_in_order(t[np.isfinite(values)]) for values in columns):
-        return None
-    return np.argsort(t, kind="stable")
-
-
-def _in_order(t: np.ndarray) -> bool:
-    """Return whether times increase, except for late rows."""
-    latest = np.maximum.accumulate(t)
-    late = np.flatnonzero(np.diff(t) < 0.0) + 1
-    if not len(late):
-        return True
-    behind = latest[late] - t[late]
-    ordered = np.sort(t)
-    step = np.median(np.diff(ordered))
-    if behind.max() >= LATEST_ROW or step <= 0.0:
-        return False
-    between = np.searchsorted(ordered, latest[late]) - np.searchsorted(ordered, t[late])
-    return bool((between <= 1.5 * behind / step + 3).all())
 
 
 def check(where: str, t: np.ndarray, column: str, is_table: bool = True) -> None:

@@ -12,7 +12,6 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -33,8 +32,7 @@ from inclined_landing.eval.flying.simulated.transport import (
     LinkQuality,
     SimulatedMotionCapture,
 )
-from inclined_landing.eval.logs import FlightLog, write_log
-from inclined_landing.models.attitude import ROLL, VX, VZ, YAW, X, Z
+from inclined_landing.models.attitude import Z
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
@@ -64,23 +62,6 @@ class Trace:
     command: np.ndarray  # (T, 4) that vehicle and motors were given: PWM, rad, rad, rad/s
     voltage: np.ndarray  # (T,) V, of the supervisor's last period
     mode: np.ndarray  # (T,) firmware.State
-
-    def write(self, path: Path) -> None:
-        """Write the documented CSV at 125 Hz, atomically."""
-        some = slice(None, None, 2)
-        write_log(
-            path,
-            FlightLog(
-                name=path.name,
-                t=self.time[some] - self.time[0],
-                position=self.state[some, X : Z + 1],
-                attitude=np.unwrap(self.state[some, ROLL : YAW + 1], axis=0),
-                command=self.command[some],
-                velocity=self.state[some, VX : VZ + 1],
-                voltage=self.voltage[some],
-                contact=self.touching[some].any(axis=1),
-            ),
-        )
 
 
 @dataclasses.dataclass

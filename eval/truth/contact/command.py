@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from inclined_landing.eval.base.options import RunFolder, VehicleFile
-
-if TYPE_CHECKING:
-    from inclined_landing.eval.base.claims import Section
 
 
 def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
@@ -19,6 +14,7 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
         out: new folder for contact.html, contact.json and the figures.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
     """
+    from inclined_landing.envs.shared import runs
     from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.truth.contact.figures import DRAW
     from inclined_landing.eval.truth.contact.laws import LAWS
@@ -38,25 +34,10 @@ def command(*, out: RunFolder, vehicle: VehicleFile = None) -> int:
         "contact",
         sections,
         {f"{s.key}.png": DRAW[s.key](s.data) for s in sections if s.key in DRAW},
-        contact_record(sections),
+        {"sections": {s.key: s.record() for s in sections}, "versions": runs.versions()},
         title="Contact compared with mechanics",
         lead=f"The vehicle of this package in MuJoCo, contact setting {setting}, RK4 at 4 ms unless a line "
         "says otherwise.",
         run="landing-eval contact",
     )
     return 0 if held else 1
-
-
-def contact_record(sections: list[Section]) -> dict:
-    """Return the content of contact.json."""
-    from inclined_landing.envs.shared import runs
-
-    found = {}
-    for section in sections:
-        checks = [
-            {"name": c.name, "measured": c.measured, "unit": c.unit, "low": c.low, "high": c.high}
-            | {"met": c.passed, "note": c.why}
-            for c in section.claims
-        ]
-        found[section.key] = {"checks": checks, "data": section.data}
-    return {"findings": found, "versions": runs.versions()}

@@ -40,8 +40,8 @@ def test_the_page_is_written(tmp_path, monkeypatch, capsys):
     assert main(["contact", "--out", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["contact.html", "contact.json", "slip.png"]
     saved = json.loads((out / "contact.json").read_text())
-    assert set(saved["findings"]) == {"slip", "parts"}
-    assert saved["findings"]["slip"]["checks"][0]["met"] is True
+    assert set(saved["sections"]) == {"slip", "parts"}
+    assert saved["sections"]["slip"]["claims"][0]["passed"] is True
     page = (out / "contact.html").read_text()
     assert "Where sliding starts" in page and 'src="data:image/png' in page
     assert "contact.html" in capsys.readouterr().out
