@@ -45,7 +45,7 @@ COMMANDS = {
     "gap_example": (EVAL, "gap-example --out {out}", ("fit", "heldout")),
     "gap": (EVAL, "gap {flights} --out {out}", ("report.json",)),
     "identify": (EVAL, "identify {flights} --out {out}", ("report.json",)),
-    "blind": (VALIDATION, "gap-blind --set dev --seed 3 --cases 24 --out {out}", ("results.json",)),
+    "blind": (VALIDATION, "gap-blind --sets dev --seed 3 --cases 24 --out {out}", ("results.json",)),
     "success_effects": (EVAL, "robustness landing --over effects --every 1 --plant mujoco --json", ()),
 }
 SKIPPED = {
@@ -85,7 +85,6 @@ def _run(module: str, words: list[str]) -> subprocess.CompletedProcess[str]:
         roots = [Path(path).resolve().parent for path in models.__path__]
         place = next(root for root in roots if (root / "tests").is_dir())
         environment["PYTHONPATH"] = str(place)
-        module = VALIDATION if (place / "tests" / "validation" / "__main__.py").is_file() else "tests.proof"
     command = [sys.executable, "-P", "-m", module, *words]
     return subprocess.run(command, capture_output=True, text=True, cwd=place, env=environment)
 

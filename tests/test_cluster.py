@@ -88,14 +88,14 @@ class Machines:
         words = ["--head", "--port", self.address.split(":")[1], "--disable-usage-stats"]
         self.start(HEAD, *words, "--include-dashboard=false")
 
-    def start(self, address, *words, within=()):
-        """A node at an address, until its process ends. within: command that starts it."""
+    def start(self, address, *words):
+        """A node at an address, until its process ends."""
         log = self.folder / f"node-{len(self.nodes)}.log"
         place = ["--node-ip-address", address, "--temp-dir", str(self.temp), "--num-cpus", "1"]
         ray = [str(Path(sys.executable).with_name("ray")), "start", "--block", *place, *words]
         with log.open("wb") as output:
             node = subprocess.Popen(
-                [*within, *ray],
+                ray,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=self.environment | {"RAY_AUTH_MODE": "token"},  # which commands find out themselves
@@ -106,9 +106,9 @@ class Machines:
         assert node.poll() is None, log.read_text()
         return node
 
-    def add(self, within=()):
+    def add(self):
         """A second node."""
-        return self.start(OTHER, "--address", self.address, within=within)
+        return self.start(OTHER, "--address", self.address)
 
     def run(self, *words, cwd):
         """landing-train or landing-eval, begun."""

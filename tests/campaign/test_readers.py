@@ -3,14 +3,12 @@
 An entry of `READERS` is all that a new kind of file needs: good files, what reads them, what then must hold.
 """
 
-import base64
 import dataclasses
 import functools
 import gzip
 import io
 import json
 import os
-import pickle
 import re
 import tempfile
 from collections.abc import Callable
@@ -48,7 +46,7 @@ from tests.campaign import damage, inputs
 from tests.log_files import firmware_values, sd_card, write_bag
 
 POLICY = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
-WEIGHTS, PICKLED = "policy.pth", "archive/data.pkl"  # of Stable-Baselines3's policy
+WEIGHTS = "policy.pth"  # of Stable-Baselines3's policy
 ARRAY = "network/weights_1.npy"
 
 
@@ -153,11 +151,6 @@ class Harmful:
         return os.mkdir, ("harm",)
 
 
-# Instructions that torch never writes, in the place of the weights' pickle.
-PICKLES = {
-    "runs code": pickle.dumps({"a": Harmful()}, 2),
-    "a text of gigabytes": b"\x80\x02X\xff\xff\xff\x7fabc.",
-}
 # What a tensor of the network may be.
 TENSORS = {
     "one more axis": lambda t: t[None],
@@ -180,16 +173,7 @@ def weights(content: bytes, change) -> bytes:
     return damage.with_member(content, WEIGHTS, lambda _: out.getvalue())
 
 
-def unpickled(content: bytes, instructions: bytes) -> bytes:
-    """Return a policy file whose weights are this pickle."""
-    inside = damage.with_member(damage.members(content)[WEIGHTS], PICKLED, lambda _: instructions)
-    return damage.with_member(content, WEIGHTS, lambda _: inside)
-
-
-NETWORKS = (
-    *(damage.Change(n, functools.partial(unpickled, instructions=p)) for n, p in PICKLES.items()),
-    *(damage.Change(n, functools.partial(weights, change=change)) for n, change in TENSORS.items()),
-)
+NETWORKS = tuple(damage.Change(n, functools.partial(weights, change=change)) for n, change in TENSORS.items())
 # What an array of the network may be instead, in a policy file.
 ARRAYS = {
     "objects": lambda a: np.array([Harmful()], object),
@@ -315,18 +299,6 @@ def test_files_are_used_or_refused(kind, data):
 @pytest.mark.parametrize("kind", READERS)
 def test_good_files_are_used(kind):
     assert judged(READERS[kind], "", None) == ""
-
-
-@pytest.mark.parametrize("key", ["policy_class", "lr_schedule", "policy_kwargs", "anything"])
-def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypatch):
-    """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
-    monkeypatch.chdir(tmp_path)
-    harm = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
-    (tmp_path / "p.zip").write_bytes(
-        damage.with_member(POLICY, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
-    )
-    continued(tmp_path)
-    assert not (tmp_path / "harm").exists()
 
 
 @pytest.mark.parametrize("kind", ["policy", "policy to start from"])

@@ -1,10 +1,8 @@
 """The quickstart and the guides, followed to the letter: every `sh`, file and Python block in its order."""
 
-import itertools
 import json
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -43,30 +41,20 @@ def _shell(text: str, folder: Path, environment: dict[str, str]) -> None:
 
 @pytest.mark.slow
 def test_the_quickstart_in_a_fresh_clone(tmp_path):
-    """From `make` to the policy's video; run with -s to see how long each command takes."""
+    """From `make` to the policy's video."""
     clone = tmp_path / "inclined-landing"
     subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
-    script = ["set -e", 'step() { printf \'%s %s\\n\' "$(date +%s.%N)" "$1" >> steps.txt; }']
+    script = ["set -e"]
     for language, title, text in _collected("docs/quickstart.md"):
         if language in documents.SHELLS:
-            for line in text.splitlines():
-                script += [f"step {line!r}", line]
+            script += text.splitlines()
         elif language == "python":
             assert title is None
-            script += ["step Python", f"python - <<'BLOCK'\n{text}BLOCK"]
+            script.append(f"python - <<'BLOCK'\n{text}BLOCK")
     environment = {k: v for k, v in os.environ.items() if k not in ("VIRTUAL_ENV", "PYTHONPATH")}
     environment["PYTHON"] = str(Path(sys.base_prefix) / "bin" / "python3")
-    began = time.monotonic()
-    done = subprocess.run(
-        ["bash", "-c", "\n".join([*script, "step end"])],
-        **{"cwd": clone, "env": environment, "capture_output": True, "text": True, "check": False},
-    )
-    marks = [line.split(" ", 1) for line in (clone / "steps.txt").read_text("utf-8").splitlines()]
-    for (start, what), (end, _) in itertools.pairwise(marks):
-        print(f"{float(end) - float(start):7.1f} s  {what}")
-    print(f"{time.monotonic() - began:7.1f} s  together")
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(f"{used.ru_utime + used.ru_stime:7.1f} s  of processor time")
+    words = ["bash", "-c", "\n".join(script)]
+    done = subprocess.run(words, cwd=clone, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     assert "goal box reached: True" in done.stdout
     promised = re.findall(

@@ -169,38 +169,6 @@ def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
     assert len((out / "flights.csv").read_text().splitlines()) == 1 + sum(flights.values())
 
 
-BAD = [
-    (["success", "none.zip"], "none.zip does not exist"),
-    (["success", "{policy}", "--task", "setpoint"], "trained for the task landing, not for setpoint"),
-    (["success", "{policy}", "--task", "hover"], "unknown task 'hover'"),
-    (
-        ["success", "{policy}", "--plant", "moon"],
-        "unknown plant 'moon'; choose from mujoco",
-    ),
-    (["success", "{policy}", "--inclination", "80"], "outside the supported range of -50 to 50 deg"),
-    (["success", "{policy}", "--thrust-scale", "0"], "must be a number above 0"),
-    (["success", "{policy}", "--vehicle", "none.toml"], "vehicle file none.toml does not exist"),
-    (["success", "{policy}", "--out", "{full}"], "exists and is not empty"),
-    (["success", "{policy}", "--seed", "-1"], "--seed must be a whole number from 0 to 4294967295, not -1"),
-    (["benchmark", "--out", "{full}"], "exists and is not empty"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "sentence"), BAD, ids=[" ".join(a) for a, _ in BAD])
-def test_wrong_input(landing_policy, tmp_path, monkeypatch, capsys, arguments, sentence):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "x").touch()
-    words = [a.format(policy=landing_policy, full=tmp_path / "full") for a in arguments]
-    if "--out" not in words:
-        words += ["--out", str(tmp_path / "new")]
-    assert cli.main(words) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert sentence in printed.err and printed.err.count("\n") == 1
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "x"]
-
-
 def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
     def interrupted():
         raise KeyboardInterrupt

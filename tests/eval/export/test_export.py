@@ -410,23 +410,6 @@ def test_the_command_writes_a_whole_folder(tmp_path, capsys):
     assert again["policy"]["name"] == "landing"
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["none.zip", "--format", "c", "--out", "{here}/out"], "does not exist"),
-        (["landing", "--format", "tflite", "--out", "{here}/out"], "choose from onnx, c"),
-        (["landing", "--format", "c", "--out", "{here}"], "exists and is not empty"),
-        (["landing", "--format", "c", "--task", "setpoint", "--out", "{here}/out"], "was trained for"),
-    ],
-)  # fmt: skip
-def test_wrong_input_is_one_sentence(words, sentence, tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert cli.main(["export", *(word.format(here=tmp_path) for word in words)]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and said.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
 def test_what_a_format_cannot_hold_is_refused(tmp_path):
     wide = Policy(make_task("landing"), {}, Path(__file__), np.zeros(5), np.ones(5), np.inf,
                   (np.ones((5, 400)), np.ones((400, 400)), np.ones((400, 2))),

@@ -238,33 +238,3 @@ def test_video_command_flies_all_starts(hover_policy, tmp_path):
         assert tuple(meta["size"]) == (96, 64) and meta["fps"] == pytest.approx(rate)
         # two flights of 6 s at ten times the speed, 1 s of rest after each
         assert len(list(reader)) / rate == pytest.approx(2 * (6.0 / 10 + 1.0), abs=0.1)
-
-
-@pytest.mark.parametrize(("arguments", "sentence"), [
-    (["video", "--out", "a.avi"], "--out must be an .mp4 or .gif file, not 'a.avi'"),
-    (["video", "--out", "a.mp4", "--start", "1,2,3"], "--start must be X,Z in metres"),
-    (["video", "--out", "a.mp4", "--start", "9,1"], "x must be between -3.4 and 3.4 m"),
-    (["video", "--out", "a.mp4", "--start", "nan,1"], "--start must be X,Z in metres"),
-    (["video", "--out", "a.mp4", "--start", "0,1"], "--start 0,1 lies inside the platform"),
-    (["video", "--out", "a.mp4", "--start", "0.3,1.28"], "lies inside the platform"),
-    (["video", "--out", "a.mp4", "--slow", "0"], "--slow must be a number from 0.1 to 20, not 0"),
-    (["video", "--out", "a.mp4", "--width", "641"], "width and height of a video must be even"),
-    (["video", "--out", "a.mp4", "--camera", "top"], "unknown camera 'top'"),
-    (["video", "--out", "new/a.mp4", "--backend", "pen"], "unknown rendering backend 'pen'"),
-    (["video", "--out", "file/a.mp4", "--width", "64", "--height", "64"],
-     "cannot write into file: file is not a folder"),
-    (["picture", "--out", "a.jpg"], "--out must be a .png file, not 'a.jpg'"),
-    (["figure", "--out", "file"], "cannot write into file: file is not a folder"),
-    (["figure", "--out", "new", "--plant", "paper"], "unknown plant 'paper'"),
-    (["figure", "--out", "new", "--inclination", "70"], "outside the supported range"),
-    (["figure", "--out", "new", "--task", "setpoint"], "was trained for the task landing"),
-])  # fmt: skip
-def test_commands_name_what_is_wrong(hover_policy, tmp_path, monkeypatch, capsys, arguments, sentence):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    command, *options = arguments
-    options += [] if "--plant" in options else ["--plant", "analytic"]
-    assert cli.main([command, hover_policy, *options]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("landing-eval: ") and sentence in err
-    assert [p.name for p in tmp_path.iterdir()] == ["file"]

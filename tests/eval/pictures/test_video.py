@@ -11,7 +11,6 @@ from inclined_landing.envs.flights import Flight
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.eval.base.starts import usual_starts
-from inclined_landing.eval.cli import main
 from inclined_landing.eval.pictures.flights import fly_from
 from inclined_landing.eval.pictures.frames import render_flight, write_videos
 from inclined_landing.eval.pictures.to_rest import to_rest
@@ -122,8 +121,3 @@ def test_what_slides_off_is_said(landed):
     whole = to_rest(dataclasses.replace(flight, task=slippery))
     assert not whole.at_rest and whole.ending in ("fell to the floor", "still sliding", "still moving")
     assert whole.t[-1] <= flight.duration + 2.0 + 1e-9
-
-
-def test_a_wrong_end_is_a_sentence(tmp_path, capsys):
-    assert main(["video", "landing", "--until", "noon", "--out", str(tmp_path / "x.mp4")]) == 2
-    assert "invalid choice 'noon'" in capsys.readouterr().err and not list(tmp_path.iterdir())

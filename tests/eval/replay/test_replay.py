@@ -164,31 +164,3 @@ def test_a_page_of_a_policy_and_a_log_with_a_hostile_name(tmp_path, landing, cap
     np.testing.assert_allclose(velocity[-1], steps.state[-1, VX : VX + 3], atol=1e-6)
     assert "restarted at the measured state every 1 s" in capsys.readouterr().out
     assert not re.search(r'(src|href)="?https?:', text)  # nothing is fetched
-
-
-WRONG = [
-    ([], "at least one policy or log"),
-    (["landing", "--out", "page.pdf"], "--out must be an .html file"),
-    (["nowhere.csv"], "nowhere.csv"),
-    (["nowhere.zip"], "policy nowhere.zip does not exist"),
-    (["."], "."),
-    (["log.csv", "--start", "1,2"], "--start has no effect without a policy"),
-    (["log.csv", "--plant", "gazebo"], "unknown plant"),
-    (["landing", "--start", "9,9"], "outside the arena"),
-    (["log.csv", "--restart", "nan"], "--restart"),
-    (["log.csv", "--inclination", "89"], "inclination"),
-]
-
-
-@pytest.mark.parametrize("words, sentence", WRONG)
-def test_wrong_input_is_one_sentence_and_nothing_is_written(words, sentence, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    t = np.linspace(0, 2, 201)
-    none = np.zeros((201, 3))
-    log = FlightLog("log", t, none + np.sin(t)[:, None], none, np.tile([42000.0, 0, 0, 0], (201, 1)))
-    write_log("log.csv", log)
-    out = [] if "--out" in words else ["--out", "page.html"]
-    assert main(["replay", *words, *out]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and said.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv"]

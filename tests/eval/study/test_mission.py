@@ -50,25 +50,3 @@ def test_the_same_seed_gives_the_same_missions(capsys):
         assert cli.main(["mission", "--missions", "2", "--seed", "9", "--json"]) == 0
         reports.append(json.loads(capsys.readouterr().out))
     assert reports[0]["rows"] == reports[1]["rows"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--landing", "touchdown"], "the landing policy touchdown is for the task touchdown"),
-        (["--touchdown", "landing"], "trained for the task landing, not for touchdown"),
-        (["--start", "1,2"], "--start must be X,Y,Z in metres, not '1,2'"),
-        (["--start", "0,0,1.2"], "start 0,0,1.2 lies within 0.25 m of the platform, under it"),
-        (["--start", "9,0,1"], "outside the set-point task's starts (x -2.5 to 2.5"),
-        (["--start=-1,0,1.5", "--missions", "5"], "--missions has no effect with --start"),
-        (["--hand-over", "0,1"], "the hand-over point must lie above the platform"),
-        (["--missions", "0"], "--missions must be a whole number from 1 to 2000"),
-        (["--near", "0"], "--near must be a number from 0.005 to 0.5"),
-        (["--width", "161"], "width and height of a video must be even, not"),
-        (["--inclination", "80"], "inclination"),
-    ],
-)
-def test_wrong_input(arguments, sentence, capsys, tmp_path):
-    assert cli.main(["mission", *arguments, "--out", str(tmp_path / "new")]) == 2
-    printed = capsys.readouterr()
-    assert sentence in printed.err and not printed.out and not (tmp_path / "new").exists()

@@ -76,16 +76,3 @@ def test_nothing_rests_on_a_slope_without_friction():
     slope = scenarios()["still_20_deg"]
     assert fly(slope, planner, 2)["at_rest"].all()
     assert not fly(dataclasses.replace(slope, friction=0.05), planner, 2)["at_rest"].any()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("touchdown-nominal",), "flies in a plane"),
-        (("planner", "--scenario", "ship_9"), "scenario ship_9 does not exist"),
-        (("no-such-policy",), "does not exist"),
-    ],
-)
-def test_wrong_names_are_sentences(arguments, said, capsys):
-    assert main(["robustness", *arguments, "--over", "moving"]) == 2
-    assert said in capsys.readouterr().err

@@ -17,7 +17,6 @@ from inclined_landing.models.parameters import check_vehicle, load_vehicle
 from tests.pages import EVIL_FILE, check_page
 
 CASES = changes.changes()
-VEHICLES = ("--over=vehicles",)
 
 
 def test_sizes_are_distances_from_neutral_within_what_is_possible():
@@ -110,35 +109,6 @@ def test_thrusts_survived_have_no_gap(good, ends):
     rows = [{"policy": "one", "thrust_scale": x, "strict": x in good, "flight": 0} for x in THRUSTS]
     results = counted(pd.DataFrame(rows))
     assert changes.survived(results, STRICT, "one") == ends
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("touchdown",), "touchdown.zip is for touchdown"),
-        (("landing-slopes",), "observes the slope"),
-        (("landing", "landing"), "landing is named twice"),
-        (("landing", "--effect", "gremlins"), "unknown effect gremlins"),
-        (("landing", "--thrust", "0"), "--thrust must be a number above 0"),
-        (("landing", "--every", "0"), "--every must"),
-        (("landing", "--plant", "paper"), "unknown plant"),
-        (("landing", "--vehicle", "sparrow", *VEHICLES), "vehicle file sparrow does not exist"),
-        (("landing", "--ranges", "sparrow", *VEHICLES), "randomise file sparrow does not exist"),
-        (("landing", "--ranges", "sparrow", "--draws=0", *VEHICLES), "randomise file sparrow does not exist"),
-        (("setpoint", *VEHICLES), "policy setpoint is for the task setpoint, not for landing"),
-        (("setpoint", "--over=slopes"), "setpoint, not for landing"),
-        (("a=",), "a policy must be POLICY or LABEL=POLICY"),
-        ((), "name at least one policy"),
-        (("--over", "moving", "landing-nominal"), "flies in a plane"),  # in any order
-        (("--over", "moving", "thrust", "landing-nominal"), "flies in a plane"),
-        (("landing", "--over", "moving", "thrst"), "--over"),
-    ],
-)
-def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, sentence, tmp_path, capsys):
-    assert cli.main(["robustness", *arguments, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert sentence in said and said.count("\n") == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_policies_for_other_slopes_are_not_compared():
