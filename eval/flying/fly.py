@@ -18,7 +18,6 @@ from inclined_landing.eval.base.options import (
     Flag,
     Flat,
     NewFolder,
-    PolicyName,
     Seed,
     Starts,
     VehicleFile,
@@ -48,7 +47,6 @@ class FlightOptions:
     Args:
         policy: policy for landing (motors are cut in the goal box) or touchdown (the policy itself comes to
             rest); default: the shipped landing policy.
-        setpoint: policy that takes off and flies to the start.
         start: start of the landing in metres; repeatable, flown in turn (default: the paper's starts).
         inclination: inclination of the platform in degrees (default: that of the vehicle file).
         arena: vehicle file (TOML) with arena and platform (default: the shipped ones).
@@ -57,7 +55,6 @@ class FlightOptions:
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY]")] = None
-    setpoint: PolicyName = "setpoint"
     start: Annotated[Starts, _LANDING] = ()
     inclination: Degrees = None
     arena: VehicleFile = None
@@ -80,25 +77,23 @@ class FlightOptions:
         angle = room.platform_inclination if self.inclination is None else math.radians(self.inclination)
         slope = room.check_inclination(angle)
 
-        def loaded(name: str, tasks: tuple[str, ...], **platform: float) -> Policy:
-            task = trained_task(name)
-            if task not in tasks:
-                raise UserError(
-                    f"policy {shown(name)} is for the task {shown(task, 40)}, not for {' or '.join(tasks)}"
-                )
-            policy = load_policy(name, task, vehicle=room, **platform)
-            if policy.task.platform_moves:
-                raise UserError(
-                    f"policy {shown(name)} is for moving platforms; fly needs one for a platform at rest"
-                )
-            return load_policy(name, policy.task)  # which refuses another slope than its own
-
-        hover = loaded(self.setpoint, ("setpoint",))
+        hover = load_policy("setpoint", "setpoint", vehicle=room)
         if self.plan is not None:
             planned = read_planned(self.plan, room, slope, not self.no_platform)
             x, _, z = planned.reference.position[0]
             return planned, hover, [(float(x), float(z))]
-        landing = loaded(self.policy or "landing", ("landing", "touchdown"), inclination=slope, azimuth=0.0)
+        name = self.policy or "landing"
+        task = trained_task(name)
+        if task not in ("landing", "touchdown"):
+            raise UserError(
+                f"policy {shown(name)} is for the task {shown(task, 40)}, not for landing or touchdown"
+            )
+        landing = load_policy(name, task, vehicle=room, inclination=slope, azimuth=0.0)
+        if landing.task.platform_moves:
+            raise UserError(
+                f"policy {shown(name)} is for moving platforms; fly needs one for a platform at rest"
+            )
+        landing = load_policy(name, landing.task)  # which refuses another slope than its own
         plane = make_task("landing", room, inclination=slope)
         starts = parse_starts(self.start, plane) or list(PAPER_STARTS)
         return landing, hover, [(point[0], point[1]) for point in starts]

@@ -32,7 +32,6 @@ _RADIO = re.compile(
 _REMEDIES = {  # by scheme, where a vehicle does not answer
     "radio": "is the vehicle on, do channel, rate and address match, is the Crazyradio plugged in and "
     f"free? On Linux udev rules give access to it: {UDEV}",
-    "usb": "is the vehicle connected by its cable?",
     "udp": "is a simulator of the firmware running there?",
 }
 
@@ -46,10 +45,10 @@ def check_uri(uri: str) -> None:
         _resolve(udp[1])
         return
     radio = _RADIO.fullmatch(uri)
-    if not ((radio and int(radio["channel"]) <= 125) or re.fullmatch(r"usb://[0-9]{1,3}", uri, re.ASCII)):
+    if not (radio and int(radio["channel"]) <= 125):
         raise UserError(
             "--uri must look like radio://0/80/2M/E7E7E7E7E7 (Crazyradio, channel up to 125, rate 250K, 1M "
-            "or 2M, address of ten hexadecimal digits), usb://0 or udp://127.0.0.1:19850, not "
+            "or 2M, address of ten hexadecimal digits) or udp://127.0.0.1:19850, not "
             f"{shown(repr(uri), 60)}"
         )
 

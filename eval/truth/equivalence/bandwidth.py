@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from inclined_landing.eval.base.claims import Claim, Section, Table, number
+from inclined_landing.eval.base.claims import Claim, Section, Table
 from inclined_landing.eval.base.style import BLUE, INK, MUTED, ORANGE, legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import (
@@ -21,7 +21,6 @@ from inclined_landing.eval.truth.equivalence.flying import (
     position_gap,
 )
 from inclined_landing.eval.truth.report import panels
-from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
 from inclined_landing.models.vehicle import Vehicle
 
 BANDWIDTHS = (25.0, 50.0, 100.0, 200.0, 400.0)  # 1/s
@@ -63,30 +62,6 @@ def measure(v: Vehicle, sequences: Sequences, bandwidths=BANDWIDTHS) -> list[Gap
     return gaps
 
 
-def late_commands(v: Vehicle, sequences: Sequences, bandwidth: float) -> tuple[float, float]:
-    """Return the median gaps [m] of the rate loop to the paper's equations, commands as given and 1/B later.
-
-    The delays, 1/B for the angles and 1/B_yaw for the turn, are rounded to control periods.
-    """
-    vehicle = with_bandwidth(v, bandwidth)
-    commands, starts = flying.side_by_side(v, [sequences])
-    late = commands.copy()
-    for column, rate in (
-        (ROLL_COMMAND, vehicle.attitude_bandwidth),
-        (PITCH_COMMAND, vehicle.attitude_bandwidth),
-        (YAW_RATE_COMMAND, vehicle.attitude_yaw_bandwidth),
-    ):
-        delay = round(1 / (rate * v.command_control_period))
-        if delay:
-            late[delay:, :, column] = commands[:-delay, :, column]
-            late[:delay, :, column] = 0.0
-    n = len(starts)
-    flown = flying.fly(equations(n, "rate_loop", vehicle=vehicle), commands, starts)
-    paper = [flying.fly(equations(n, "kinematic", vehicle=v), u, starts) for u in (commands, late)]
-    now, later = (float(np.median(position_gap(flown, states).max(axis=0))) for states in paper)
-    return now, later
-
-
 def claims(v: Vehicle, gaps: list[Gap]) -> list[Claim]:
     """Return the claims: doubling the bandwidth halves the gap; the extended equations agree at each."""
     result = []
@@ -116,20 +91,14 @@ def draw(v: Vehicle, gaps: list[Gap], axis: Axes) -> None:
     legend_below(axis)
 
 
-def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Section, Figure]:
-    """Return the section and its figure; `everyday` are typical commands of a policy."""
+def section(v: Vehicle, sequences: Sequences) -> tuple[Section, Figure]:
+    """Return the section and its figure."""
     gaps = measure(v, sequences)
-    daily = measure(v, everyday, (v.attitude_bandwidth,))[0]
-    plain, late = late_commands(v, sequences, v.attitude_bandwidth)
     filling = {
         "share": v.attitude_bandwidth / v.attitude_yaw_bandwidth,
         "count": len(sequences.yaw),
         "delay": 1e3 / v.attitude_bandwidth,
         "nominal": v.attitude_bandwidth,
-        "plain": number(plain),
-        "family": everyday.family,
-        "daily": number(float(np.median(daily.paper))),
-        "late": number(late),
     }
     rows = [
         (f"{g.bandwidth:g}", g.rms, float(np.median(g.paper)), float(g.paper.max()), g.angle, g.extended)
@@ -138,5 +107,4 @@ def section(v: Vehicle, sequences: Sequences, everyday: Sequences) -> tuple[Sect
     paper = (f"paper, {what}" for what in ("rms [m]", "median [m]", "largest [m]", "angle [deg]"))
     heads = ("B [1/s]", *paper, "extended, largest [m]")
     tables = [Table("Distance between the engine's rate loop and the equations", heads, rows)]
-    data = {"median_gap_now_m": plain, "median_gap_late_commands_m": late}
-    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables, data=data), draw(v, gaps)
+    return WORDS.section("bandwidth", claims(v, gaps), filling, tables=tables), draw(v, gaps)

@@ -32,14 +32,14 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
     starts = landing_starts.clear(policy.task, landing_starts.grid())[:: QUICK_STARTS if quick else 1]
     flights = flying.all_sequences(v, n, seed, policy)
     by_label = {s.label: s for s in flights}
-    full, recorded = by_label["full steps, 3-D"], by_label["recorded, 2-D"]
+    full = by_label["full steps, 3-D"]
     work: dict[str, Callable[[], Section | tuple[Section, Figure]]] = {
         "three levels": lambda: levels.section(v, flights, states, seed),
         "single terms": lambda: isolated.section(v, states // 2, seed),
         "native twin": lambda: twin.section(v, by_label["full steps, 2-D"].commands),
         "motor function": lambda: motor.section(v, seed),
         "convergence": lambda: convergence.section(v, full.commands),
-        "bandwidth": lambda: bandwidth.section(v, full, recorded),
+        "bandwidth": lambda: bandwidth.section(v, full),
         "closed loop": lambda: closed_loop.section(policy, starts),
     }
     sections, figures = [], {}

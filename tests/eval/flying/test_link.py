@@ -24,7 +24,7 @@ from inclined_landing.models.base.errors import UserError
 RADIO = "radio://0/80/2M/E7E7E7E7E7"
 GOOD = (
     *(RADIO, "radio://0/80", "radio://0/80/250K", "radio://12/0/1M", "radio://0/125/2M/00000000a1"),
-    *("radio://e7e7e7e7e7/80/2M", RADIO + "?rate_limit=100", "usb://0", "udp://127.0.0.1:19850"),
+    *("radio://e7e7e7e7e7/80/2M", RADIO + "?rate_limit=100", "udp://127.0.0.1:19850"),
 )
 BAD = (
     # scheme, dongle, channel, rate, address and query that are wrong, the rest being right
@@ -34,7 +34,7 @@ BAD = (
     *(f"radio://0/80/{rate}" for rate in ("", "2m", "3M", "2MB", "250", "１M", "2M\0")),
     *(f"radio://0/80/2M/{address}" for address in ("", "E7", "E7E7E7E7E7E7", "G7E7E7E7E7", "Ｅ7E7E7E7E7")),
     *(RADIO + query for query in ("?", "?rate_limit=0", "?rate_limit=fast", "?safelink=0", "#here", "/")),
-    *("radio", "radio://", "radio://0", "80/2M", "E7E7E7E7E7", "usb", "usb://", "usb://x", "usb://0/1"),
+    *("radio", "radio://", "radio://0", "80/2M", "E7E7E7E7E7", "usb", "usb://0"),
     *"udp:// udp://:19850 udp://127.0.0.1 udp://127.0.0.1:0 udp://127.0.0.1:65536 udp://[::1]:1".split(),
     *"udp://a@127.0.0.1:1 udp://127.0.0.1:1/ udp://a:1?x - /dev/ttyACM0".split(),
     *("udp://a b:1", "", " "),
@@ -156,7 +156,6 @@ def positioned(monkeypatch):
     ("uri", "sentence"),
     [
         (RADIO, f"no connection to .*: Cannot find a Crazyradio Dongle; is the vehicle on.*{UDEV}"),
-        ("usb://7", "no connection to usb://7: .*; is the vehicle connected by its cable"),
         ("udp://127.0.0.1:1", "no connection to .*; is a simulator of the firmware"),
     ],
 )

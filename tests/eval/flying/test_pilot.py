@@ -402,7 +402,6 @@ def test_the_command_writes_what_happened(tmp_path, capsys):
         ["--uri=udp://127.0.0.1:1"],
         ["--stand=0.1"],
         ["--inclination=-10"],
-        ["--setpoint=landing"],
         ["--fault=mocap-frozen@0"],  # the checks fail
     ):
         words = ["fly", "landing", "--simulated", "--start=1,1.5", "--out", str(tmp_path / "new")]
