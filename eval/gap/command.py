@@ -72,13 +72,13 @@ def command(
         flight, following = _flight(d, nominal, known, out)
         tick("drawing figures")
         versions, track = runs.versions(), figures.shown_flight(d, nominal, flights)
-        picture = figures.overview(d, track)
         html = page.page(d, track, versions=versions, notes=notes, flight=flight)
         tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
-            save_figure(picture, folder / "gap.png")
+            if track:
+                save_figure(figures.before_after(track), folder / "gap.png")
             kept = folder / REFERENCE
             if found or source.vehicle:
                 kept.parent.mkdir()

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.evaluation import Evaluation, corrected, open_loop_errors, regime_errors
 from inclined_landing.eval.gap.answer.named import (
-    distinct_values,
+    Evaluation,
+    corrected,
     disturbances,
     named_effects,
-    relevant_values,
-    scored_sets,
-    unidentifiable_sets,
-    useful_values,
+    open_loop_errors,
+    regime_errors,
+    thrust_over_weight,
 )
-from inclined_landing.eval.gap.answer.sizes import thrust_over_weight
+from inclined_landing.eval.gap.answer.selection import distinct_values, relevant_values, useful_values
 from inclined_landing.eval.gap.answer.touchdown import contact_answer
 from inclined_landing.eval.gap.flights.usable import check_unused, usable_flights
 from inclined_landing.eval.gap.infer.fit import estimate_noise
@@ -29,7 +28,7 @@ from inclined_landing.eval.gap.infer.sets import SetPosterior, search
 from inclined_landing.eval.gap.model.columns import Candidates, Values
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.result import Diagnosis, least_cost
+from inclined_landing.eval.gap.result import Diagnosis, ScoredSet, least_cost
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.effects import LIBRARY, Effect
 from inclined_landing.models.parameters import as_vehicle
@@ -46,25 +45,23 @@ def diagnose(
     heldout: Sequence[FlightLog] = (),
     platform: bool | None = None,
     plants: Sequence[str] = ("analytic",),
-    curves: bool = True,
 ) -> Diagnosis:
     """Return the missing effects that explain `flights` best, and the errors with and without them.
 
     reference: posterior of the identified vehicle; None: its constants are exact, its formulas nearly.
     heldout: flights for evaluation only; without them every flight is evaluated with the effects fitted to
     the others (leave-one-out). platform: the slab of the vehicle file stands in the arena (None: where a log
-    has contacts). plants: measure the gap in these. curves: also error against horizon.
+    has contacts). plants: measure the gap in these.
 
     Raises UserError when no flight can be used.
     """
-    clock, vehicle = _Stopwatch(), as_vehicle(vehicle)
+    vehicle = as_vehicle(vehicle)
 
     # Which flights can be used, and which effects can they show?
     use = usable_flights(flights, heldout, vehicle, platform)
     if reference is not None:
         check_unused(use.heldout, reference.flights, "by which the vehicle was identified")
     candidates, unidentifiable = identifiable_effects(library, use.fitted)
-    clock("prepare")
 
     # How probable is every set of effects, with the noise estimated?
     found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
@@ -76,27 +73,23 @@ def diagnose(
         candidates = {name: effect for name, effect in candidates.items() if not effect.is_lag}
         found = search(*estimate_noise(Problem.of(use.fitted, vehicle, candidates, reference)))
     inconsistent = inconsistent_flights(found.problem, found.linear)
-    clock("sets")
 
     # Which of them matter, and predict flights that were left out? The vehicle is corrected by these.
     relevant = relevant_values(found)
     useful = useful_values(found, relevant)
     found, values = distinct_values(found, useful)
     correction = corrected(found, values)
-    clock("names")
 
     # How wrong are predictions before and after, and does anything else repeat?
     evaluation = Evaluation.of(found, correction, use.judged)
-    ahead = open_loop_errors(found, correction, evaluation, values, plants, curves)
+    ahead = open_loop_errors(found, correction, evaluation, values, plants)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     known = reference.errors if reference else None
     least = least_cost(residual, ahead.gap.get("analytic"), known)
     effects = named_effects(found, values, ahead.named, least)
-    clock("errors")
     contact = contact_answer(
         use, vehicle, correction.vehicle, candidates, reference.landings if reference else None
     )
-    clock("touchdown")
 
     return Diagnosis(
         set_aside=use.set_aside,
@@ -110,13 +103,11 @@ def diagnose(
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
         disturbance=disturbances(found.problem),
-        horizon=ahead.horizon,
         residual=residual,
         gap=ahead.gap or contact.gap(vehicle, plants),
         platform=use.platform,
         flights=tuple(f.name for f in use.fitted),
         heldout=tuple(f.name for f in evaluation.problem.flights),
-        seconds=clock.spent,
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
         reference=known,
         displacements=ahead.displacements,
@@ -179,14 +170,36 @@ def _data_notes(problem: Problem) -> list[str]:
     return notes
 
 
-class _Stopwatch:
-    """Wall time by stage."""
+def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
+    """Return the sets of a posterior with the standard errors of their values."""
+    result = []
+    for scored in found.sets:
+        standard_errors: dict[str, dict[str, float]] = {n: {} for n in scored.effects}
+        for (name, parameter), known in found.local.estimates(scored.values).items():
+            standard_errors[name][parameter] = known.error
+        result.append(structs.replace(scored, standard_errors=standard_errors))
+    return tuple(result)
 
-    def __init__(self):
-        self.spent: dict[str, float] = {}
-        self._last = time.perf_counter()
 
-    def __call__(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.spent[stage] = now - self._last
-        self._last = now
+def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
+    """Return the most probable set extended by each effect that the flights do not excite.
+
+    Such an effect keeps its prior odds and a plausible size.
+    """
+    problem, local, best = found.problem, found.local, found.sets[0]
+    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
+    scored = {one.names for one in found.sets}
+    result = []
+    for name, effect in problem.library.items():
+        names = best.names | {name}
+        own = local.index([name])
+        if names in scored or effect.told_by or not len(own):
+            continue
+        prior = np.sqrt(local.slab[own[0], own[0]])
+        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
+            continue
+        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
+        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
+        odds = best.probability * share / (1.0 - share)
+        result.append(ScoredSet(problem.ordered(names), odds, values, {name: width}))
+    return tuple(result)

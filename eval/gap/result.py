@@ -20,7 +20,6 @@ Verdict = Literal["effects", "nothing", "unknown", "undecided"]
 VERSION = 1  # of report.json
 HORIZON = 1.0  # s, after which the simulation of a log restarts at the measured state
 REFERENCE = "reference/vehicle.toml"  # in a report's folder: the vehicle diagnosed, if not shipped
-_DRAWN = {"corrected", "horizon"}  # not in report.json: the vehicle file, and curves of a figure
 
 
 def plain(record: object) -> dict:
@@ -69,7 +68,6 @@ class Estimate:
     bounds: tuple[float, float]
     at_bound: bool
     per_flight: tuple[float, ...]  # shrunk towards the common value; NaN where not identifiable
-    per_flight_error: tuple[float, ...]  # their standard errors
     spread: float  # standard deviation between flights
 
     @property
@@ -122,17 +120,6 @@ class NamedEffect:
         """Return the fitted values of its parameters, or of its parts: effect -> parameter -> value."""
         own = {self.name: {name: p.value for name, p in self.parameters.items()}}
         return {name: dict(values) for name, values in (self.parts or own).items()}
-
-
-@dataclasses.dataclass(frozen=True)
-class HorizonCurve:
-    """Open-loop position error against the horizon, with the first effects of the list added."""
-
-    label: str  # "nominal", "+ rotor_drag", ...
-    effects: tuple[str, ...]
-    horizon: np.ndarray  # (h,) s
-    error: np.ndarray  # (h,) m, root mean square over windows of held-out flights
-    floor: np.ndarray  # (h,) m
 
 
 @dataclasses.dataclass(frozen=True)
@@ -290,8 +277,6 @@ class PlantGap:
     before: float
     after: float
     floor: float
-    translation_before: float  # the same with the measured attitude instead of the simulated one
-    translation_after: float
     windows: int
     horizon: float  # s
 
@@ -331,13 +316,11 @@ class Diagnosis:
     where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
     disturbance: dict[str, Disturbance]  # channel -> noise and disturbance
-    horizon: tuple[HorizonCurve, ...]
     residual: ResidualAnalysis
     gap: dict[str, PlantGap]  # "analytic", "mujoco"; empty where no flight has a usable second
     platform: bool  # the slab stood in the arena
     flights: tuple[str, ...]  # names of the flights fitted
     heldout: tuple[str, ...]  # names of the flights judged on (those fitted, left out in turn, if none)
-    seconds: dict[str, float]  # stage -> s
     notes: tuple[str, ...]  # what limits this diagnosis, in sentences
     touchdowns: Touchdowns | None = None  # None: too few to name effects of contact
     # With effects that the flights could not have shown, at prior odds.
@@ -465,7 +448,7 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
-        record = plain({name: value for name, value in vars(self).items() if name not in _DRAWN})
+        record = plain({name: value for name, value in vars(self).items() if name != "corrected"})
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained

@@ -99,7 +99,7 @@ def two_rounds(seed: int) -> dict:
 
 def _diagnosis(case: cases.Case, recordings: Sequence[Recording], known: Identification) -> Diagnosis:
     logs = generate.logs(recordings, voltage=case.voltage)
-    return diagnose(logs, known.vehicle, reference=known.reference, curves=False)
+    return diagnose(logs, known.vehicle, reference=known.reference)
 
 
 def planned(d: Diagnosis, known: Identification) -> design.Plan | None:

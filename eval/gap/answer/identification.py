@@ -18,8 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
-from inclined_landing.eval.gap.answer.evaluation import Refit
 from inclined_landing.eval.gap.answer.named import disturbances
+from inclined_landing.eval.gap.answer.selection import Refit
 from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
@@ -332,7 +332,7 @@ def _errors_ahead(
 ) -> dict[str, float]:
     """Return the open-loop position errors [m] one second ahead, as `Identification.ahead`."""
     each = {"before": [before] * len(after), "after": after}
-    errors = {n: float(rollout.errors_by_flight(starts, v)[0][-1]) for n, v in each.items()}
+    errors = {n: float(rollout.errors_by_flight(starts, v)[-1]) for n, v in each.items()}
     return errors | {"floor": float(rollout.noise_floor(starts, after[0])[-1])}
 
 

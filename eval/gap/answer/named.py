@@ -1,47 +1,185 @@
-"""The named effects: which probable ones matter and predict, their sizes, and the vehicle with them."""
+"""The named effects: the vehicle with them, its errors on flights not fitted, and why each is sure or not."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
-from msgspec import structs
+from scipy import stats
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.evaluation import Displacement, Refit
-from inclined_landing.eval.gap.answer.rollout import RolloutWindows, pose_errors
-from inclined_landing.eval.gap.answer.sizes import (
-    WEIGHT,
+from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer.selection import (
+    LOOPS,
+    Refit,
     estimates,
+    fitted_to_others,
+    jointly,
+    judged_by,
     loop_pieces,
-    product,
+    propagated,
     response,
-    thrust_of_names,
+    size_columns,
+    squared_error_shares,
+    windows_ahead,
 )
-from inclined_landing.eval.gap.infer.fit import fit_least_squares
-from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
-from inclined_landing.eval.gap.infer.sets import (
-    SetPosterior,
-    equivalence_class,
-    leave_one_out,
-    posterior_mode,
+from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.infer import residual
+from inclined_landing.eval.gap.infer.fit import (
+    field_half_widths,
+    fit_vehicle,
+    leave_one_out_modes,
+    vehicles_a_half_width_away,
 )
-from inclined_landing.eval.gap.model.columns import (
-    FittedValues,
-    Values,
-    slab_deviations,
-)
+from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, leave_one_out
+from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import HORIZON, Disturbance, NamedEffect, ScoredSet
+from inclined_landing.eval.gap.result import Disturbance, NamedEffect, PlantGap, RegimeError
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
+from inclined_landing.models.vehicle import Vehicle
 
-LOOPS = frozenset(("attitude", "yaw"))  # channels of effects on the loops alone
 LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attitude loops
+# Effects of the thrust in hover, or of the weight.
+WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
+
+
+@dataclasses.dataclass(frozen=True)
+class Correction(Refit):
+    """Values of the effects that correct the vehicle: the named ones, or all of an identified vehicle."""
+
+    again: bool = False  # whether the errors of the identified vehicle were estimated again
+    # Fields of the vehicle that change with these, and half-widths of their 95 % intervals.
+    half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
+
+
+def corrected(found: SetPosterior, values: FittedValues) -> Correction:
+    """Return the correction by the named effects at `values`.
+
+    All effects of an identified vehicle are estimated again where that predicts flights left out better.
+    """
+    problem, names = found.problem, frozenset(values)
+    local = found.local.with_wide_slabs(names)
+    named = Correction(problem, values, leave_one_out(problem, local, names, values))
+    if not (problem.identified and values):
+        return named
+    again, local = fit_vehicle(problem, found.spread, values, names)
+    moved = vehicles_a_half_width_away(problem, local, names, again)
+    widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
+    whole = Correction(problem, again, leave_one_out_modes(problem, local, names), True, widths)
+    return min(named, whole, key=Correction.error_ahead)
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Flights that errors are measured on, each with a corrected vehicle that was not fitted to it."""
+
+    problem: Problem
+    vehicles: list[Vehicle]
+
+    @staticmethod
+    def of(found: SetPosterior, correction: Correction, heldout: Sequence[MeasuredFlight]) -> Evaluation:
+        """Return the evaluation on held-out flights; without any, on those fitted."""
+        problem, (_, vehicles) = found.problem, correction.judged(heldout)
+        if heldout:
+            test = Problem.of(heldout, problem.vehicle, {})
+            problem = test.whitened(problem.noise_model, correction.vehicle)
+        return Evaluation(problem, vehicles)
+
+
+def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, before and after."""
+    problem, after = evaluation.problem, evaluation.vehicles
+    before = problem.white_errors([problem.vehicle] * len(after))
+    first, variance = residual.equivalent_sizes(problem, before)
+    second, _ = residual.equivalent_sizes(problem, problem.white_errors(after))
+    regimes = np.concatenate([f.regimes for f in problem.flights])
+    rows = []
+    for name, member in [("all", np.ones(len(regimes), bool)), *zip(REGIMES, regimes.T)]:
+        for k, channel in enumerate(channels_of(problem)):
+            w = member & (problem.logged[:, k] > 0.0)
+            if w.any():
+                worse, better = (float(np.sqrt((x[w, k] ** 2).mean())) for x in (first, second))
+                floor = float(np.sqrt(variance[w, k].mean()))
+                unit = residual.UNITS[channel]
+                rows.append(RegimeError(name, channel, worse, better, floor, unit, int(w.sum())))
+    return tuple(rows)
+
+
+@dataclasses.dataclass(frozen=True)
+class Displacement:
+    """The change of the position one second ahead by a named effect."""
+
+    cost: float = math.nan  # m, the error that it accounts for; NaN: not known
+    along: Mapping[str, float] = dataclasses.field(default_factory=dict)  # axis -> m, root mean square
+
+
+@dataclasses.dataclass(frozen=True)
+class OpenLoopErrors:
+    """Open-loop predictions of the flights, with and without the effects; empty where none can be made."""
+
+    error: float = math.nan  # m, of the position after the longest horizon, corrected
+    named: dict[str, Displacement] = dataclasses.field(default_factory=dict)  # what each of these does
+    gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
+    displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
+    notes: tuple[str, ...] = ()
+
+
+def open_loop_errors(
+    found: SetPosterior,
+    correction: Correction,
+    evaluation: Evaluation,
+    values: Values,
+    plants: Sequence[str],
+) -> OpenLoopErrors:
+    """Return the open-loop predictions of the flights evaluated, each with its vehicle; values: named."""
+    problem, after = found.problem, evaluation.vehicles
+    try:
+        starts = rollout.RolloutWindows.of(evaluation.problem.flights)
+    except UserError as why:
+        unknown = dict.fromkeys(values, Displacement())
+        return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
+    floor = rollout.noise_floor(starts, correction.vehicle)
+    error = float(rollout.errors_by_flight(starts, after)[-1])
+    pieces = loop_pieces(problem, values)
+    named = {n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values}
+    vehicles = after if evaluation.problem is problem else correction.vehicle
+    gap, notes = {}, []
+    for plant in dict.fromkeys(("analytic", *plants)):
+        try:
+            gap[plant] = rollout.plant_gap(starts, problem.vehicle, vehicles, plant, floor)
+        except UserError as why:  # as loops that are too fast for the engine's step
+            notes.append(f"the gap was not measured in {plant}: {why}")
+    classes = {member for name in values for member in equivalence_class(found, name)}
+    moved = _displacements(found, starts, classes)
+    return OpenLoopErrors(error, named, gap, moved, tuple(notes))
+
+
+def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:
+    """Return the error after one second that effects account for, and how far they move the vehicle."""
+    # cost^2 = e_without^2 - e_with^2
+    measured, rest = starts.measured(), {n: v for n, v in values.items() if n not in names}
+    without, whole = (rollout.simulate(starts, problem.corrected(v)) for v in (rest, values))
+    worse, better = (rollout.position_error(pose, measured)[-1] for pose in (without, whole))
+    moved = np.sqrt(((whole - without)[:, -1, :3] ** 2).mean(axis=0))
+    return Displacement(float(np.sqrt(max(0.0, worse**2 - better**2))), dict(zip("xyz", map(float, moved))))
+
+
+def _displacements(found: SetPosterior, starts: rollout.RolloutWindows, named: Set[str]) -> dict[str, float]:
+    """Return possible effect -> displacement [m] within a second by its size in the best set with it."""
+    problem = found.problem
+    plain, result = rollout.simulate(starts, problem.vehicle), {}
+    for name in problem.library:
+        if name in named or found.probability(name) < thresholds.POSSIBLE:
+            continue
+        best = max((one for one in found.sets if name in one.names), key=lambda one: one.probability)
+        moved = rollout.simulate(starts, problem.corrected({name: best.values[name]}))
+        result[name] = float(rollout.position_error(moved, plain)[-1])
+    return result
 
 
 def named_effects(
@@ -88,13 +226,15 @@ def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[
 
     A load on a string is a mass, too, where no swing shows.
     """
-    effect, starts = found.problem.library[name], _starts(found.problem)
-    by = _judged_by(effect, values[name])
+    effect, starts = found.problem.library[name], windows_ahead(found.problem)
+    by = judged_by(effect, values[name])
     if starts is None or not by or all(p.linear for p in effect.parameters):
         return []
     others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
     sets = [frozenset(values) - {name} | {n} for n in (name, *others)]
-    here, *errors = (pose_errors(starts, _fitted_to_others(found, names).vehicles)[by] for names in sets)
+    here, *errors = (
+        rollout.pose_errors(starts, fitted_to_others(found, names).vehicles)[by] for names in sets
+    )
     return [n for n, error in zip(others, errors) if (error <= here).all()]
 
 
@@ -142,186 +282,69 @@ def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[st
     return ""
 
 
-def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
-    """Return the values of a set of effects."""
-    problem = found.problem
-    values = posterior_mode(problem, found.local.with_wide_slabs(names), names)
-    if problem.identified:
-        return values
-    # Far from the nominal vehicle, spikes of other effects would take a share.
-    return fit_least_squares(problem, values, prior=slab_deviations).values
+def product(found: SetPosterior, values: Values, name: str) -> tuple[float, tuple[float, float]]:
+    """Return the acceleration [m/s2] that an effect makes in hover, and its 95 % interval."""
+    # The others as they are:  C = (a + V^-1)^-1
+    local = found.local.with_wide_slabs(frozenset(values))
+    own = size_columns(found.problem, local, [name])
+    information = local.a.sum(axis=0)[np.ix_(own, own)] + np.linalg.inv(local.slab[np.ix_(own, own)])
+    covariance = np.linalg.inv(information) * np.outer(local.unit[own], local.unit[own])
+    without = found.problem.hover_acceleration({n: v for n, v in values.items() if n != name})
+
+    def made(at: Values) -> float:
+        return float(np.linalg.norm(found.problem.hover_acceleration(at) - without))
+
+    value, (low, high) = propagated(found.problem, values, [local.columns[k] for k in own], covariance, made)
+    return value, (max(0.0, low), high)
 
 
-def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the posterior linearised again at a set's values, and the values there, largest gain first."""
-    # Read off a linearisation elsewhere, a pair of effects may keep what is not there of either.
-    names, problem = frozenset(values), found.problem
-    if names and problem.identified:
-        columns = problem.all_columns() + problem.form_columns(values)
-        local = LinearGaussian.of(problem, found.spread, problem.linearise(values, columns))
-        there = dataclasses.replace(found, local=local)
-        new = fitted_values(there, names)
-        if problem.squares(new) <= problem.squares(values):
-            found, values = there, new
-    return found, _largest_first(problem, values)
+def thrust_over_weight(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
+    """Return thrust over weight, over the modelled one, at the flights' usual command, and its interval.
 
-
-def _largest_first(problem: Problem, values: FittedValues) -> FittedValues:
-    """Return the same values, the effects without which most squared error is lost first."""
-    gains = squared_error_shares(problem, values)
-    return {name: values[name] for name in sorted(gains, key=lambda n: -gains[n])}
-
-
-def squared_error_shares(problem: Problem, values: Values) -> dict[str, float]:
-    """Return effect -> share of the closable squared error that is lost without it."""
-    lost = _squared_error_increase(problem, values)
-    before, after = (problem.squares_by_channel(v).sum() for v in ({}, values))
-    return {n: float(np.clip(x.sum() / max(before - after, 1e-9), 0.0, 1.0)) for n, x in lost.items()}
-
-
-def relevant_values(found: SetPosterior) -> FittedValues:
-    """Return the values of the probable effects that matter: RELEVANT of the squared error in a channel.
-
-    Or USEFUL of the error one second ahead, as few windows may show one. With many flights a change too small
-    to matter is certain.
+    The interval covers the other probable sets too, and what the flights of an identified vehicle left
+    uncertain of its own at this command. None where no named effect changes it, or one alone that is this
+    ratio.
     """
-    # Effects of the best set of probability >= NAMED, those confounded with them added.
-    names = frozenset(
-        n for n in found.names if found.probability(*equivalence_class(found, n)) >= thresholds.NAMED
-    )
-    while True:
-        values = fitted_values(found, names)
-        after = found.problem.squares_by_channel(values)
-        logged = after > 0.0
-        # R^2 = increase without it / (rest + increase), in the channel where it is largest
-        shares = {}
-        for name, lost in _squared_error_increase(found.problem, values).items():
-            shares[name] = float(np.max(lost[logged] / np.maximum(after + lost, 1e-9)[logged], initial=0.0))
-        small = sorted((n for n in shares if shares[n] < thresholds.RELEVANT), key=lambda name: shares[name])
-        least = next((n for n in small if not _shows_ahead(found, values, n)), "")
-        if not least:
-            return values
-        names -= {least}
+    named = thrust_of_names(found, values)
+    if named is None or not found.problem.identified:
+        return named
+    value, (low, high) = named
+    half = max(0.5 * (high - low), value * _reference_half_width(found.problem))
+    return value, (value - half, value + half)
 
 
-def _starts(problem: Problem) -> RolloutWindows | None:
-    """Return the windows of a second in which errors ahead are measured; None where no stretch is so long."""
-    try:
-        return RolloutWindows.of(problem.flights)
-    except UserError:
+def thrust_of_names(found: SetPosterior, values: Values) -> tuple[float, tuple[float, float]] | None:
+    """Return `thrust_over_weight` with the identified vehicle's taken as known."""
+    problem, names = found.problem, [name for name in WEIGHT if name in values]
+    ratios = [name for name in names if problem.library[name].parameters[0].neutral == 1.0]
+    if not names or names == ratios[:1]:
         return None
+    value, (low, high) = jointly(found, values, names, lambda at: _thrust_ratio(problem, at))
+    # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
+    apart = sum(one.probability * (_thrust_ratio(problem, one.values) - value) ** 2 for one in found.sets)
+    half = math.hypot(0.5 * (high - low), stats.norm.ppf(0.975) * math.sqrt(apart))
+    return value, (value - half, value + half)
 
 
-def _fitted_to_others(found: SetPosterior, names: EffectSet) -> Refit:
-    """Return a set of effects fitted again, and without each flight."""
-    values = fitted_values(found, names)
-    local = found.local.with_wide_slabs(names)
-    return Refit(found.problem, values, leave_one_out(found.problem, local, names, values))
+def _thrust_ratio(problem: Problem, at: Values, vehicle: Vehicle | None = None) -> float:
+    """Return thrust over weight at the usual command, over the modelled one, of a vehicle with effects."""
+    usual = float(np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights])))
+    changed = Candidates(vehicle or problem.vehicle, problem.library)
+    its = {n: at[n] for n in WEIGHT if n in at}
+    gravity = problem.vehicle.environment_gravity
+    thrust, before = (float(c.hover_acceleration(v, usual)[2]) for c, v in ((changed, its), (problem, {})))
+    return (thrust + gravity) / (before + gravity)
 
 
-def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
-    """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    starts = _starts(found.problem)
-    by = _judged_by(found.problem.library[name], values[name])
-    if starts is None or not by:
-        return False
-    sets = (frozenset(values), frozenset(values) - {name})
-    here, without = (pose_errors(starts, _fitted_to_others(found, names).vehicles)[by] for names in sets)
-    return bool((without > (1.0 + thresholds.USEFUL) * here).any())
-
-
-def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
-    """Return the values of the effects without which flights left out are predicted worse.
-
-    Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
-    where an effect acts on the attitude or on yaw. It is dropped if, without it, the first of these does not
-    grow (other effects fixed) and none grows by USEFUL (other effects refitted). All of `values` are returned
-    if no stretch is long enough.
-    """
-    # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    starts = _starts(found.problem)
-    if starts is None:
-        return values
-    by = {name: _judged_by(found.problem.library[name], values[name]) for name in values}
-    fit = _fitted_to_others(found, frozenset(values))
-    here = pose_errors(starts, fit.vehicles)
-    while fit.values:
-        fewer = []
-        for name in (n for n in sorted(fit.values) if by[n]):
-            rest = frozenset(fit.values) - {name}
-            fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
-            if pose_errors(starts, fixed.vehicles)[by[name][0]] <= here[by[name][0]]:
-                without = _fitted_to_others(found, rest)
-                errors = pose_errors(starts, without.vehicles)
-                growth = errors[by[name]] / np.maximum(here[by[name]], 1e-12)
-                if growth.max() <= 1.0 + thresholds.USEFUL:
-                    fewer.append((growth[0], errors, without))
-        if not fewer:
-            break
-        _, here, fit = min(fewer, key=lambda one: one[0])
-    return fit.values
-
-
-def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
-    """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
-
-    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. No loop
-    is quite of the modelled form, and the vehicle's constants are estimated again: next to a larger effect, a
-    change of the loops alone must be firm and predict better. Without the motors' requests a moment must be
-    firm. The posterior is linearised where the effects are named.
-    """
-    found, values = refitted(found, values)
-    distinct = values
-    while least := _least_distinct(found, distinct):
-        distinct = _largest_first(found.problem, fitted_values(found, frozenset(distinct) - {least}))
-    return refitted(found, distinct) if len(distinct) < len(values) else (found, values)
-
-
-def _least_distinct(found: SetPosterior, values: FittedValues) -> str:
-    """Return the smallest of the effects that are not to be named, see `distinct_values`; "" for none."""
-    firm, pieces = firm_names(found, values), loop_pieces(found.problem, values)
-    for k, name in reversed([*enumerate(values)]):
-        channels = found.problem.library[name].channels
-        smaller_loop = k > 0 and LOOPS.issuperset(channels)
-        if name in firm and (name in pieces or not smaller_loop):
-            continue
-        unseen = "requests" in channels and not found.problem.requested
-        if (name not in firm and (unseen or (smaller_loop and firm))) or not _shows_ahead(
-            found, values, name
-        ):
-            return name
-    return ""
-
-
-def firm_names(found: SetPosterior, values: Values) -> set[str]:
-    """Return the effects with a firm size; for pieces of the attitude loops, the time of their answer."""
-    problem, pieces, sizes = found.problem, loop_pieces(found.problem, values), estimates(found, values)
-    firm = set(pieces) if pieces and response(found, values, pieces).differs else set()
-    for name in (n for n in values if n not in pieces):
-        own = (p.name for p in problem.library[name].parameters if not p.is_reference)
-        if any(sizes[name][p].firm for p in own):
-            firm.add(name)
-    return firm
-
-
-def _judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
-    """Return which of position, tilt and heading (0, 1, 2) an effect acts on; motor requests are none.
-
-    Nor is there one for a moment that the loops take over within the second ahead: it takes from the range of
-    control, and from the motion little.
-    """
-    hold = [values.get(p.name, 0.0) for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
-    if hold and hold[0] * HORIZON > 1.0:
-        return []
-    acts = ({"translation", "attitude"}, {"attitude"}, {"yaw"})
-    return [k for k, channels in enumerate(acts) if channels & set(effect.channels)]
-
-
-def _squared_error_increase(problem: Problem, values: Values) -> dict[str, np.ndarray]:
-    """Return effect -> increase of the squared error (C,) of every channel without it."""
-    after = problem.squares_by_channel(values)
-    rest = {name: {n: v for n, v in values.items() if n != name} for name in values}
-    return {name: problem.squares_by_channel(rest[name]) - after for name in values}
+def _reference_half_width(problem: Problem) -> float:
+    """Return the half-width of the interval of the identified vehicle's own thrust over weight, over it."""
+    # Propagation of errors, as `propagated`
+    names = [name for name in WEIGHT if name in problem.library]
+    columns = [c for c in problem.columns(names) if isinstance(c, ParameterColumn)]
+    moved = [problem.one_sided_difference({}, c) for c in columns]
+    slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])
+    variance = slope @ problem.vehicle_prior(columns)[1] @ slope
+    return float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(variance))
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:
@@ -340,38 +363,3 @@ def disturbances(problem: Problem) -> dict[str, Disturbance]:
         for k, channel in enumerate(channels_of(problem))
         if problem.logged[:, k].any()
     }
-
-
-def scored_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the sets of a posterior with the standard errors of their values."""
-    result = []
-    for scored in found.sets:
-        standard_errors: dict[str, dict[str, float]] = {n: {} for n in scored.effects}
-        for (name, parameter), known in found.local.estimates(scored.values).items():
-            standard_errors[name][parameter] = known.error
-        result.append(structs.replace(scored, standard_errors=standard_errors))
-    return tuple(result)
-
-
-def unidentifiable_sets(found: SetPosterior) -> tuple[ScoredSet, ...]:
-    """Return the most probable set extended by each effect that the flights do not excite.
-
-    Such an effect keeps its prior odds and a plausible size.
-    """
-    problem, local, best = found.problem, found.local, found.sets[0]
-    share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / len(problem.library))
-    scored = {one.names for one in found.sets}
-    result = []
-    for name, effect in problem.library.items():
-        names = best.names | {name}
-        own = local.index([name])
-        if names in scored or effect.told_by or not len(own):
-            continue
-        prior = np.sqrt(local.slab[own[0], own[0]])
-        if local.standard_errors(names)[own[0]] < thresholds.UNIDENTIFIABLE * prior:
-            continue
-        width = {p.name: abs(p.size(p.plausible)) for p in effect.parameters}
-        values = {n: dict(best.values[n]) for n in best.names} | {name: effect.plausible}
-        odds = best.probability * share / (1.0 - share)
-        result.append(ScoredSet(problem.ordered(names), odds, values, {name: width}))
-    return tuple(result)

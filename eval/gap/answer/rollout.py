@@ -282,11 +282,6 @@ def noise_floor(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     return np.sqrt(position_error(a, b) ** 2 + (end**2).sum(axis=1).mean())
 
 
-def translation_error(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
-    """Return the position error (rows,) [m] with the measured attitude in place of the simulated one."""
-    return position_error(along_measured_attitude(starts, vehicle), starts.measured())
-
-
 def along_measured_attitude(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     """Return the positions (n, rows + 1, 3) of every window, driven by the measured attitude.
 
@@ -314,34 +309,21 @@ def plant_gap(
     starts: RolloutWindows, before: Vehicle, after: Vehicle | Sequence[Vehicle], plant: str, floor: np.ndarray
 ) -> PlantGap:
     """Return the errors at the end of the horizon; `after`: one vehicle, or one per flight of `starts`."""
-    ends = [[float(x[-1]) for x in errors_by_flight(starts, v, plant)] for v in (before, after)]
-    (first, first_translation), (second, second_translation) = ends
-    return PlantGap(
-        before=first,
-        after=second,
-        floor=float(floor[-1]),
-        translation_before=first_translation,
-        translation_after=second_translation,
-        windows=len(starts),
-        horizon=starts.rows * starts.dt,
-    )
+    worse, better = (float(errors_by_flight(starts, v, plant)[-1]) for v in (before, after))
+    return PlantGap(worse, better, float(floor[-1]), len(starts), starts.rows * starts.dt)
 
 
 def errors_by_flight(
     starts: RolloutWindows, vehicle: Vehicle | Sequence[Vehicle], plant: str = "analytic"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return `position_error` and `translation_error` (rows,); each flight may have its own vehicle."""
+) -> np.ndarray:
+    """Return `position_error` (rows,); each flight may have its own vehicle."""
     if isinstance(vehicle, Vehicle):
-        return (
-            position_error(simulate(starts, vehicle, plant), starts.measured()),
-            translation_error(starts, vehicle),
-        )
-    squares, translation, total = 0.0, 0.0, 0
+        return position_error(simulate(starts, vehicle, plant), starts.measured())
+    squares, total = 0.0, 0
     for part, own in starts.by_flight(vehicle):
         squares = squares + len(part) * position_error(simulate(part, own, plant), part.measured()) ** 2
-        translation = translation + len(part) * translation_error(part, own) ** 2
         total += len(part)
-    return np.sqrt(squares / total), np.sqrt(translation / total)
+    return np.sqrt(squares / total)
 
 
 def pose_errors(starts: RolloutWindows, vehicles: Sequence[Vehicle]) -> np.ndarray:
@@ -362,9 +344,8 @@ def measure_gap(
 ) -> dict:
     """Return the open-loop position error of a vehicle on measured flights.
 
-    {error, floor, translation, windows, horizon, curve}: root mean square distance [m] after `horizon`
-    seconds, that of noise alone, the error with the measured attitude in place of the simulated one, the
-    number of windows, and {t, error, floor} against the horizon.
+    {error, floor, windows, horizon, curve}: root mean square distance [m] after `horizon` seconds, that of
+    noise alone, the number of windows, and {t, error, floor} against the horizon.
     Raises UserError when no flight has a usable stretch of that length.
     """
     vehicle = as_vehicle(vehicle)
@@ -372,12 +353,11 @@ def measure_gap(
     if not logs:
         raise UserError("no flight given")
     starts = RolloutWindows.of([prepare(log, vehicle, platform=platform) for log in logs], horizon)
-    error, translation = errors_by_flight(starts, vehicle, plant)
+    error = errors_by_flight(starts, vehicle, plant)
     floor = noise_floor(starts, vehicle)
     return {
         "error": float(error[-1]),
         "floor": float(floor[-1]),
-        "translation": float(translation[-1]),
         "windows": len(starts),
         "horizon": starts.rows * starts.dt,
         "curve": {"t": np.arange(1, starts.rows + 1) * starts.dt, "error": error, "floor": floor},

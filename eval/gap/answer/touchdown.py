@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -54,7 +53,7 @@ class ContactAnswer:
             return {}
         worse, better = (_root_mean_square(self.landings, v, slice(-1, None)) for v in (before, self.vehicle))
         floor = float(np.sqrt(np.mean([(x.deviation[-1, :3] ** 2).sum() for x in self.landings])))
-        gap = PlantGap(worse, better, floor, math.nan, math.nan, len(self.landings), BEFORE + AFTER)
+        gap = PlantGap(worse, better, floor, len(self.landings), BEFORE + AFTER)
         return {"mujoco": gap}
 
 

@@ -371,7 +371,6 @@ class _ContactModel:
                 bounds=p.bounds,
                 at_bound=thresholds.at_bound(value, p.bounds),
                 per_flight=tuple(map(float, singles)),
-                per_flight_error=tuple(map(float, np.abs(error))),
                 spread=dersimonian_laird(singles, np.abs(error)),
             )
         return result

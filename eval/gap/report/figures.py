@@ -1,11 +1,9 @@
-"""The figure of a diagnosis: predictions along a flight, above the error by horizon."""
+"""The figure of a diagnosis: predictions along a flight by the vehicle diagnosed and by the corrected one."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,19 +15,15 @@ from inclined_landing.eval.base.style import (
     INK,
     ORANGE,
     PURPLE,
-    RULE,
     panel,
     styled,
 )
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.flights.usable import ReadFlights
 from inclined_landing.eval.gap.flights.windows import NEAR, prepare
-from inclined_landing.eval.gap.report.words import centimetres
 from inclined_landing.eval.gap.result import (
     HORIZON,
     Diagnosis,
-    HorizonCurve,
-    PlantGap,
 )
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
@@ -59,7 +53,7 @@ class Track:
         """Return what the predictions are."""
         return (
             f"{self.flight}, {'left out of' if self.held_out else 'part of'} the fit. Every {EVERY:g} s a "
-            "prediction starts from the measured state, driven by the commands alone; below, its error."
+            "prediction starts from the measured state, driven by the commands alone."
         )
 
     @property
@@ -102,55 +96,6 @@ def shown_flight(d: Diagnosis, before: Vehicle, flights: ReadFlights) -> Track |
     )
 
 
-def _draw_horizon(axis: Axes, curves: Sequence[HorizonCurve], gap: dict[str, PlantGap]) -> None:
-    """Draw the curves with their names at the right end."""
-    ends = []
-    for k, curve in enumerate(curves):
-        colour = BEFORE if k == 0 else AFTER if k == len(curves) - 1 else _STEPS[(k - 1) % len(_STEPS)]
-        axis.plot(curve.horizon, 100 * curve.error, color=colour, linewidth=2.2, zorder=3 + k)
-        name = "nominal model" if k == 0 else curve.label.replace("_", " ")
-        ends.append((100 * curve.error[-1], f"{name}  {centimetres(curve.error[-1])}", colour))
-    if curves:
-        last = curves[-1]
-        axis.plot(last.horizon, 100 * last.floor, color=INK, linewidth=1.3, linestyle=(0, (1, 1.6)), zorder=3)
-        axis.fill_between(last.horizon, 0, 100 * last.floor, color=RULE, alpha=0.6, linewidth=0)
-        ends.append((100 * last.floor[-1], f"noise alone  {centimetres(last.floor[-1])}", INK))
-    if "mujoco" in gap:
-        g = gap["mujoco"]
-        look: dict[str, Any] = {"color": "white", "markeredgewidth": 1.6, "markersize": 5.5}
-        look |= {"zorder": 20, "clip_on": False}
-        for value, colour, text in (
-            (g.before, BEFORE, "the same windows simulated in MuJoCo"),
-            (g.after, AFTER, None),
-        ):
-            axis.plot(g.horizon, 100 * value, "D", markeredgecolor=colour, label=text, **look)
-        axis.legend(loc="upper left", handletextpad=0.2)
-    top = max([value for value, *_ in ends] + [1e-3]) * 1.06
-    end = max((curve.horizon[-1] for curve in curves), default=1.0)
-    axis.set(xlim=(0, end), ylim=(0, top), xlabel="horizon [s]", ylabel="position error [cm, RMS]")
-    axis.grid(axis="y")
-    _name_ends(axis, ends, top)
-
-
-def _name_ends(axis: Axes, ends, top: float) -> None:
-    """Write names right of the axes at the height of their curves, without overlaps."""
-    figure = axis.get_figure(root=True)
-    assert figure is not None
-    inches = axis.get_position().height * figure.get_figheight()
-    least = 0.17 / inches * top
-    ends = sorted(ends, key=lambda e: e[0])
-    heights = [value for value, *_ in ends]
-    for k in range(1, len(heights)):
-        heights[k] = max(heights[k], heights[k - 1] + least)
-    beside = axis.get_yaxis_transform()
-    for height, (value, text, colour) in zip(heights, ends):
-        arrow = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0}
-        axis.annotate(
-            *(text, (1.0, value), (1.035, height), beside, beside, arrow | {"relpos": (0, 0.5)}),
-            **{"fontsize": 8.5, "color": colour, "va": "center"},
-        )
-
-
 def _draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     """Draw the coordinate of the largest error before the correction, and predictions before or after it.
 
@@ -185,14 +130,11 @@ def _draw_predictions(axis: Axes, one: Track, after: bool) -> None:
     axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)
 
 
-def overview(d: Diagnosis, one: Track | None) -> Figure:
-    """Return a flight with predictions before and after the correction, above the error by horizon."""
-    below = 3.2
+def before_after(one: Track) -> Figure:
+    """Return the figure of predictions along a flight, before and after the correction."""
     with styled():
-        figure = Figure(figsize=(WIDTH, below + (2.9 if one is not None else 0.0)))
-        _draw_horizon(panel(figure, 0.75, 0.55, WIDTH - 3.0, 2.4), d.horizon, d.gap)
-        if one is not None:
-            for k in range(2):
-                left = 0.75 + 0.5 * WIDTH * k
-                _draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
+        figure = Figure(figsize=(WIDTH, 2.9))
+        for k in range(2):
+            left = 0.75 + 0.5 * WIDTH * k
+            _draw_predictions(panel(figure, left, 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
     return figure

@@ -37,8 +37,9 @@ def page(
     flight.
     """
     change = Section("change", "What to change", words.causes(d, flight), [], [effect_table(d)])
-    drawn = {"gap.png": figures.overview(d, track)} if track or d.horizon else {}
-    change.figures = dict.fromkeys(drawn, track.caption if track else "Error ahead")
+    if track:
+        change.figures["gap.png"] = track.caption
+    drawn = {"gap.png": figures.before_after(track)} if track else {}
     if d.effects:
         change.remarks = [_USE]
     sections = [

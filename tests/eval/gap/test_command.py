@@ -179,7 +179,7 @@ def with_a_flat_battery(table):
 def notes_on(files):
     """What the command would say beside the answer, without the page."""
     flights = read_flights(files)
-    d = diagnose(flights.logs, load_vehicle(), plants=(), curves=False)
+    d = diagnose(flights.logs, load_vehicle(), plants=())
     return "\n".join((*d.notes, *flights.notes))
 
 

@@ -10,8 +10,7 @@ import pytest
 from scipy import stats
 
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
-from inclined_landing.eval.gap.answer import named as naming
-from inclined_landing.eval.gap.answer import sizes
+from inclined_landing.eval.gap.answer import selection
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.flights.usable import usable_flights
 from inclined_landing.eval.gap.flights.windows import _on_ground, measurement_noise, prepare, prepare_all
@@ -96,7 +95,7 @@ def _fly(vehicle, rng, seconds, name, voltage, distort):
 
 
 def quick(logs, **options):
-    return diagnose(logs, VEHICLE, plants=(), curves=False, **options)
+    return diagnose(logs, VEHICLE, plants=(), **options)
 
 
 @pytest.fixture(scope="module")
@@ -205,13 +204,13 @@ def test_a_speed_of_wind_is_known_no_better_than_drag_at_other_speeds():
     local = SimpleNamespace(estimates=lambda _: dict.fromkeys(keys, known))
     local.with_wide_slabs = lambda _: local
     found = SimpleNamespace(problem=SimpleNamespace(groups=8, library=LIBRARY, flights=[None]), local=local)
-    sized = sizes.estimates(found, values)
+    sized = selection.estimates(found, values)
     flown, factor = stats.t.ppf(0.975, 7) * 0.1, 1.96 * 0.3
     low, high = (3.0 * np.exp(s * np.hypot(np.log(1.0 + s * flown / 3.0), factor)) for s in (-1, 1))
     assert sized["wind"]["x"].ci95 == pytest.approx((low, high), rel=1e-4)
     assert sized["wind"]["y"].ci95 == pytest.approx((-flown, flown))
     assert sized["mass"]["scale"].ci95 == pytest.approx((1.2 - flown, 1.2 + flown))
-    ends = sizes._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
+    ends = selection._extrapolated(-3.0, 4.0, 0.3)  # it may be zero: so it may
     assert ends == pytest.approx((-3.0 * np.exp(np.hypot(np.log(7.0 / 3.0), factor)), 1.0), rel=1e-4)
 
 
@@ -253,10 +252,10 @@ def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):
     for named, widened in ((0.001, 0.9 * half), (1.1 * half, 1.1 * half)):
         answer = 0.9, (0.9 - named, 0.9 + named)
         monkeypatch.setattr(sizes, "thrust_of_names", lambda found, values, answer=answer: answer)
-        value, (low, high) = sizes.thrust_over_weight(SimpleNamespace(problem=problem), {})
+        value, (low, high) = named.thrust_over_weight(SimpleNamespace(problem=problem), {})
         assert value == 0.9 and (high - low) / 2.0 == pytest.approx(widened, rel=1e-6)
         alone = SimpleNamespace(problem=dataclasses.replace(problem, reference=None))
-        assert sizes.thrust_over_weight(alone, {}) == answer
+        assert named.thrust_over_weight(alone, {}) == answer
 
 
 def test_what_the_reference_left_uncertain_is_estimated_again():
@@ -300,8 +299,8 @@ def test_names_that_do_not_predict_better_are_dropped(wrong, monkeypatch):
     problem = Problem.of([prepare(log, VEHICLE) for log in logs], VEHICLE, library)
     found = sets.search(*estimate_noise(problem))
     given = {"thrust_scale": {"scale": 0.88}} | wrong
-    monkeypatch.setattr(naming, "fitted_values", lambda _, names: {n: given[n] for n in names})
-    kept = naming.useful_values(found, given)
+    monkeypatch.setattr(selection, "fitted_values", lambda _, names: {n: given[n] for n in names})
+    kept = selection.useful_values(found, given)
     assert kept == {"thrust_scale": {"scale": 0.88}}
 
 
@@ -434,7 +433,7 @@ def test_in_a_strong_wind_the_attitude_loops_are_not_judged():
 def test_what_is_identified_lacks_nothing_on_flights_of_its_vehicle(flown_alike, part):
     """Another structure than the equations: what no effect explains of it is of the reference."""
     logs, known = flown_alike
-    d = diagnose(logs[part], known.vehicle, reference=known.reference, plants=(), curves=False)
+    d = diagnose(logs[part], known.vehicle, reference=known.reference, plants=())
     assert (d.verdict, d.effects) == ("nothing", ()) and d.nothing > 0.5
     assert d.corrected == known.vehicle
 
@@ -458,7 +457,7 @@ def test_a_controller_that_answers_its_battery_is_no_weak_actuator(seed):
     known = identify(hovers(), VEHICLE)
     share = {one.effect: one.share for one in known.identifiable}
     assert min(share["mass"], share["thrust_bias"]) > 0.5
-    kept = {"plants": (), "curves": False, "reference": known.reference}
+    kept = {"plants": (), "reference": known.reference}
     same, loaded = hovers(), hovers(mass_scale=1.31)
     alike, heavy = (diagnose(logs, known.vehicle, **kept) for logs in (same, loaded))
     assert (alike.verdict, alike.effects) == ("nothing", ())

@@ -131,7 +131,7 @@ def test_flights_without_attitude_commands_show_translation_alone():
     with_commands = prepare(dataclasses.replace(log, requests=None), V)
     np.testing.assert_array_equal(predict(flight, V)[:, :3], predict(with_commands, V)[:, :3])
     heavy = V.changed(body_mass=1.15 * V.body_mass)
-    d = diagnose([silent], heavy, curves=False)
+    d = diagnose([silent], heavy)
     assert any(LIBRARY[e.name].scales_thrust for e in d.effects)
     # One second open loop along the measured attitude: right once the mass is.
     assert d.gap["analytic"].after < 0.2 * d.gap["analytic"].before

@@ -13,15 +13,15 @@ import pytest
 from msgspec import ValidationError
 
 from inclined_landing.eval.gap.answer import named as naming
-from inclined_landing.eval.gap.answer import rollout
+from inclined_landing.eval.gap.answer import rollout, selection
 from inclined_landing.eval.gap.answer.identification import _Fit, _idle_references, worse_axes
 from inclined_landing.eval.gap.answer.named import _doubt
-from inclined_landing.eval.gap.answer.sizes import loop_pieces, step_response_time
+from inclined_landing.eval.gap.answer.selection import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.doubt import most_informative_flight
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.report import figures, files, words
+from inclined_landing.eval.gap.report import files, words
 from inclined_landing.eval.gap.report.figures import Track
 from inclined_landing.eval.gap.report.page import page, probability_rows, set_rows, show
 from inclined_landing.eval.gap.result import (
@@ -30,7 +30,6 @@ from inclined_landing.eval.gap.result import (
     Difference,
     Disturbance,
     Estimate,
-    HorizonCurve,
     InconsistentFlights,
     NamedEffect,
     PlantGap,
@@ -54,7 +53,7 @@ def estimate(effect, name, value):
     half = 0.1 * abs(value - p.neutral)
     per_flight = (value, value + half, float("nan"))
     ci = (value - half, value + half)
-    return Estimate(value, p.unit, ci, p.neutral, p.bounds, False, per_flight, (half,) * 3, 0.0)
+    return Estimate(value, p.unit, ci, p.neutral, p.bounds, False, per_flight, 0.0)
 
 
 def named(name, values, gain=0.5, *alike):
@@ -68,7 +67,6 @@ def example(verdict="effects"):
     said = ()
     if verdict != "nothing":
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
-    t = np.linspace(0.01, 1.0, 20)
     bins = np.arange(3.0)
     moved = (0.21, (0.1, 0.3))
     left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, {"hover": 0.4}, "position z", bins, bins)
@@ -99,19 +97,14 @@ def example(verdict="effects"):
             "z": Disturbance(0.001, 0.3, (0.2, 0.4), 0.25, (0.1, 0.4), "m/s2"),
             "roll": Disturbance(0.005, 0.0, (0.0, 0.0), 0.3, (0.3, 0.3), "rad/s2"),
         },
-        horizon=(
-            HorizonCurve("nominal", (), t, 0.5 * t**2, 0.01 * t),
-            HorizonCurve("+ thrust_scale", ("thrust_scale",), t, 0.04 * t, 0.01 * t),
-        ),
         residual=ResidualAnalysis(0.002, {"z": 0.2}, (left,) if verdict == "unknown" else (), after),
         gap={
-            "analytic": PlantGap(0.487, after, 0.01, 0.5, 0.05, 30, 1.0),
-            "mujoco": PlantGap(0.486, after + 0.001, 0.01, 0.5, 0.05, 30, 1.0),
+            "analytic": PlantGap(0.487, after, 0.01, 30, 1.0),
+            "mujoco": PlantGap(0.486, after + 0.001, 0.01, 30, 1.0),
         },
         platform=True,
         flights=FLIGHTS,
         heldout=("d",),
-        seconds={"name": 1.5},
         notes=("a: yaw_drift cannot be told",),
     )
     assert d.verdict == verdict
@@ -290,9 +283,9 @@ def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
     """Where a mass in its place predicts flights left out as well; of a thrust that does not: no."""
     errors = {"slung_load": 0.1, "mass": 0.1, "thrust_bias": 0.11}
 
-    monkeypatch.setattr(naming, "_starts", lambda problem: "starts")
-    monkeypatch.setattr(naming, "_fitted_to_others", lambda found, names: SimpleNamespace(vehicles=names))
-    monkeypatch.setattr(naming, "pose_errors", lambda starts, names: np.array([errors[n] for n in names]))
+    monkeypatch.setattr(naming, "windows_ahead", lambda problem: "starts")
+    monkeypatch.setattr(naming, "fitted_to_others", lambda found, names: SimpleNamespace(vehicles=names))
+    monkeypatch.setattr(rollout, "pose_errors", lambda starts, names: np.array([errors[n] for n in names]))
     library = {n: LIBRARY[n] for n in errors}
     found, values = SimpleNamespace(problem=SimpleNamespace(library=library)), {"mass": 0.004, "length": 0.5}
     assert naming._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
@@ -339,7 +332,7 @@ def test_several_lags_of_the_loops_are_pieces_of_one_change():
 
 def test_pieces_of_the_attitude_loops_are_one_name():
     parts = {"attitude_time_constant": {"scale": 0.3}, "second_order_attitude": {"rate_lag": 0.15}}
-    response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False, (), (), 0.0)
+    response = Estimate(0.24, "s", (0.22, 0.26), 0.2, (0.0, 2.0), False, (), 0.0)
     one = NamedEffect(*parts, 0.97, {"response": response}, 0.5, "Retune it.", parts=parts)
     one = dataclasses.replace(one, members=tuple(parts))
     assert one.sure and one.fitted == parts and words.title(one) == "attitude loops"
@@ -375,11 +368,11 @@ def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
     sizes = {"thrust_scale": firm, "wind": vague, "motor_lag": bound, "estimator_lean": firm}
     sizes |= {"second_order_attitude": bound, "com_offset": vague}
     of = {n: {p.name: size for p in LIBRARY[n].parameters} for n, size in sizes.items()}
-    monkeypatch.setattr(naming, "estimates", lambda found, values: of)
-    monkeypatch.setattr(naming, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
-    monkeypatch.setattr(naming, "loop_pieces", lambda problem, values: ())
-    monkeypatch.setattr(naming, "refitted", lambda found, values: (found, values))
-    monkeypatch.setattr(naming, "_largest_first", lambda problem, values: values)
+    monkeypatch.setattr(selection, "estimates", lambda found, values: of)
+    monkeypatch.setattr(selection, "fitted_values", lambda found, kept: {n: {} for n in sizes if n in kept})
+    monkeypatch.setattr(selection, "loop_pieces", lambda problem, values: ())
+    monkeypatch.setattr(selection, "refitted", lambda found, values: (found, values))
+    monkeypatch.setattr(selection, "_largest_first", lambda problem, values: values)
     found = SimpleNamespace(problem=SimpleNamespace(library=LIBRARY, requested=False))
     for start, needed, kept in (
         ([*sizes], (), ["thrust_scale"]),
@@ -389,8 +382,8 @@ def test_a_name_without_a_firm_size_must_predict_better(monkeypatch):
         (["second_order_attitude", "wind"], ("second_order_attitude",), ["second_order_attitude"]),
         (["com_offset"], ("com_offset",), []),
     ):
-        monkeypatch.setattr(naming, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
-        _, distinct = naming.distinct_values(found, {n: {} for n in start})
+        monkeypatch.setattr(selection, "_shows_ahead", lambda found, values, n, needed=needed: n in needed)
+        _, distinct = selection.distinct_values(found, {n: {} for n in start})
         assert [*distinct] == kept
 
 
@@ -458,12 +451,11 @@ def test_the_page_stands_alone(verdict, track):
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), sets=(), disturbance={}, horizon=(), gap={},
+        example("nothing"), where=(), sets=(), disturbance={}, gap={},
         heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
     assert "a fit to the others" in page(d, None, versions={})
-    figures.overview(example("nothing"), None)
 
 
 def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
@@ -561,7 +553,7 @@ def test_the_corrected_mjcf_loads_in_plain_mujoco(tmp_path):
 
 def test_the_json_has_the_promised_keys():
     record = json.loads(storage.to_json(example().to_json()))
-    promised = ("version", "verdict", "effects", "where", "gap", "residual", "seconds")
+    promised = ("version", "verdict", "effects", "where", "gap", "residual")
     assert set(promised) <= set(record)
     assert set(record["effects"][0]) >= {"name", "members", "parameters", "gain"}
     assert set(record["effects"][0]["parameters"]["scale"]) >= {"value", "unit", "ci95"}

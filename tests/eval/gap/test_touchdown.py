@@ -267,7 +267,7 @@ def test_where_nothing_is_hidden_no_effect_of_contact_is_sure():
 @pytest.mark.slow
 def test_platform_height_is_named(higher):
     flights, offset = higher
-    d = diagnose(flights, VEHICLE, plants=("mujoco",), curves=False)
+    d = diagnose(flights, VEHICLE, plants=("mujoco",))
     assert [e.name for e in d.effects] == ["platform_height"]
     assert d.effects[0].parameters["offset"].value == pytest.approx(offset, abs=0.003)
     assert d.effects[0].probability > 0.9 and "platform_height" in d.sets[0].effects

@@ -64,7 +64,7 @@ def answer(case: Case) -> dict:
     healthy, flights = case.fly()
     try:
         known = identify(healthy, load_vehicle())
-        d = diagnose(flights, known.vehicle, reference=known.reference, curves=False)
+        d = diagnose(flights, known.vehicle, reference=known.reference)
     except UserError as error:
         return score_case(case.label(), {"verdict": f"failed: {error}", "effects": []}) | {"plan": False}
     errors = {"error": d.gap["analytic"].before if "analytic" in d.gap else None}
