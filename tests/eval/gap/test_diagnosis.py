@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from inclined_landing.eval.gap import diagnose, gap_example, measure_gap, pipeline
+from inclined_landing.eval.gap.answer import named as naming
 from inclined_landing.eval.gap.answer import selection
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.flights.usable import usable_flights
@@ -249,13 +250,13 @@ def test_thrust_over_weight_is_known_no_better_than_the_references(monkeypatch):
     problem = Problem.of(use.fitted, VEHICLE, library, reference)
     usual = np.median(np.concatenate([f.command[f.usable, 0] for f in problem.flights]))
     half = stats.t.ppf(0.975, problem.groups - 1) * 0.01 / (VEHICLE.thrust_per_pwm * usual)
-    for named, widened in ((0.001, 0.9 * half), (1.1 * half, 1.1 * half)):
-        answer = 0.9, (0.9 - named, 0.9 + named)
-        monkeypatch.setattr(sizes, "thrust_of_names", lambda found, values, answer=answer: answer)
-        value, (low, high) = named.thrust_over_weight(SimpleNamespace(problem=problem), {})
+    for width, widened in ((0.001, 0.9 * half), (1.1 * half, 1.1 * half)):
+        answer = 0.9, (0.9 - width, 0.9 + width)
+        monkeypatch.setattr(naming, "thrust_of_names", lambda found, values, answer=answer: answer)
+        value, (low, high) = naming.thrust_over_weight(SimpleNamespace(problem=problem), {})
         assert value == 0.9 and (high - low) / 2.0 == pytest.approx(widened, rel=1e-6)
         alone = SimpleNamespace(problem=dataclasses.replace(problem, reference=None))
-        assert named.thrust_over_weight(alone, {}) == answer
+        assert naming.thrust_over_weight(alone, {}) == answer
 
 
 def test_what_the_reference_left_uncertain_is_estimated_again():
