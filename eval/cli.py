@@ -70,7 +70,6 @@ COMMANDS = {
     "identify": ("gap", "Identify thrust, lags, delays, attitude loops and drag, and write a vehicle file."),
     "gap": ("", "Name the effects that the model lacks, from flights, and write the corrected model."),
     "plan": ("gap", "Plan a safe flight that best separates the candidate explanations of a report."),
-    "effects": ("gap", "List the physical effects that a model may lack: formula, size, remedy."),
     "gap-example": (
         "gap",
         "Write twenty example flights with hidden effects, as input for gap.",
@@ -89,7 +88,7 @@ GROUPS = {
     "Start": ("demo", "doctor", "benchmark"),
     "Policies": ("success", "robustness", "touchdown", "mission", "export"),
     "Pictures": ("figure", "picture", "video", "replay", "curves"),
-    "Physics": ("equivalence", "contact", "landings", "effects"),
+    "Physics": ("equivalence", "contact", "landings"),
     "Flight logs and the gap to the model": ("logs", "identify", "gap", "plan", "gap-example"),
     "A real vehicle": ("fly",),
 }

@@ -199,7 +199,7 @@ def effects() -> str:
         f"{len(LIBRARY)} physical effects that the paper's equations leave out, each in the equations and in "
         "MuJoCo. All are neutral in the shipped vehicle file. `landing-eval gap` names them from flights, "
         "`landing-train --randomise` draws them, `landing-eval robustness --over effects` flies a policy "
-        "under each. `landing-eval effects NAME` prints the same.\n",
+        "under each.\n",
         table(
             ["effect", "formula", "a plausible size", "shows in"],
             (

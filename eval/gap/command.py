@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
-from inclined_landing.models.base.errors import UserError
 
 if TYPE_CHECKING:
-    from inclined_landing.eval.gap.model.reference import VehiclePosterior
-    from inclined_landing.eval.gap.result import Diagnosis
-    from inclined_landing.models.vehicle import Vehicle
+    pass
 
 
 def command(
@@ -46,7 +43,7 @@ def command(
 
     nominal = load_vehicle(source.vehicle)
     began = time.monotonic()
-    with stages(source.count + len(reference) + 5) as tick:
+    with stages(source.count + len(reference) + 4) as tick:
         flights = read_flights(source.files, source.heldout, reference, tick=tick, **source.options())
         notes = flights.notes
         tick("identifying the reference vehicle" if flights.reference else "reading the vehicle file")
@@ -68,11 +65,9 @@ def command(
             platform=source.platform or None,
             plants=("analytic", "mujoco"),
         )
-        tick("looking for the most informative flight")
-        flight, following = _flight(d, nominal, known, out)
         tick("drawing figures")
         versions, track = runs.versions(), figures.shown_flight(d, nominal, flights)
-        html = page.page(d, track, versions=versions, notes=notes, flight=flight)
+        html = page.page(d, track, versions=versions, notes=notes)
         tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
@@ -87,20 +82,8 @@ def command(
             elif source.vehicle:
                 files.keep_vehicle(source.vehicle, kept)
             files.write(d, nominal, folder, base=kept if found else source.vehicle)
-            answer = d.to_json() | {"summary": words.how_much(d), "flight": flight}
+            answer = d.to_json() | {"summary": words.how_much(d)}
             files.write_report(folder, "gap", html, answer, source, began, versions)
         written = out
     finally:
-        page.show(d, notes, written, flight, following if written else "")
-
-
-def _flight(d: Diagnosis, vehicle: Vehicle, known: VehiclePosterior, out: Path) -> tuple[str, str]:
-    """Return sentences on the most informative flight, and the command that plans one; "" for none."""
-    from inclined_landing.eval.gap.plan.doubt import most_informative_flight
-    from inclined_landing.eval.gap.plan.reading import PlanInput
-
-    try:
-        text, worth = most_informative_flight(PlanInput.of(d, vehicle, known))
-    except UserError:  # as where the vehicle file's arena leaves no room
-        return "", ""
-    return text, f"landing-eval plan {out} --out {out.with_name(out.name + '-flight')}" if worth else ""
+        page.show(d, notes, written)

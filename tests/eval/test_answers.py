@@ -20,7 +20,6 @@ FLOWN = "robustness landing --plant analytic"
 # Command lines, {place} being a folder of the campaign's, and how what they say ends.
 QUICK = {
     "doctor": r"All requirements are met\..*",
-    "effects": r"The library has \d+ effects; .*\.",
     "export landing --format c --out {place}/out": r"is exported as c; .*contract.json describes .*\.",
     "gap-example --out {place}/out": r".*out contains twenty flights with hidden effects.*\.",
     "logs {place}/log.csv": r"1 of 1 log can be used(, 1 with limits)?\.",

@@ -158,14 +158,6 @@ def identify(
     identifiable = _identifiability(around, reference)
     sized = fitted.local.estimates(values)
     notes = [*map(summary_line, inconsistent), *use.notes, *unidentifiable]
-    unseen = [
-        one.effect
-        for one in identifiable
-        if one.share > thresholds.UNIDENTIFIABLE
-        and not (one.effect in values and _is_there(problem, one.effect, values, sized))
-    ]
-    if unseen:
-        notes.append(f"these flights contain too little excitation to identify {', '.join(unseen)}")
     if landings:
         notes.append(
             f"contact was identified from {sum(landings.count)} landings, with their common residual"

@@ -53,6 +53,7 @@ from inclined_landing.models.perturbation import neutral
 from inclined_landing.models.plants import MujocoPlant, check_plant
 from inclined_landing.models.vehicle import Vehicle
 
+EVERY = 1.0  # s between the starts of two windows
 LARGEST_STEP = 0.004  # s at most
 CLEAR_HEIGHT = 50.0  # m, at which no surface is near
 ANGLE_SMOOTHING = 0.05  # s to either side, for start attitudes and their rates
@@ -69,15 +70,15 @@ class RolloutWindows:
     dt: float
 
     @staticmethod
-    def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON, every: float = 1.0) -> RolloutWindows:
-        """Return a window every `every` seconds wherever all of it is usable.
+    def of(flights: Sequence[MeasuredFlight], horizon: float = HORIZON) -> RolloutWindows:
+        """Return a window every EVERY seconds wherever all of it is usable.
 
         Raises UserError when the flights have different rates, and where no stretch is long enough.
         """
         dt = flights[0].dt
         if any(abs(f.dt - dt) > 0.02 * dt for f in flights):
             raise UserError("flights logged at different rates cannot be simulated together")
-        rows, stride = round(horizon / dt), max(1, round(every / dt))
+        rows, stride = round(horizon / dt), max(1, round(EVERY / dt))
         flight_of, first = [], []
         for k, f in enumerate(flights):
             margin = max(2, round(SMOOTHING / dt))
@@ -344,8 +345,8 @@ def measure_gap(
 ) -> dict:
     """Return the open-loop position error of a vehicle on measured flights.
 
-    {error, floor, windows, horizon, curve}: root mean square distance [m] after `horizon` seconds, that of
-    noise alone, the number of windows, and {t, error, floor} against the horizon.
+    {error, floor, windows, horizon}: root mean square distance [m] after `horizon` seconds, that of noise
+    alone, and the number of windows.
     Raises UserError when no flight has a usable stretch of that length.
     """
     vehicle = as_vehicle(vehicle)
@@ -360,5 +361,4 @@ def measure_gap(
         "floor": float(floor[-1]),
         "windows": len(starts),
         "horizon": starts.rows * starts.dt,
-        "curve": {"t": np.arange(1, starts.rows + 1) * starts.dt, "error": error, "floor": floor},
     }

@@ -83,8 +83,8 @@ def design(
             f"after {seconds:g} s the battery of the vehicle file is at {voltage:.2f} V; "
             "plan a shorter flight"
         )
-    discrimination = discrimination_of(plan_input)
-    noise_levels = plan_input.noise_levels
+    noise_levels, known = plan_input.noise_levels, probable_sets(plan_input.hypotheses)
+    discrimination = ModelDiscrimination(known, vehicle, noise_levels, plan_input.reference)
     tick("drawing manoeuvres")
     coverage = RegressorCoverage(plan_input.vary, space, noise_levels.noise)
     search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(0))
@@ -110,44 +110,21 @@ def design(
     raise UserError(f"none of {ATTEMPTS} planned flights is safe under every set of effects; the last {last}")
 
 
-def discrimination_of(plan_input: PlanInput) -> ModelDiscrimination:
-    """Return the discrimination between the probable sets of a report."""
-    known = probable_sets(plan_input.hypotheses)
-    return ModelDiscrimination(known, plan_input.vehicle, plan_input.noise_levels, plan_input.reference)
-
-
 def probable_sets(hypotheses: Sequence[ScoredSet]) -> list[ScoredSet]:
     """Return the sets that a flight discriminates between, most probable first."""
     ranked = sorted(hypotheses, key=lambda h: -h.probability)[:MOST_SETS]
     return [h for h in ranked if h.probability >= LEAST_SHARE * ranked[0].probability]
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
-def most_informative_piece(
-    discrimination: ModelDiscrimination, space: Space
-) -> tuple[Piece, float, np.ndarray]:
-    """Return the piece of the largest information gain when repeated, that gain, and the forecast (K, K).
-
-    Three pieces of each kind are tried: two seconds for all of them.
-    """
-    none = RegressorCoverage((), space, discrimination.noise_levels.noise)
-    search = _Search(discrimination, none, space, SECONDS, np.random.default_rng(0), drawn=2)
-    gains = {piece: discrimination.gain(search.repeated(piece)) for piece in search.pool}
-    best = max(gains, key=gains.__getitem__)
-    return best, gains[best], discrimination.forecast(search.repeated(best))
-
-
 class _Search:
     """Greedy search over sequences of pieces with their Gram matrices."""
 
-    def __init__(
-        self, discrimination, coverage, space: Space, seconds: float, rng, drawn: int = PIECES_PER_KIND
-    ):
+    def __init__(self, discrimination, coverage, space: Space, seconds: float, rng):
         self.discrimination, self.coverage, self.space = discrimination, coverage, space
         self.seconds, self.rng = seconds, rng
         self.turning = True  # may the pieces turn the nose
         self._information: dict[Piece, tuple[np.ndarray, np.ndarray] | None] = {}
-        found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind, drawn)]
+        found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind)]
         # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
         held = [p.steady if k % 2 else p for k, p in enumerate(found)]
         self.pool = list(
@@ -155,11 +132,11 @@ class _Search:
         )
         self._add_information(self.pool)
 
-    def _safe_pieces(self, kind: str, drawn: int) -> list[Piece]:
-        """Return safe pieces of a kind: the midpoint of its bounds, and up to `drawn` random ones."""
+    def _safe_pieces(self, kind: str) -> list[Piece]:
+        """Return safe pieces of a kind: the midpoint of its bounds, and random ones."""
         found = [pieces.midpoint(kind)] if self._safe_setpoints(pieces.midpoint(kind)) is not None else []
-        for _ in range(DRAWS_PER_PIECE * drawn):
-            if len(found) > drawn:
+        for _ in range(DRAWS_PER_PIECE * PIECES_PER_KIND):
+            if len(found) > PIECES_PER_KIND:
                 break
             piece = pieces.draw(kind, self.rng)
             if self._safe_setpoints(piece) is not None:
@@ -191,13 +168,6 @@ class _Search:
             return -1.0
         of_sets, of_functions = (np.sum(g, axis=0) for g in zip(*grams))  # information is additive
         return self.discrimination.gain(of_sets) + self.coverage.gain(of_functions)
-
-    def repeated(self, piece: Piece) -> np.ndarray:
-        """Return the Gram matrix (P, P) of a piece of the pool repeated until time is up."""
-        times = self.seconds / pieces.single_path(piece, self.space).seconds
-        grams = self._information[piece]
-        assert grams is not None  # pieces of the pool are safe
-        return times * grams[0]
 
     def best(self) -> tuple[list[Piece], np.ndarray | None]:
         """Return the pieces of the largest information gain: greedy choice, then random local search.

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.plan.design import Plan, discrimination_of, most_informative_piece
+from inclined_landing.eval.gap.plan.design import Plan
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
-from inclined_landing.eval.gap.plan.pieces import Space
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report.words import label, listed, probability
 from inclined_landing.eval.gap.result import ScoredSet
@@ -55,29 +54,6 @@ def effects_in_doubt(
         doubt = q * (1.0 - if_missing) + (1.0 - q) * if_not  # expected probability of the wrong answer
         result.append(InDoubt(name, before, if_missing, if_not, float(doubt / (2.0 * q * (1.0 - q)))))
     return sorted(result, key=lambda one: -one.probability)
-
-
-def most_informative_flight(plan_input: PlanInput) -> tuple[str, bool]:
-    """Return sentences on what is in doubt and the manoeuvre that resolves it, and whether one does.
-
-    The computation is that of `design`, with one manoeuvre in place of a sequence.
-    """
-    discrimination = discrimination_of(plan_input)
-    if plan_input.hypotheses[0].probability >= thresholds.DECIDED or len(discrimination) < 2:
-        return "", bool(plan_input.vary)
-    space = Space.of(plan_input.vehicle, plan_input.platform)
-    piece, gain, expected = most_informative_piece(discrimination, space)
-    found = effects_in_doubt(plan_input, discrimination, expected)
-    beyond = _beyond_flights(found)
-    flown = [one for one in found if one.name not in beyond]
-    lines, worth = [in_doubt(found)] if found else [], is_worth_flying(found, gain)
-    least = max(thresholds.LEFT_IN_DOUBT, min((one.left for one in flown), default=0.0) + 0.01)
-    shown = listed([label(one.name) for one in flown if one.left < least], "or")
-    if shown and worth:
-        lines.append(
-            f"A flight would help to show whether the model lacks {shown}: {piece.text}, repeatedly."
-        )
-    return " ".join([*lines, *measured_otherwise(found)]), worth or bool(plan_input.vary)
 
 
 def is_worth_flying(found: Sequence[InDoubt], gain: float) -> bool:

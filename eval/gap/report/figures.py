@@ -31,7 +31,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 BEFORE, AFTER = ORANGE, GREEN
 WIDTH = 7.4  # inches
-EVERY = 1.0  # s between two predictions
 SMALL = 0.1  # of the motion, error of predictions that are drawn as such
 _STEPS = (PURPLE, BLUE, "#56b4e9", "#8a8f98", "#c9b458")  # between before and after
 
@@ -51,9 +50,10 @@ class Track:
     @property
     def caption(self) -> str:
         """Return what the predictions are."""
+        part = "left out of" if self.held_out else "part of"
         return (
-            f"{self.flight}, {'left out of' if self.held_out else 'part of'} the fit. Every {EVERY:g} s a "
-            "prediction starts from the measured state, driven by the commands alone."
+            f"{self.flight}, {part} the fit. Every {rollout.EVERY:g} s a prediction starts from the measured "
+            "state, driven by the commands alone."
         )
 
     @property
@@ -80,7 +80,7 @@ def shown_flight(d: Diagnosis, before: Vehicle, flights: ReadFlights) -> Track |
     log = max((x for x in flights.heldout or flights.logs if x.name in d.heldout), key=key)
     flight = prepare(log, before, platform=d.platform)
     try:
-        starts = rollout.RolloutWindows.of([flight], every=EVERY)
+        starts = rollout.RolloutWindows.of([flight])
     except UserError:
         return None
     poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, d.corrected)]

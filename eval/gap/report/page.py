@@ -28,15 +28,9 @@ _SETS = 7  # rows of the table of sets
 _PLANTS = {"analytic": "equations", "mujoco": "MuJoCo"}
 
 
-def page(
-    d: Diagnosis, track: figures.Track | None, *, versions: dict, notes: Sequence[str] = (), flight: str = ""
-) -> str:
-    """Return the HTML page of a diagnosis.
-
-    track: one flight with predictions along it. notes: sentences on the logs. flight: on the most informative
-    flight.
-    """
-    change = Section("change", "What to change", words.causes(d, flight), [], [effect_table(d)])
+def page(d: Diagnosis, track: figures.Track | None, *, versions: dict, notes: Sequence[str] = ()) -> str:
+    """Return the HTML page of a diagnosis; track: a flight with predictions, notes: sentences on the logs."""
+    change = Section("change", "What to change", words.causes(d), [], [effect_table(d)])
     if track:
         change.figures["gap.png"] = track.caption
     drawn = {"gap.png": figures.before_after(track)} if track else {}
@@ -195,20 +189,15 @@ def noise_section(disturbance: Mapping[str, Disturbance]) -> Section:
     return Section("noise", "Noise and disturbances", text if rows.rows else "", [], [rows])
 
 
-def show(
-    d: Diagnosis,
-    notes: Sequence[str] = (),
-    report: Path | None = None,
-    flight: str = "",
-    following: str = "",
-) -> None:
-    """Print limits, sentences, the table of effects and the headline.
-
-    report: the folder with the page. flight: on the most informative flight; following: the command for it.
-    """
-    headline = words.headline(d) + (f" The report is {report / 'report.html'}." if report else "")
-    lines = filter(None, [*words.causes(d, flight), words.how_much(d)])
-    print_answer(headline, lines, effect_table(d), notes, d, following)
+def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:
+    """Print limits, sentences, the table of effects and the headline; report: the folder with the page."""
+    headline, lines = words.headline(d), [*words.causes(d), words.how_much(d)]
+    following = ""
+    if report:
+        headline += f" The report is {report / 'report.html'}."
+        if d.verdict in ("undecided", "unknown") or d.possible or not all(e.sure for e in d.effects):
+            following = f"landing-eval plan {report} --out {report.with_name(report.name + '-flight')}"
+    print_answer(headline, filter(None, lines), effect_table(d), notes, d, following)
 
 
 def print_answer(

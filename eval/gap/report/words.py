@@ -369,10 +369,10 @@ def centimetres(metres: float) -> str:
     return f"{100 * metres:.1f} cm" if abs(metres) < 0.1 else f"{100 * metres:.0f} cm"
 
 
-def causes(d: Diagnosis, flight: str = "") -> list[str]:
-    """Return a paragraph for each answer, then one on what is possible; flight: on the one to fly next."""
+def causes(d: Diagnosis) -> list[str]:
+    """Return a paragraph for each answer, then one on what is possible."""
     lines = [" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]) for one in answers(d)]
-    return [*lines, *filter(None, [flight or possible_sentence(d)])]
+    return [*lines, *filter(None, [possible_sentence(d)])]
 
 
 def set_aside(one: SetAside) -> str:

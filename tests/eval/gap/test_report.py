@@ -19,7 +19,6 @@ from inclined_landing.eval.gap.answer.named import _doubt
 from inclined_landing.eval.gap.answer.selection import loop_pieces, step_response_time
 from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
-from inclined_landing.eval.gap.plan.doubt import most_informative_flight
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
 from inclined_landing.eval.gap.report.figures import Track
@@ -464,10 +463,9 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
     record = json.loads(storage.to_json(d.to_json()))
     vehicle = load_vehicle()
     plan_input = PlanInput.of(d, vehicle, VehiclePosterior.of_file(None, vehicle))
-    flight, _ = most_informative_flight(plan_input)
-    text = page(d, None, versions={}, flight=flight)
+    text = page(d, None, versions={})
     body = re.sub(r"<[^>]+>", " ", text[text.index("<body>") :])
-    show(d, flight=flight)
+    show(d)
     seen = [" ".join(one.split()) for one in (body, capsys.readouterr().out)]
     # Effects: marginal over the sets, of the class as of each member.
     for name in ("thrust_scale", "mass", "attitude_trim"):
