@@ -105,13 +105,13 @@ def _diagnosis(case: cases.Case, recordings: Sequence[Recording], known: Identif
 def planned(d: Diagnosis, known: Identification) -> design.Plan | None:
     """Return the flight that `landing-eval plan` would write for a diagnosis; None where it writes none."""
     given = PlanInput.of(d, known.vehicle, known.reference)
-    if given.hypotheses[0].probability >= thresholds.DECIDED and not given.vary:
+    if given.hypotheses[0].probability >= thresholds.DECIDED:
         return None
     try:
         plan = design.design(given)
     except UserError:  # no safe flight
         return None
-    return plan if given.vary or plan.gain >= thresholds.LEAST_GAIN else None
+    return plan if plan.gain >= thresholds.LEAST_GAIN else None
 
 
 def path_of(points: Setpoints, c: simulator.Constants) -> np.ndarray:

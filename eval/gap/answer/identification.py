@@ -19,13 +19,17 @@ from threadpoolctl import threadpool_limits
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.named import disturbances
+from inclined_landing.eval.gap.answer.posterior import (
+    Identifiable,
+    identifiability,
+    identified_reference,
+    problem_about,
+    with_library,
+)
 from inclined_landing.eval.gap.answer.selection import Refit
-from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
-from inclined_landing.eval.gap.infer.bounds import truncated_mode
 from inclined_landing.eval.gap.infer.fit import (
-    deviance,
     estimate_noise,
     field_half_widths,
     fit_least_squares,
@@ -34,12 +38,11 @@ from inclined_landing.eval.gap.infer.fit import (
 from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
-from inclined_landing.eval.gap.infer.residual import reference_residual, white_residuals
 from inclined_landing.eval.gap.infer.sets import leave_one_out
-from inclined_landing.eval.gap.model.columns import BASE, BaseColumn, FittedValues, Values, slab_deviations
+from inclined_landing.eval.gap.model.columns import FittedValues, Values, slab_deviations
 from inclined_landing.eval.gap.model.prediction import CHANNELS, predict
 from inclined_landing.eval.gap.model.problem import Problem, identifiable_effects
-from inclined_landing.eval.gap.model.reference import VehiclePosterior, free_effects
+from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.result import (
     VERSION,
     Disturbance,
@@ -51,12 +54,10 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY, Effect, FittedConstant
-from inclined_landing.models.parameters import as_vehicle, load_vehicle
+from inclined_landing.models.parameters import as_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-# What the paper reports of the attitude loops: gain, time constant [s] and fit [%].
-PAPER = {name: getattr(load_vehicle(), name) for name in ("attitude_gain", "attitude_time_constant")}
-PAPER["fit"] = 85.3
+PAPER_FIT = 85.3  # %, what the paper reports of the attitude loops
 IDLE = 0.01  # growth of the squared error up to which a reference is put back to neutral
 FIT_HORIZON = 1.0  # s, of the velocity changes in the fit of x, y and z
 
@@ -71,19 +72,8 @@ class Identified:
     before: float
     value: float
     ci95: tuple[float, float]
-    per_flight: tuple[float, ...]
     spread: float  # standard deviation between flights beyond their errors, in the unit
     note: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Identifiable:
-    """Identifiability of an effect from the flights."""
-
-    effect: str
-    share: float  # posterior over prior standard deviation; 1: not excited at all
-    confounded: tuple[str, ...]  # effects that it is confounded with
-    regimes: tuple[str, ...]  # that excite it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +102,7 @@ class Identification:
         """Return the contents of report.json: plain dicts, lists, strings and numbers."""
         record = {name: value for name, value in vars(self).items() if name != "reference"}
         vehicle = {f: getattr(self.vehicle, f) for f in self.fields}
-        return plain(record | {"version": VERSION, "vehicle": vehicle, "paper": PAPER})
+        return plain(record | {"version": VERSION, "vehicle": vehicle})
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # flights are shared among threads already
@@ -142,7 +132,7 @@ def identify(
     inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
     while more := fitted.acting_on_worse() - kept:  # does it help to leave these as they were?
         rest = {n: e for n, e in library.items() if n not in kept | more}
-        fewer = _Fit.of(_with_library(problem, rest), joint, use.judged)
+        fewer = _Fit.of(with_library(problem, rest), joint, use.judged)
         if not fewer.is_better_than(fitted):
             break
         fitted, kept = fewer, kept | more
@@ -151,11 +141,11 @@ def identify(
     disturbance, ahead, errors = disturbances(problem), fitted.ahead, None
     if ahead and (use.judged or len(use.fitted) > 1):
         errors = ReferenceErrors(ahead["after"], ahead["floor"], disturbance, fitted.worse)
-    around = _around(problem, result)
+    around = problem_about(problem, result)
     reference = identified_reference(
         around, errors=errors, landings=landings, flights={log.name: fingerprint(log) for log in use.logs}
     )
-    identifiable = _identifiability(around, reference)
+    identifiable = identifiability(around, reference)
     sized = fitted.local.estimates(values)
     notes = [*map(summary_line, inconsistent), *use.notes, *unidentifiable]
     if landings:
@@ -309,16 +299,6 @@ def _is_idle(problem: Problem, name: str, values: Values) -> bool:
     return all(abs(size) < p.negligible for p, size in sizes)
 
 
-def _with_library(problem: Problem, library: Mapping[str, Effect]) -> Problem:
-    """Return a problem with other effects and the same noise."""
-    return dataclasses.replace(
-        Problem.of(problem.flights, problem.vehicle, library, model_errors=1.0),
-        noise_model=problem.noise_model,
-        weight=problem.weight,
-        inflation=problem.inflation,
-    )
-
-
 def _errors_ahead(
     starts: rollout.RolloutWindows, before: Vehicle, after: Sequence[Vehicle]
 ) -> dict[str, float]:
@@ -331,33 +311,6 @@ def _errors_ahead(
 def _without_place(problem: Problem, values: Values) -> Vehicle:
     """Return the vehicle with effects at `values`, but those of the place."""
     return problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
-
-
-def _around(problem: Problem, vehicle: Vehicle) -> Problem:
-    """Return the problem of all effects that free flights can show, about the identified vehicle."""
-    free = {name: effect for name, effect in free_effects().items() if effect.identified}
-    library, _ = identifiable_effects(free, problem.flights)
-    return _with_library(dataclasses.replace(problem, vehicle=vehicle), library)
-
-
-def _identifiability(around: Problem, reference: VehiclePosterior) -> tuple[Identifiable, ...]:
-    """Return the identifiability of each effect, best identified first."""
-    wide = slab_deviations(around, reference.columns)
-    error = np.sqrt(np.diag(reference.covariance))
-    scale = np.where(error > 0.0, error, 1.0)
-    correlation = np.abs(reference.covariance / np.outer(scale, scale))
-    columns = {n: [k for k, c in enumerate(reference.columns) if c.effect == n] for n in around.library}
-    result = []
-    for name, own in columns.items():
-        share = float(max(np.where(error[own] > 0.0, error[own] / wide[own], 1.0)))
-        others = [
-            n
-            for n, its in columns.items()
-            if n != name and correlation[np.ix_(own, its)].max() > thresholds.CORRELATED
-        ]
-        confounded = tuple(others) if share > thresholds.ROUGH else ()
-        result.append(Identifiable(name, share, confounded, LIBRARY[name].regimes))
-    return tuple(sorted(result, key=lambda one: one.share))
 
 
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
@@ -428,7 +381,6 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
                 before=c.number(before, p.neutral),
                 value=c.number(before, value),
                 ci95=(low, high),
-                per_flight=tuple(c.number(before, float(x)) for x in value + known.deviation),
                 spread=known.between * abs(c.number(before, 2.0) - c.number(before, 1.0)),
                 note=note,
             )
@@ -443,60 +395,3 @@ def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iter
         end = float(np.clip(values[effect][parameter] + _half_width(problem, known), *p.bounds))
         one = {**values, effect: {**values[effect], parameter: end}}
         yield _without_place(problem, one)
-
-
-def _errors_of_the_vehicle(
-    problem: Problem, spread: Spread, local: LinearGaussian
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (P, P) and mean (P,) of the errors of the vehicle of a problem.
-
-    The slopes at the vehicle may lead to where the flights are less probable: there they say nothing of its
-    effects, and the mean is that of the model errors without them.
-    """
-    columns, names, unit = local.columns, frozenset(problem.library), local.unit
-    change, covariance = local.posterior(names)
-    at = local.at + change
-    model = np.array([isinstance(c, BaseColumn) for c in columns])
-    # Conditioned on x_E = 0 (Bishop 2.81):  x_B = m_B - C_BE C_EE^-1 m_E
-    inner = covariance[np.ix_(~model, ~model)] + 1e-9 * np.eye(np.count_nonzero(~model))
-    without = np.where(model, at - covariance[:, ~model] @ np.linalg.solve(inner, at[~model]), 0.0)
-    whole, _ = truncated_mode(at, covariance, np.arange(len(at)), local.bounds)
-
-    def less_probable(x: np.ndarray) -> float:
-        weights = {c.key[1]: float(w) for c, w in zip(columns, x * unit) if isinstance(c, BaseColumn)}
-        values = {**problem.values_at(names, columns, x * unit), BASE: weights}
-        return deviance(LinearGaussian.of(problem, spread, problem.linearise(values, columns)), names)
-
-    return covariance * np.outer(unit, unit), min(whole, without, key=less_probable) * unit
-
-
-def identified_reference(
-    problem: Problem,
-    *,
-    errors: ReferenceErrors | None,
-    landings: LandingReference | None,
-    flights: Mapping[str, tuple[int, ...]],
-) -> VehiclePosterior:
-    """Return the posterior of the vehicle of `problem`, all effects with their slab priors.
-
-    errors, landings, flights: as of `VehiclePosterior`.
-    """
-    columns, names = problem.all_columns(), frozenset(problem.library)
-    linear = problem.linearise({}, columns)
-    spread = Spread.of(problem, linear)
-    local = LinearGaussian.of(problem, spread, linear)
-    known, mean = _errors_of_the_vehicle(problem, spread, local)
-    # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
-    # identification: theta = 0, and flights that meet it name it.
-    prior = local.slab.diagonal() * local.unit**2
-    met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
-    known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)
-    repeating = reference_residual(problem, white_residuals(problem, local, names))
-    # But a constant that every vehicle has is as uncertain as before flights that do not show it at all.
-    unseen = {n for n, e in free_effects().items() if n not in names and e.is_constant}
-    return VehiclePosterior(
-        *(tuple(columns), mean, known, repeating, frozenset(free_effects()) - unseen),
-        errors=errors,
-        landings=landings,
-        flights=flights,
-    )

@@ -1,4 +1,4 @@
-"""`landing-eval plan`: from a report to set-points, commands and a figure of the most informative flight."""
+"""`landing-eval plan`: from a report to set-points and commands of the most informative flight."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def command(
 
     plan_input, arena = read_report(report)
     best = plan_input.hypotheses[0]
-    if best.probability >= thresholds.DECIDED and not plan_input.vary:
+    if best.probability >= thresholds.DECIDED:
         probability = words.probability(best.probability)
         say(f"No flight is needed: {doubt.set_label(best)} has a probability of {probability}.")
         return
@@ -55,14 +55,12 @@ def command(
         plan = design(plan_input, seconds=seconds, tick=tick)
     found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
     beyond = doubt.measured_otherwise(found)
-    if not (plan_input.vary or doubt.is_worth_flying(found, plan.gain)):
+    if not doubt.is_worth_flying(found, plan.gain):
         say(doubt.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
     lines = [doubt.in_doubt(found), *filter(None, [doubt.outcome(found)])] if found else []
     lines += beyond
-    if plan_input.vary:
-        lines.append(doubt.variation(plan_input.vary))
     lines += doubt.why_near(plan)
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.reference.csv())

@@ -10,11 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap.plan import SECONDS, pieces, safety
-from inclined_landing.eval.gap.plan.information import (
-    ModelDiscrimination,
-    RegressorCoverage,
-    ScoredSet,
-)
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination, ScoredSet
 from inclined_landing.eval.gap.plan.pieces import Path, Piece, Space
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.safety import Flown
@@ -72,9 +68,8 @@ def design(
 ) -> Plan:
     """Return the safe flight with the largest expected information about which set of effects is missing.
 
-    Regressors of an unexplained residual are varied too (see `RegressorCoverage`). tick: called with every
-    stage. The same arguments give the same plan. Raises UserError when there is no room, the battery does not
-    last, or no safe flight is found.
+    tick: called with every stage. The same arguments give the same plan. Raises UserError when there is no
+    room, the battery does not last, or no safe flight is found.
     """
     vehicle = plan_input.vehicle
     space = Space.of(vehicle, plan_input.platform)
@@ -86,8 +81,7 @@ def design(
     noise_levels, known = plan_input.noise_levels, probable_sets(plan_input.hypotheses)
     discrimination = ModelDiscrimination(known, vehicle, noise_levels, plan_input.reference)
     tick("drawing manoeuvres")
-    coverage = RegressorCoverage(plan_input.vary, space, noise_levels.noise)
-    search = _Search(discrimination, coverage, space, seconds, np.random.default_rng(0))
+    search = _Search(discrimination, space, seconds, np.random.default_rng(0))
     last = ""
     for _ in range(ATTEMPTS):
         tick("choosing manoeuvres")
@@ -119,11 +113,11 @@ def probable_sets(hypotheses: Sequence[ScoredSet]) -> list[ScoredSet]:
 class _Search:
     """Greedy search over sequences of pieces with their Gram matrices."""
 
-    def __init__(self, discrimination, coverage, space: Space, seconds: float, rng):
-        self.discrimination, self.coverage, self.space = discrimination, coverage, space
+    def __init__(self, discrimination: ModelDiscrimination, space: Space, seconds: float, rng):
+        self.discrimination, self.space = discrimination, space
         self.seconds, self.rng = seconds, rng
         self.turning = True  # may the pieces turn the nose
-        self._information: dict[Piece, tuple[np.ndarray, np.ndarray] | None] = {}
+        self._information: dict[Piece, np.ndarray | None] = {}
         found = [p for kind in pieces.kinds(space) for p in self._safe_pieces(kind)]
         # Every other piece keeps the nose where it is: a choice without turns has as many to choose from.
         held = [p.steady if k % 2 else p for k, p in enumerate(found)]
@@ -149,25 +143,23 @@ class _Search:
         return points if safety.plan_violation(points, self.space) is None else None
 
     def _add_information(self, candidates: Sequence[Piece]) -> None:
-        """Compute the Gram matrices of new pieces; None where they are not safe."""
+        """Compute the Gram matrices of new pieces."""
         new = [p for p in dict.fromkeys(candidates) if p not in self._information]
         self._information |= dict(zip(new, two_at_a_time(self._gram, new)))
 
-    def _gram(self, piece: Piece) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the Gram matrices of a piece for the sets and for unknown functions."""
+    def _gram(self, piece: Piece) -> np.ndarray | None:
+        """Return the Gram matrix of a piece; None where it is not safe."""
         points = self._safe_setpoints(piece)
         if points is None:
             return None
-        flight = self.discrimination.flight(points, platform=self.space.platform)
-        return self.discrimination.gram(flight), self.coverage.gram(flight)
+        return self.discrimination.gram(self.discrimination.flight(points, platform=self.space.platform))
 
     def gain(self, chosen: Sequence[Piece]) -> float:
-        """Return the information gain [nat] of pieces about sets and functions; -1 where one is not safe."""
+        """Return the information gain [nat] of pieces about the sets; -1 where one is not safe."""
         grams = [g for p in chosen if (g := self._information[p]) is not None]
         if len(grams) < len(chosen) or not grams:
             return -1.0
-        of_sets, of_functions = (np.sum(g, axis=0) for g in zip(*grams))  # information is additive
-        return self.discrimination.gain(of_sets) + self.coverage.gain(of_functions)
+        return self.discrimination.gain(np.sum(grams, axis=0))  # information is additive
 
     def best(self) -> tuple[list[Piece], np.ndarray | None]:
         """Return the pieces of the largest information gain: greedy choice, then random local search.
@@ -187,7 +179,7 @@ class _Search:
         far = self._greedy_choice([p for p in (self.pool if self.turning else held) if not p.near])
         if not self._worth(chosen, far):
             return self._refined(far), None
-        grams = [g[0] for p in far if (g := self._information[p]) is not None]
+        grams = [g for p in far if (g := self._information[p]) is not None]
         none = np.zeros(2 * self.discrimination.free.shape[1:])
         return self._raised(chosen), np.sum([none, *grams], axis=0)
 
@@ -230,7 +222,7 @@ class _Search:
         """Return what a flight adds to the right set's expected probability; -1 where it is not safe."""
         if not chosen:
             return 0.0
-        grams = [g[0] for p in chosen if (g := self._information[p]) is not None]
+        grams = [g for p in chosen if (g := self._information[p]) is not None]
         if len(grams) < len(chosen):
             return -1.0
         p = self.discrimination.probabilities

@@ -99,12 +99,6 @@ def _beyond_flights(found: Sequence[InDoubt]) -> list[str]:
     return [one.name for one in found if not one.resolved and one.name in others]
 
 
-def variation(names: Sequence[str]) -> str:
-    """Return a sentence on the regressors that the flight varies."""
-    what = listed(list(dict.fromkeys(names)))
-    return f"The residual depends on {what}; the flight varies it as widely as possible."
-
-
 def flight(plan: Plan) -> list[str]:
     """Return a line for every piece of a flight, with its time."""
     return [f"{s.start:5.1f} s  {s.piece.text}" for s in plan.path.spans]

@@ -33,14 +33,6 @@ class _Level(Struct, frozen=True):
     time: Positive
 
 
-class _Dependence(Struct, frozen=True):
-    on: str = ""
-
-
-class _Residual(Struct, frozen=True):
-    depends_on: list[_Dependence] = []
-
-
 class _Report(Struct, frozen=True):
     """The entries of report.json that a plan needs; all others are ignored."""
 
@@ -48,8 +40,6 @@ class _Report(Struct, frozen=True):
     unidentifiable_sets: list[ScoredSet] = []
     immaterial: list[str] = []
     platform: bool = False
-    verdict: str = ""
-    residual: _Residual = _Residual()
     disturbance: dict[str, _Level] = {}
 
 
@@ -62,7 +52,6 @@ class PlanInput:
     vehicle: Vehicle  # the one diagnosed
     noise_levels: NoiseLevels
     platform: bool  # the slab stood in the arena
-    vary: tuple[str, ...]  # regressors of an unexplained residual
     reference: VehiclePosterior  # posterior of the vehicle's identification
 
     @staticmethod
@@ -88,7 +77,6 @@ class PlanInput:
             vehicle=vehicle,
             noise_levels=NoiseLevels(*levels),
             platform=report.platform,
-            vary=tuple(d.on for d in report.residual.depends_on) if report.verdict == "unknown" else (),
             reference=reference,
         )
 

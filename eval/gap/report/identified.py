@@ -8,7 +8,7 @@ from pathlib import Path
 
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.gap import thresholds
-from inclined_landing.eval.gap.answer.identification import PAPER, Identification, Identified
+from inclined_landing.eval.gap.answer.identification import PAPER_FIT, Identification, Identified
 from inclined_landing.eval.gap.report import words
 from inclined_landing.eval.gap.report.page import fill_in, limits, noise_section, print_answer
 from inclined_landing.models.effects import LIBRARY
@@ -42,7 +42,7 @@ def sentences(found: Identification) -> list[str]:
     ]
     those = "These constants differ" if len(values) > 1 else "This constant differs"
     lines = [f"{those}: {words.listed(values)}."] if values else []
-    paper = f"The paper reports {PAPER['fit']:g} % for the attitude."
+    paper = f"The paper reports {PAPER_FIT:g} % for the attitude."
     lines.append(f"Fit on held-out flights: {', '.join(fits)}. {paper}")
     if found.ahead:
         before, after, floor = (words.centimetres(found.ahead[n]) for n in ("before", "after", "floor"))
@@ -107,7 +107,7 @@ def page(found: Identification, *, heldout: Sequence[str], versions: dict, notes
     text = (
         "The fit is 100 % minus the error relative to the signal's own variation, of velocity changes "
         "over 1 s in x, y and z, and of angles simulated open loop. The paper reports "
-        f"{PAPER['fit']:g} % for the angles."
+        f"{PAPER_FIT:g} % for the angles."
     )
     identifiable = (
         "Standard error of each effect, fitted jointly with all others, over its prior standard deviation: "

@@ -287,7 +287,7 @@ def answers(d: Diagnosis) -> list[Answer]:
             size, ends = quantity(one.displacement, "m"), interval(one.displacement_ci95, "m")
             moved = ("displacement in 1 s", size, ends)
             name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
-            cost, then = centimetres(one.displacement), "landing-eval plan designs a better flight."
+            cost, then = centimetres(one.displacement), f"More flights that vary {one.on} would show it."
             found.append(Answer(name, how, (moved,), cost, then))
     return found
 

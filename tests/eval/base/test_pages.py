@@ -66,9 +66,7 @@ def test_the_page_of_claims():
 
 def identification_page(word: str) -> str:
     """Return the page of an identification, with a word in all that others name."""
-    row = Identified(
-        f"{word} name", "body_mass", "kg", 0.033, 0.034, (0.033, 0.035), (0.034,), 0.0, f"{word} said"
-    )
+    row = Identified(f"{word} name", "body_mass", "kg", 0.033, 0.034, (0.033, 0.035), 0.0, f"{word} said")
     found = Identification(
         vehicle=load_vehicle(),
         reference=VehiclePosterior.of_file(None, load_vehicle()),

@@ -13,7 +13,7 @@ from inclined_landing.eval.gap.model.columns import Candidates, ParameterColumn
 from inclined_landing.eval.gap.model.reference import ReferenceResidual, VehiclePosterior, free_effects
 from inclined_landing.eval.gap.plan import doubt, pieces, safety
 from inclined_landing.eval.gap.plan.design import design
-from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels, RegressorCoverage
+from inclined_landing.eval.gap.plan.information import ModelDiscrimination, NoiseLevels
 from inclined_landing.eval.gap.plan.reading import PlanInput, read_report
 from inclined_landing.eval.gap.plan.setpoints import setpoints
 from inclined_landing.eval.gap.result import REFERENCE, ScoredSet
@@ -35,7 +35,7 @@ THRUST = ScoredSet(("thrust_scale",), 0.5, {"thrust_scale": {"scale": 0.95}})
 def plan_input(*hypotheses):
     """The input of a plan for a report with these sets."""
     report = SimpleNamespace(sets=hypotheses, unidentifiable_sets=(), disturbance={}, immaterial=())
-    report.platform, report.verdict = False, "effects"
+    report.platform = False
     return PlanInput.of(report, VEHICLE, VehiclePosterior.of_file(None, VEHICLE))
 
 
@@ -356,20 +356,6 @@ def test_no_report_and_no_room_are_refused(tmp_path, capsys):
         design(dataclasses.replace(usual, vehicle=narrow))
     with pytest.raises(ValueError, match="battery"):
         design(dataclasses.replace(usual, vehicle=VEHICLE.changed(effects_voltage_discharge=0.1)))
-
-
-def test_an_unknown_remainder_is_excited_broadly():
-    """Heights are told by flights that change them, wherever the sets stand."""
-    noise = NoiseLevels.typical().noise
-    coverage = RegressorCoverage(["position z"], FREE, noise)
-    discrimination = ModelDiscrimination([DRAG], VEHICLE, NoiseLevels.typical())
-    told = {
-        k: coverage.gain(coverage.gram(discrimination.flight(points(k))))
-        for k in ("climb", "hover", "low_pass")
-    }
-    assert told["climb"] > told["hover"] < told["low_pass"]
-    with pytest.raises(ValueError, match="unknown quantity 'colour'"):
-        design(dataclasses.replace(plan_input(DRAG), vary=("colour",)))
 
 
 def test_a_flight_is_flown_for_what_it_can_show():

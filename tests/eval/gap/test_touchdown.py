@@ -46,7 +46,7 @@ def judged(name, value, share):
     """The effects named from twelve landings in which one has probability `share`, with this value."""
     ((parameter, neutral),) = LIBRARY[name].neutral.items()
     low, high = sorted((value, 0.7 * value + 0.3 * neutral))
-    sized = Estimate(value, "", (low, high), neutral, (-9.0, 9.0), False, (value,) * 12, (0.1,) * 12, 0.0)
+    sized = Estimate(value, "", (low, high), neutral, (-9.0, 9.0), False, (value,) * 12, 0.0)
     probable = ScoredSet((name,), share, {name: {parameter: value}})
     # Of the log odds the prior is -2, and the rest grows as the number of landings.
     scores = {frozenset({name}): (-2.0, np.log(share / (1.0 - share)) + 2.0), frozenset(): (0.0, 0.0)}
