@@ -15,11 +15,11 @@ from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.contact.drops import PHASES, advance, drop, energy, unpowered
 from inclined_landing.eval.truth.report import Words
 from inclined_landing.models import contact
-from inclined_landing.models.attitude import LAG, PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
+from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, VX, VZ, WX, WZ, YAW, X, Z
 from inclined_landing.models.geometry import PARTS, SURFACES, reach_below
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.plants import MujocoPlant
-from inclined_landing.models.plants.recorder import FEET, STEP, present_forces
+from inclined_landing.models.plants.recorder import STEP, present_forces
 from inclined_landing.models.surface import normal_of, split
 from inclined_landing.models.vehicle import Vehicle
 
@@ -318,44 +318,4 @@ def parts(vehicle: Vehicle) -> Section:
     return WORDS.section("parts", {"named": right, "weight": 100 * float(max(loads))}, data={"rows": rows})
 
 
-def torque(vehicle: Vehicle) -> Section:
-    """Measure the thrust at which a pitch command lifts two feet off the floor, compared with statics."""
-    # While level, the rate loop demands M = J B k c / tau, within the torque limit. Two feet lift off where
-    # it exceeds the moment of the remaining weight about the other two:  M > (m g - T) lever
-    command = vehicle.command_angle_limit
-    rate = vehicle.attitude_gain * command / vehicle.attitude_time_constant  # rad/s
-    loop = vehicle.body_inertia[1] * vehicle.attitude_bandwidth * rate  # N m
-    weight = vehicle.body_mass * vehicle.environment_gravity
-    shares = np.round(np.arange(0.6, 1.0, 0.005), 3)
-    rows, largest = [], 0.0
-    for limit in (vehicle.attitude_torque_limit, 1e-3):
-        plant = MujocoPlant(len(shares), dataclasses.replace(vehicle, attitude_torque_limit=limit))
-        lever = float(np.abs(plant.shapes.centres[plant.shapes.parts == FEET, 0]).max())
-        torques = plant.batch.bind("actuator_force")[:, plant.model.actuator("pitch").id]
-        ids = np.arange(plant.n)
-        plant.set_platform(ids, 0.0, False)
-        state = np.zeros((plant.n, STATE_SIZE))
-        state[:, Z], state[:, LAG] = plant.foot_height, shares * vehicle.hover_lag
-        plant.reset(ids, state)
-        commands = np.zeros((plant.n, 4))
-        commands[:, 0], commands[:, 2] = shares * vehicle.hover_pwm, command
-        for _ in range(25):
-            plant.step(commands)
-            largest = max(largest, float(np.abs(torques).max() / limit))
-        pitch = np.degrees(plant.state[:, PITCH])
-        rows.append(
-            {
-                "limit": limit,
-                "pitch": pitch,
-                "lifts": float(shares[(pitch > 1.0).argmax()]),
-                "predicted": 1.0 - min(loop, limit) / (lever * weight),
-            }
-        )
-    off = max(abs(row["lifts"] - row["predicted"]) for row in rows)
-    return WORDS.section("torque", {"lift": off, "limit": largest}, data={"share": shares, "rows": rows})
-
-
-LAWS = {
-    f.__name__: f
-    for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts, torque)
-}
+LAWS = {f.__name__: f for f in (rest, slip, restitution, impulse, penetration, convergence, tumbling, parts)}
