@@ -14,7 +14,7 @@ from inclined_landing.envs.history import History
 from inclined_landing.envs.tasks import Task
 from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, StepContext
 from inclined_landing.envs.tasks.guard import TaskError
-from inclined_landing.envs.tasks.start import Start, joined
+from inclined_landing.envs.tasks.start import Start
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
 from inclined_landing.models.attitude import LAG
 from inclined_landing.models.base.errors import UserError, shown
@@ -128,18 +128,7 @@ class BatchEnv:
     def draw_from(self, rng: np.random.Generator) -> None:
         """Use `rng` for random starts, and for the disturbance if the plant has one."""
         self.rng = rng
-        self._own: dict[int, np.random.Generator] = {}
         if self.plant.disturbance:
-            self.plant.disturbance.seed(rng)
-
-    def draw_each_from(self, rngs: dict[int, np.random.Generator]) -> None:
-        """Use a separate generator for the random starts of each of these vehicles, until `draw_from`.
-
-        The disturbance, which draws from one stream for all vehicles, restarts from the first generator. For
-        one vehicle, this is the same as `draw_from`.
-        """
-        self._own |= rngs
-        for rng in reversed(list(rngs.values()) if self.plant.disturbance else []):
             self.plant.disturbance.seed(rng)
 
     def episode_state(self) -> dict[str, np.ndarray]:
@@ -193,7 +182,8 @@ class BatchEnv:
         if state is not None:
             start = self.task.start(state)
         elif start is None:
-            start = self._draw(ids)
+            self._draw_vehicles(ids)
+            start = self._draw_starts(ids)
             start.state[:, LAG] *= self.plant.hover_share[ids]
         self._place(ids, start)
         if start.contact is not None:
@@ -245,17 +235,9 @@ class BatchEnv:
             f"not {shown(repr(ids), 40)}"
         )
 
-    def _draw(self, ids: np.ndarray) -> Start:
-        """Draw the vehicles `ids` and return their random starts, each from its generator if it has one."""
-        if self._own and len(ids) > 1:
-            return joined([self._draw(one) for one in ids[:, None]])
-        rng = self._own.get(int(ids[0]), self.rng) if self._own and len(ids) else self.rng
-        self._draw_vehicles(ids, rng)
-        return self._draw_starts(ids, rng)
-
-    def _draw_starts(self, ids: np.ndarray, rng: np.random.Generator) -> Start:
+    def _draw_starts(self, ids: np.ndarray) -> Start:
         """Return random starts of the vehicles `ids`, clear of the platform for vehicles of any size."""
-        start = self.task.sample(rng, len(ids))
+        start = self.task.sample(self.rng, len(ids))
         todo = np.arange(len(ids) if len(self.plant.fleet.reach) > 1 else 0)
         for _ in range(_TRIES):
             if not len(todo):
@@ -263,14 +245,14 @@ class BatchEnv:
             self._place(ids, start)
             todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if len(todo):
-                start.put(todo, self.task.sample(rng, len(todo)))
+                start.put(todo, self.task.sample(self.rng, len(todo)))
         raise UserError("none of the task's starts has room for the largest vehicle of the plant")
 
-    def _draw_vehicles(self, ids: np.ndarray, rng: np.random.Generator) -> None:
+    def _draw_vehicles(self, ids: np.ndarray) -> None:
         if self.nominal is None or not self.plant.pool:
             return
-        drawn = rng.integers(1, len(self.plant.pool) + 1, len(ids))
-        drawn[rng.random(len(ids)) < self.nominal] = 0
+        drawn = self.rng.integers(1, len(self.plant.pool) + 1, len(ids))
+        drawn[self.rng.random(len(ids)) < self.nominal] = 0
         self.plant.assign(ids, drawn)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Step:

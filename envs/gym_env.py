@@ -22,17 +22,10 @@ and of the single environment, the only one that renders:
 | `camera` | "arena" | viewpoint; "arena" shows the whole arena |
 | `render_backend` | "ray" | "ray" casts rays on the processor, "gl" is OpenGL |
 
-and of the vector environment:
+The vector environment has `num_envs` (1) vehicles, and its episodes restart in the step in which they end.
 
-| option | default | meaning |
-|---|---|---|
-| `num_envs` | 1 | number of vehicles |
-| `autoreset_mode` | "SameStep" | start of a new episode; also "NextStep", "Disabled" (Gymnasium) |
-| `max_episode_steps` | None | truncate episodes after this number of steps, unless the task ends them first |
-
-`reset(options={"state": array})` starts from given states, (13,) or (n, 13). With `reset(seed=[...])` every
-vehicle of the vector environment has its own seed, and starts like a single environment with that seed. Other
-names, types and sizes raise a UserError, a ValueError with a message of one sentence.
+`reset(options={"state": array})` starts from given states, (13,) or (n, 13). Other names, types and sizes
+raise a UserError, a ValueError with a message of one sentence.
 
 `copy.deepcopy` and pickle return an environment that continues identically. A forked process can continue to
 use an environment of its parent, except for OpenGL (`render_backend`).
@@ -47,26 +40,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inclined_landing.envs.batch import as_floats, check_seed, is_whole, reset_option
+from inclined_landing.envs.batch import as_floats, check_seed, reset_option
 from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.spaces import action_space, observation_space
 from inclined_landing.envs.tasks import TASKS, Task, manual
 from inclined_landing.models.base.errors import UserError, shown
 
 _HISTORY = "\nVersion history: v0.\n"
-_RESET = ("state", "reset_mask")  # options of the vector environment's reset
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
-
-
-def _seeds(seed, n: int) -> list[int | None] | None:
-    """Return n seeds, or None for one seed of all n vehicles; raise UserError for anything else."""
-    array = isinstance(seed, np.ndarray) and seed.ndim > 0
-    each = list(seed) if array or isinstance(seed, (list, tuple, range)) else None
-    if each is not None and len(each) != n:
-        raise UserError(f"{n} vehicles need one seed or {n} seeds, not {len(each)}")
-    for one in [seed] if each is None else each:
-        check_seed(one)
-    return each
 
 
 class TaskEnv(gym.Env):
@@ -161,7 +142,7 @@ class TaskEnv(gym.Env):
 
 
 class TaskVectorEnv(VectorEnv):
-    """Gymnasium vector environment of n vehicles on one task; by default autoreset in the same step."""
+    """Gymnasium vector environment of n vehicles on one task, with autoreset in the same step."""
 
     metadata = _METADATA | {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
     task_name: str
@@ -174,26 +155,13 @@ class TaskVectorEnv(VectorEnv):
         plant_options: dict | None = None,
         vehicle=None,
         render_mode: str | None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        max_episode_steps: int | None = None,
         **task_options,
     ):
-        try:
-            self._autoreset = AutoresetMode(autoreset_mode)
-        except ValueError:
-            known = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            mode_text = shown(repr(autoreset_mode), 40)
-            raise UserError(f"autoreset_mode must be one of {known}, not {mode_text}") from None
-        self.metadata = self.metadata | {"autoreset_mode": self._autoreset}
         if render_mode is not None:
             raise UserError(
                 "the vector environment does not render; record a single one, or use make_vec with "
                 "vectorization_mode='sync'"
             )
-        if not (max_episode_steps is None or (is_whole(max_episode_steps) and max_episode_steps > 0)):
-            steps = shown(repr(max_episode_steps), 40)
-            raise UserError(f"max_episode_steps must be a positive integer, not {steps}")
-        self.max_episode_steps = max_episode_steps
         self.batch = make_batch(
             self.task_name,
             num_envs,
@@ -203,7 +171,6 @@ class TaskVectorEnv(VectorEnv):
             **task_options,
         )
         self.num_envs = num_envs
-        self._ended = np.zeros(num_envs, bool)  # waiting for their reset
         self.render_mode = None
         self.task = self.batch.task
         self.single_observation_space = observation_space(self.task)
@@ -211,58 +178,27 @@ class TaskVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(self, *, seed=None, options: dict | None = None):
-        """Return (observations, info); `options["reset_mask"]` (n,) resets some vehicles only.
-
-        seed: one for all vehicles, or n, where None leaves the random numbers of a vehicle unchanged.
-        """
-        state, mask = (reset_option(options, name, _RESET) for name in _RESET)
-        each = _seeds(seed, self.num_envs)
-        one = seed if each is None else None
-        ids = np.arange(self.num_envs)
-        if mask is not None:
-            mask = np.asarray(mask)
-            if mask.shape != (self.num_envs,) or mask.dtype != bool:
-                raise UserError(f"reset_mask must be {self.num_envs} booleans")
-            ids = ids[mask]
-        super().reset(seed=None if one is None else int(one))
-        if one is not None:
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Return (observations, info) of new episodes, at random or from `options["state"]`."""
+        state = reset_option(options, "state", ("state",))
+        check_seed(seed)
+        super().reset(seed=None if seed is None else int(seed))
+        if seed is not None:
             self.batch.draw_from(self.np_random)
-        if each is not None:
-            rngs = {int(i): np.random.default_rng(each[i]) for i in ids if each[i] is not None}
-            self.batch.draw_each_from(rngs)
-        self.batch.reset(ids, state)
-        self._ended[ids] = False
+        self.batch.reset(state=state)
         return self.batch.observe(), {}
 
     def step(self, actions):
-        """Step all vehicles; finished episodes restart at once, in the next step, or on request.
+        """Step all vehicles; finished episodes restart at once.
 
-        If they restart at once, `info["final_obs"]` (object array, mask `_final_obs`) and
-        `info["final_info"]` describe the episodes that ended. If they restart in the next step, that step
-        only resets them, with reward 0. Raises UserError for a step of vehicles whose episode has ended and
-        was not reset.
+        `info["final_obs"]` (object array, mask `_final_obs`) and `info["final_info"]` describe the episodes
+        that ended.
         """
         env = self.batch
-        waiting = self._ended.copy()
-        if waiting.any() and self._autoreset == AutoresetMode.DISABLED:
-            raise UserError(
-                f"the episodes of vehicles {np.flatnonzero(waiting)[:5].tolist()} have ended; reset them "
-                "with reset(options={'reset_mask': mask})"
-            )
-        step = env.step(actions, ~waiting)
-        if self.max_episode_steps is not None:
-            step.truncated |= (env.length >= self.max_episode_steps) & ~step.terminated
+        step = env.step(actions)
         info = {"reward_terms": step.terms, "is_success": step.success, "touched": env.touched.copy()}
-        observation = step.observation
-        if waiting.any():
-            for rows in (step.reward, step.terminated, step.truncated, step.success, *step.terms.values()):
-                rows[waiting] = 0
-            observation[waiting] = env.reset(np.flatnonzero(waiting))
-            info["touched"][waiting] = False
-        done = step.terminated | step.truncated
-        self._ended = done & (self._autoreset != AutoresetMode.SAME_STEP)
-        if done.any() and self._autoreset == AutoresetMode.SAME_STEP:
+        observation, done = step.observation, step.terminated | step.truncated
+        if done.any():
             ids = np.flatnonzero(done)
             final = np.full(self.num_envs, None, dtype=object)
             for i in ids:

@@ -74,7 +74,7 @@ def test_options_are_used_or_refused(name, data):
 
 
 @examples(12)
-@given(st.booleans(), st.sampled_from(("seed", "state", "reset_mask", "options", "action")), st.data())
+@given(st.booleans(), st.sampled_from(("seed", "state", "options", "action")), st.data())
 def test_resets_and_actions_are_used_or_refused(vector, what, data):
     evil = data.draw(st.sampled_from(list(EVERY)))
     used_or_refused(None, lambda: entered(vector, what, EVERY[evil]), finite)

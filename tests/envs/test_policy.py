@@ -391,22 +391,3 @@ def test_predict_is_sb3s_whatever_the_algorithm(tmp_path, kind, options):
     save_policy(network, tmp_path / "p.zip")
     wanted = assert_same_actions(network, tmp_path / "p.zip")
     assert not beyond or np.abs(wanted).max() == 1.0
-
-
-def test_start_states_of_a_vector_environment():
-    """As `reset(options={"state": ...})` of a single environment; later resets are random again."""
-    env, other = vehicles(3), make_batch("landing", 3, plant="analytic", seed=9)
-    expected = other.reset()
-    states = other.plant.state.copy()
-    for options in ({"state": states}, [{"state": state} for state in states]):
-        env.set_options(options)
-        assert np.array_equal(env.reset(), expected)
-    env.set_options([{"state": states[0]}, {}, {}])
-    mixed = env.reset()
-    assert np.array_equal(mixed[0], expected[0]) and not np.array_equal(mixed[1], expected[1])
-    assert not np.array_equal(env.reset()[0], expected[0])
-    env.set_options({"state": states[0]})
-    assert np.array_equal(env.reset(), [expected[0]] * 3)
-    for wrong in ({"start": states}, {"state": states[:2]}, [{}] * 2, [{}, {}, {"x": 1}], 3):
-        with pytest.raises(UserError):
-            env.set_options(wrong)

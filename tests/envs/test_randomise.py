@@ -160,19 +160,6 @@ def test_every_episode_draws_its_vehicle(plant, tmp_path):
     np.testing.assert_array_equal(env.plant.choice, kept)
 
 
-def test_vehicles_are_drawn_independently_of_the_size_of_the_batch():
-    """Each by its own generator: the same vehicle from the same start, whoever is drawn beside it."""
-    drawn = []
-    for seeds in (range(6), range(3)):
-        env = environment("analytic", len(seeds), robust(), 0.25)
-        env.draw_each_from({i: np.random.default_rng(seed) for i, seed in enumerate(seeds)})
-        env.reset()
-        drawn.append((env.plant.choice.copy(), env.plant.state.copy()))
-    for many, few in zip(*drawn):
-        np.testing.assert_array_equal(many[:3], few)
-    assert len(set(drawn[0][0])) > 3
-
-
 @pytest.mark.parametrize("plant", PLANTS)
 def test_without_ranges_nothing_is_drawn(plant):
     """And a pool of which none are taken changes no bit."""
