@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared.options import Only, Seed, flag_of
+from inclined_landing.envs.shared.options import Seed, flag_of
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.base.schema import Many, Real, Share
@@ -97,9 +97,6 @@ Width = Annotated[int, Meta(ge=1, le=8192)]  # as policy files may have
 Widths = Annotated[tuple[Width, ...], Meta(min_length=1, max_length=15)]
 
 
-_ENGINE = Only(lambda values: values["plant"] != "analytic", "with --plant analytic")
-
-
 @dataclasses.dataclass
 class TrainConfig:
     """Train a policy with Stable-Baselines3's PPO and write everything into one run folder.
@@ -132,9 +129,6 @@ class TrainConfig:
     """Maximum number of environment steps of a run that ends by success."""
     max_seconds: Seconds | None = None
     """Stop after this wall time [s]; the run can be resumed from its checkpoint."""
-    max_cpu_seconds: Seconds | None = None
-    """Stop after this CPU time of the training [s], summed over all cores, without evaluations. Unlike wall
-    time, it does not depend on other load of the machine."""
 
     # --- what it goes on from
     start_from: Annotated[str | None, tyro.conf.arg(name="from", metavar="POLICY")] = None
@@ -185,8 +179,6 @@ class TrainConfig:
     """Train as in the paper: one vehicle, no history, actions around hover."""
     plant: Literal["mujoco", "hybrid", "analytic"] = "hybrid"
     """Simulated physics: mujoco, analytic (the equations), or hybrid (the engine only near surfaces)."""
-    integrator: Annotated[Literal["RK4", "implicitfast", "Euler"] | None, _ENGINE] = None
-    """Integrator of the engine in training, with steps of 4 ms; evaluation uses RK4."""
     keep_out: float | None = None
     """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
     environments: int | None = None
@@ -215,8 +207,6 @@ class TrainConfig:
     """Discount factor; paper raises it from 0.97 to 0.99 over 800 000 steps, as the curriculum paper does."""
     gae_lambda: Share | None = None
     """Lambda of the generalised advantage estimate."""
-    entropy: Share = 0.0
-    """Weight of the entropy bonus."""
     log_std_init: float | None = None
     """Logarithm of the initial exploration noise."""
     reward_scale: Annotated[float, Meta(gt=0, lt=1000)] = 0.1
@@ -326,7 +316,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
     randomise = config.randomise or of_case["randomise"]
 
     # The task's training defaults, except where options are given.
-    named = [field.name for field in dataclasses.fields(training)]
+    named = [field.name for field in dataclasses.fields(training) if hasattr(config, field.name)]
     training = dataclasses.replace(training, **{name: of_case[name] for name in named if name in of_case})
     chosen = {name: getattr(config, name) for name in named if getattr(config, name) is not None}
     learning = dataclasses.replace(training, **chosen)

@@ -45,10 +45,9 @@ def check_memory(config: TrainConfig) -> None:
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
     """Return the vehicles on which a run trains, in the configured plant."""
-    options: dict[str, Any] = {"keep_out": config.keep_out}
+    task, options = build_task(config), dict[str, Any](keep_out=config.keep_out)
     if config.plant != "analytic":
-        options |= {"integrator": config.integrator, "threads": config.threads}
-    task = build_task(config)
+        options |= {"integrator": task.training.integrator, "threads": config.threads}
     nominal = None
     if config.randomise is not None:
         ranges = read_ranges(config.randomise)
@@ -135,7 +134,6 @@ def _arguments(config: TrainConfig, task: Task) -> dict:
         "learning_rate": config.learning_rate,
         "gamma": initial_gamma(config.gamma),
         "gae_lambda": config.gae_lambda,
-        "ent_coef": config.entropy,
         "device": "cpu",
         "policy_kwargs": {
             "net_arch": list(config.net_arch or NET_ARCH),

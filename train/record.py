@@ -25,7 +25,7 @@ from inclined_landing.train.config import COPIED, ENDING, TrainConfig, flag_of
 
 RECORD = "run.json"
 # Options that may differ from those the run was begun with.
-FREE = ("out", "max_seconds", "max_cpu_seconds", "report", "threads")
+FREE = ("out", "max_seconds", "report", "threads")
 
 
 class RunRecord(schema.Table, frozen=True):
@@ -100,8 +100,7 @@ def stored(config: TrainConfig, given: Container[str] = ()) -> tuple[TrainConfig
     if config.steps not in (None, begun.steps):
         length: dict[str, Any] = dict.fromkeys(ENDING) | {"steps": config.steps}
         resolved = dataclasses.replace(resolved, **length).resolved()
-    limits: dict[str, Any] = {name: getattr(config, name) for name in ("max_seconds", "max_cpu_seconds")}
-    resumed = dataclasses.replace(resolved, out=folder, resume=False, **limits)
+    resumed = dataclasses.replace(resolved, out=folder, resume=False, max_seconds=config.max_seconds)
     return resumed, record | {"config": recorded | {name: getattr(resumed, name) for name in ENDING}}
 
 

@@ -212,7 +212,7 @@ class Run:
         ]
         if config.start_from:
             callbacks.append(CriticFirst(warm_start.CRITIC_FIRST))
-        if config.max_seconds is not None or config.max_cpu_seconds is not None:
+        if config.max_seconds is not None:
             callbacks.append(every(1, self._in_time))
         resumed_at = None if self.begun_at is None else model.num_timesteps
         model.set_logger(Logger(str(self.folder), [EventFile(self.folder / "tensorboard", resumed_at)]))
@@ -276,10 +276,8 @@ class Run:
         self._write_histories()
 
     def _in_time(self, iteration: int) -> bool:
-        """Return False, after writing a checkpoint, if the wall time or the CPU time is used up."""
-        limits = (self.config.max_seconds, self.config.max_cpu_seconds)
-        used = (self.clock.total(), self.clock.cpu)
-        if not any(limit is not None and time >= limit for time, limit in zip(used, limits)):
+        """Return False, after writing a checkpoint, if the wall time is used up."""
+        if self.clock.total() < (self.config.max_seconds or math.inf):
             return True
         self.checkpoint(iteration)
         self._stopped = True
@@ -356,9 +354,8 @@ class Run:
         return Policy(task=task, metadata={}, path=path, **actor_of(self.model))
 
     def _as_recorded(self) -> dict:
-        """Return the configuration in run.json, with the time limits of this command."""
-        limits = ("max_seconds", "max_cpu_seconds")
-        return self.record["config"] | {name: getattr(self.config, name) for name in limits}
+        """Return the configuration in run.json, with the time limit of this command."""
+        return self.record["config"] | {"max_seconds": self.config.max_seconds}
 
     def _write_histories(self) -> None:
         for name, rows in (("learning", self.history), ("evaluations", self.evaluations)):
