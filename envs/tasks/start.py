@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,3 +52,17 @@ class Start:
             for array, values in pairs:
                 if array is not None:
                     array[rows] = values
+
+
+def joined(starts: Sequence[Start]) -> Start:
+    """Return all starts concatenated in order; either all or none have an azimuth and contact parameters."""
+    parts: dict[str, Any] = {}
+    for field in dataclasses.fields(Start):
+        values = [getattr(start, field.name) for start in starts]
+        if isinstance(values[0], dict):
+            parts[field.name] = {name: np.concatenate([x[name] for x in values]) for name in values[0]}
+        elif isinstance(values[0], Motion):
+            parts[field.name] = Motion(*map(np.concatenate, zip(*(motion.arrays for motion in values))))
+        else:
+            parts[field.name] = None if values[0] is None else np.concatenate(values)
+    return Start(**parts)
