@@ -10,7 +10,7 @@ from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.identification import PAPER_FIT, Identification, Identified
 from inclined_landing.eval.gap.report import words
-from inclined_landing.eval.gap.report.page import fill_in, limits, noise_section, print_answer
+from inclined_landing.eval.gap.report.page import fill_in, limits, print_answer
 from inclined_landing.models.effects import LIBRARY
 
 
@@ -126,7 +126,6 @@ def page(found: Identification, *, heldout: Sequence[str], versions: dict, notes
             [],
             [Table("", heads, identifiable_rows(found))],
         ),
-        noise_section(found.disturbance),
     ]
     return fill_in(sections, found, "identify", headline(found), " ".join(sentences(found)), versions)
 

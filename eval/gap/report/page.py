@@ -16,15 +16,13 @@ from inclined_landing.eval.base.page import of_sections, png
 from inclined_landing.eval.gap.answer.identification import Identification
 from inclined_landing.eval.gap.report import figures, words
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
-from inclined_landing.eval.gap.result import Diagnosis, Disturbance, RegimeError
-from inclined_landing.models.effects import LIBRARY
+from inclined_landing.eval.gap.result import Diagnosis, RegimeError
 
 _USE = (
     f"{VEHICLE} is the corrected model for every command of this package; {MJCF} is the same model for "
     f"plain MuJoCo with the plugins. Test a policy on it: landing-eval success landing --vehicle {VEHICLE}. "
     f"Retrain one that fails: landing-train landing --from landing --vehicle {VEHICLE}."
 )
-_SETS = 7  # rows of the table of sets
 _PLANTS = {"analytic": "equations", "mujoco": "MuJoCo"}
 
 
@@ -41,14 +39,9 @@ def page(d: Diagnosis, track: figures.Track | None, *, versions: dict, notes: Se
         Section("error", "Remaining error", "", [], _error_tables(d)),
         *limits(d, notes, [name for name in d.heldout if name not in d.flights]),
         Section(
-            *("sets", "Probabilities", "The probability of an effect is the sum over all sets with it.", []),
-            [
-                Table("", ("effect", "probability"), _percentages(probability_rows(d))),
-                Table("", ("set of effects", "probability"), _percentages(set_rows(d))),
-            ],
+            *("probabilities", "Probabilities", "Each is the sum over all sets of effects with it.", []),
+            [Table("", ("effect", "probability"), probability_rows(d))],
         ),
-        Section("parameters", "Parameters", "", [], [_parameter_table(d)]),
-        noise_section(d.disturbance),
     ]
     return fill_in(sections, d, "gap", words.headline(d), words.how_much(d), versions, drawn)
 
@@ -123,36 +116,11 @@ def _before_after(row: RegimeError | None) -> str:
     return f"{before.split()[0]} → {after.split()[0]} ({floor})"
 
 
-def probability_rows(d: Diagnosis) -> list[tuple[str, float]]:
+def probability_rows(d: Diagnosis) -> list[tuple]:
     """Return the effects that are named or possible with their probabilities, most probable first."""
     names = dict.fromkeys([*(n for e in d.effects for n in e.members), *d.possible])
-    return sorted(((words.label(n), d.probability(n)) for n in names), key=lambda row: -row[1])
-
-
-def set_rows(d: Diagnosis) -> list[tuple[str, float]]:
-    """Return the most probable sets of effects that matter with their probabilities."""
-    together: dict[str, float] = {}
-    for one in d.sets:
-        what = " + ".join(words.label(name) for name in one.effects if name not in d.immaterial) or "nothing"
-        together[what] = together.get(what, 0.0) + one.probability
-    rows = sorted(together.items(), key=lambda row: -row[1])[:_SETS]
-    rest = 1.0 - sum(part for _, part in rows)
-    return [*rows, ("all other sets", rest)] if rows and rest > 0.005 else rows
-
-
-def _percentages(rows: Sequence[tuple[str, float]]) -> list[tuple]:
-    return [(name, words.probability(part)) for name, part in rows]
-
-
-def _parameter_table(d: Diagnosis) -> Table:
-    """Return the parameters of the named effects with the formulae of these."""
-    rows = []
-    for effect in d.effects:
-        for name, p in effect.parameters.items():
-            ends = words.interval(p.ci95, p.unit) if words.is_identifiable(p) else "not identifiable"
-            numbers = words.value(p), ends, words.exact(p.neutral, p.unit)
-            rows.append((words.label(effect.name), name, *numbers, LIBRARY[effect.name].formula))
-    return Table("", ("effect", "parameter", "value", "95 % interval", "nominal", "formula"), rows)
+    ranked = sorted(names, key=lambda name: -d.probability(name))
+    return [(words.label(name), words.probability(d.probability(name))) for name in ranked]
 
 
 def limits(
@@ -164,29 +132,6 @@ def limits(
         Section("limits", "Limits", words.notes(found.notes, notes), []),
         Section("flights", "Flights", f"Fitted: {', '.join(found.flights)}. {evaluated}", []),
     )
-
-
-def noise_rows(disturbance: Mapping[str, Disturbance]) -> list[tuple[str, ...]]:
-    """Return the noise and disturbance of every channel."""
-    rows: list[tuple[str, ...]] = []
-    for channel, q in disturbance.items():
-        size, time = ("none", ""), ("", "")
-        if q.size_ci95[1] > 0.0:
-            size = words.rounded(q.size, q.size_ci95, q.unit), words.interval(q.size_ci95, q.unit)
-            if not any(digit in size[0].split()[0] for digit in "123456789"):
-                size = "none", size[1]
-        if q.size_ci95[0] > 0.0:  # else its correlation time is not identifiable
-            time = words.quantity(q.time, "s"), words.interval(q.time_ci95, "s")
-        rows.append((channel, words.quantity(q.noise, "m" if channel in "xyz" else "rad"), *size, *time))
-    return rows
-
-
-def noise_section(disturbance: Mapping[str, Disturbance]) -> Section:
-    """Return the section on noise and disturbances."""
-    text = f"Standard deviations, and the correlation time of disturbances (process noise) in {VEHICLE}."
-    heads = ("channel", "noise", "disturbance", "95 % interval", "correlation time", "95 % interval")
-    rows = Table("", heads, noise_rows(disturbance))
-    return Section("noise", "Noise and disturbances", text if rows.rows else "", [], [rows])
 
 
 def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) -> None:

@@ -22,7 +22,7 @@ from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
 from inclined_landing.eval.gap.report.figures import Track
-from inclined_landing.eval.gap.report.page import page, probability_rows, set_rows, show
+from inclined_landing.eval.gap.report.page import page, probability_rows, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -444,7 +444,6 @@ def test_the_page_stands_alone(verdict, track):
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
     assert text.count("data:image/png") == 1
     assert "17 %" in text if d.effects else "10 %" in text  # the second set
-    assert "0.20 to 0.40 m/s²" in text and "250 ms" in text  # the disturbance
     assert ("21 cm repeats from flight to flight: in z, depending on place" in text) == (verdict == "unknown")
 
 
@@ -472,7 +471,7 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
         marginal = sum(one["probability"] for one in record["sets"] if name in one["effects"])
         assert d.probability(name) == plan_input.probabilities[name] == pytest.approx(marginal)
         rows = dict(probability_rows(d))
-        assert rows[words.label(name)] == d.probability(name)
+        assert rows[words.label(name)] == words.probability(d.probability(name))
     for one in seen:
         for name in ("thrust_scale", "mass"):
             shown = set(re.findall(rf"{words.label(name)} \((\d+) %\)", one))
@@ -484,9 +483,6 @@ def test_every_view_shows_the_same_probabilities_and_sizes(capsys):
         assert all(words.title(effect) in one and words.how_sure(effect) in one for one in seen)
         for name, p in effect.parameters.items():
             assert entry["parameters"][name]["value"] == p.value
-            assert f"{words.value(p)} {words.interval(p.ci95, p.unit)}" in seen[0]  # of the expert's table
-    for names, part in set_rows(d):
-        assert f"{names} {words.probability(part)}" in seen[0]
     # Sizes: every decimal of the effects' sentences is that of the size with its interval.
     for effect in d.effects:
         said = re.findall(r"\d+\.\d+", words.sentence(effect))
