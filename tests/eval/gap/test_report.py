@@ -21,8 +21,7 @@ from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
-from inclined_landing.eval.gap.report.figures import Track
-from inclined_landing.eval.gap.report.page import page, probability_rows, show
+from inclined_landing.eval.gap.report.page import Track, page, probability_rows, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
