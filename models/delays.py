@@ -19,39 +19,29 @@ from inclined_landing.models.vehicle import Vehicle
 class Delays:
     """Histories for the delays of the vehicles; none are kept for delays of 0.
 
-    vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
+    choice (n,): which of `vehicles` each one is; later changes of this array count.
     period: that of the commands [s].
     After `reset` the past is as if the first command had always been given, and the vehicle had always
     been in its first state.
     """
 
-    def __init__(self, n: int, vehicles: Sequence[Vehicle], period: float):
-        self.period = period
-        self._of_each = {
-            "_command": np.array(
-                [[v.effects_thrust_delay, *(v.effects_attitude_delay,) * 3] for v in vehicles]
-            ),
-            "_measured": np.array(
-                [[v.effects_mocap_delay, attitude_age(v)] for v in vehicles]  # of position, of attitude
-            ),
-            "_tilt": np.array([v.effects_mocap_tilt for v in vehicles]),
-        }
-        rows = 1 if len(vehicles) == 1 else n  # else what holds for all
-        self._command, self._measured, self._tilt = (x[[0] * rows] for x in self._of_each.values())
-        longest, oldest = self._of_each["_command"].max(), self._of_each["_measured"].max()
+    def __init__(self, choice: np.ndarray, vehicles: Sequence[Vehicle], period: float):
+        n, self.period, self._choice = len(choice), period, choice
+        self._command = np.array(
+            [[v.effects_thrust_delay, *(v.effects_attitude_delay,) * 3] for v in vehicles]
+        )
+        self._measured = np.array(
+            [[v.effects_mocap_delay, attitude_age(v)] for v in vehicles]  # of position, of attitude
+        )
+        self._tilt = np.array([v.effects_mocap_tilt for v in vehicles])
+        longest, oldest = self._command.max(), self._measured.max()
         self.of_commands, self.of_measurement = bool(longest > 0.0), bool(oldest > 0.0)
-        self._tilts = bool(self._of_each["_tilt"].any())
+        self._of_state = self.of_measurement or bool(self._tilt.any())
         depth = math.ceil(longest / self.period) + 1 if self.of_commands else 0
         self.commands = np.zeros((n, depth, 4))
         self.fresh = np.ones(n, bool)  # no command since the reset
         depth = math.floor(oldest / self.period) + 2 if self.of_measurement else 0
         self.states = np.zeros((n, depth, STATE_SIZE))
-        self._out = np.zeros((n, 4))
-
-    def assign(self, ids, choice: np.ndarray) -> None:
-        """Copy the delays of the vehicles numbered `vehicles` (k,) to the vehicles `ids`."""
-        for name, values in self._of_each.items():
-            getattr(self, name)[ids] = values[choice]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return everything that a replay needs."""
@@ -63,33 +53,30 @@ class Delays:
         if self.of_measurement:
             self.states[ids] = np.asarray(state)[..., None, :]
 
-    def push_commands(self, commands: np.ndarray, ids=slice(None)) -> None:
-        """Record the commands (n, 4) of the control period that begins for the vehicles `ids`."""
+    def push_commands(self, commands: np.ndarray, ids: np.ndarray) -> None:
+        """Record the commands (n, 4) of the control period that begins for the vehicles `ids` (k,)."""
         if self.of_commands:
-            self.commands[ids, 1:] = self.commands[ids, :-1]
-            self.commands[ids, 0] = commands[ids]
-            self.commands[self.fresh] = commands[self.fresh, None]
+            fresh = ids[self.fresh[ids]]
+            self.commands[fresh] = commands[fresh, None]
+            _push(ids, commands, self.commands)
         self.fresh[ids] = False
 
-    def push_state(self, state: np.ndarray, ids=slice(None)) -> None:
-        """Record the state (n, 13) at the end of a control period of the vehicles `ids`."""
+    def push_state(self, state: np.ndarray, ids: np.ndarray) -> None:
+        """Record the state (n, 13) at the end of a control period of the vehicles `ids` (k,)."""
         if self.of_measurement:
-            self.states[ids, 1:] = self.states[ids, :-1]
-            self.states[ids, 0] = state[ids]
+            _push(ids, state, self.states)
 
-    def acting(self, start: float, length: float) -> np.ndarray:
-        """Return the delayed commands (n, 4), averaged over `length` [s], `start` [s] after the last push."""
-        _average(self.commands, self._command, self.period, start, length, self._out)
-        return self._out
+    def acting(self, steps: int) -> np.ndarray:
+        """Return the delayed commands (steps, n, 4), averaged over each of the equal steps of a period."""
+        out = np.empty((steps, *self.commands[:, 0].shape))
+        _average(self.commands, self._command, self._choice, self.period, out)
+        return out
 
     def measurement(self, state: np.ndarray) -> np.ndarray:
         """Return `state` (n, 13) delayed, with linear interpolation between control steps, and tilted."""
-        if self.of_measurement:
-            state = _late(self.states, self._measured, self.period, state)
-        if self._tilts:
-            attitude, state = state[:, ROLL : YAW + 1].copy(), state.copy()
-            _tilt(attitude, self._tilt, state[:, ROLL : YAW + 1])
-        return state
+        if not self._of_state:
+            return state
+        return _measured(self.states, self._measured, self._tilt, self._choice, self.period, state)
 
 
 def attitude_age(vehicle: Vehicle) -> float:
@@ -98,16 +85,27 @@ def attitude_age(vehicle: Vehicle) -> float:
 
 
 @kernel
-def _late(states, delays, period, state):
-    """Return the state (n, 13) `delays` [s] (n, 2) or (1, 2) ago, from past ones (n, depth, 13), newest
-    first.
+def _push(ids, now, past):
+    """Prepend the rows `ids` of now (n, m) to their past ones (n, depth, m), and drop the oldest."""
+    for i in ids:
+        for back in range(past.shape[1] - 1, 0, -1):
+            for k in range(past.shape[2]):
+                past[i, back, k] = past[i, back - 1, k]
+        for k in range(past.shape[2]):
+            past[i, 0, k] = now[i, k]
 
-    The second delay is that of the attitude and its rates.
+
+@kernel
+def _measured(states, delays, tilts, choice, period, state):
+    """Return the state (n, 13) `delays` [s] ago, from past ones (n, depth, 13), newest first, and tilted.
+
+    delays, tilts (m, 2): of each vehicle in `choice`. The second delay is that of the attitude and its rates.
     """
     out = state.copy()
     for i in range(len(state)):
+        delay, tilt = delays[choice[i]], tilts[choice[i]]
         for k in range(state.shape[1]):
-            steps = delays[i if len(delays) > 1 else 0, int(ROLL <= k < LAG)] / period
+            steps = delay[int(ROLL <= k < LAG)] / period
             if steps > 0.0:
                 whole = int(steps)
                 later = states[i, whole, k]
@@ -115,37 +113,37 @@ def _late(states, delays, period, state):
                 if ROLL <= k <= YAW:
                     change = (change + math.pi) % (2 * math.pi) - math.pi
                 out[i, k] = later + (steps - whole) * change
+        if tilt[0] != 0.0 or tilt[1] != 0.0:
+            attitude = out[i : i + 1, ROLL : YAW + 1]
+            tilted(attitude.copy(), tilt[0], tilt[1], attitude)
     return out
 
 
 @kernel
-def _tilt(attitude, tilt, out):
-    for i in range(len(attitude)):
-        roll, pitch = tilt[i if len(tilt) > 1 else 0]
-        if roll != 0.0 or pitch != 0.0:
-            tilted(attitude[i : i + 1], roll, pitch, out[i : i + 1])
+def _average(commands, delays, choice, period, out):
+    """Write the averages of past commands (n, depth, 4), newest first, over the steps of out (steps, n, 4).
 
-
-@kernel
-def _average(commands, delays, period, start, length, out):
+    delays (m, 4): of each vehicle in `choice`.
+    """
     n, depth, size = commands.shape
+    length = period / len(out)
     for i in range(n):
-        delay = delays[i if len(delays) > 1 else 0]
-        late = False
+        delay, late = delays[choice[i]], False
         for column in range(size):
-            out[i, column] = commands[i, 0, column]
             late |= delay[column] != 0.0
-        if not late:
-            continue
-        for column in range(size):
-            begin, total = start - delay[column], 0.0
-            for back in range(depth):
-                # This command was held from -back periods for one period; the oldest one for ever.
-                held_from = -back * period if back < depth - 1 else -math.inf
-                share = min(begin + length, (1 - back) * period) - max(begin, held_from)
-                if share > 0.0:
-                    total += share / length * commands[i, back, column]
-            out[i, column] = total
+        for step in range(len(out)):
+            for column in range(size):
+                if not late:
+                    out[step, i, column] = commands[i, 0, column]
+                    continue
+                begin, total = step * length - delay[column], 0.0
+                for back in range(depth):
+                    # This command was held from -back periods for one period; the oldest one for ever.
+                    held_from = -back * period if back < depth - 1 else -math.inf
+                    share = min(begin + length, (1 - back) * period) - max(begin, held_from)
+                    if share > 0.0:
+                        total += share / length * commands[i, back, column]
+                out[step, i, column] = total
 
 
 @unlocked

@@ -26,12 +26,13 @@ Seed: TypeAlias = int | np.random.Generator
 class Disturbance:
     """Random accelerations of n vehicles (n, 6): linear along the world axes, angular about the body axes.
 
-    vehicles: one for all, or those that `assign` chooses from; it is the first one until then.
+    choice (n,): which of `vehicles` each one is; later changes of this array count.
     period: the control period [s]. seed: for all random numbers.
     Raises UserError for a negative seed.
     """
 
-    def __init__(self, n: int, vehicles: Sequence[Vehicle], period: float, seed: Seed):
+    def __init__(self, choice: np.ndarray, vehicles: Sequence[Vehicle], period: float, seed: Seed):
+        n, self._choice = len(choice), choice
         self._bits: Any = None
         self._random: Any = None
         self.seed(seed)
@@ -39,21 +40,10 @@ class Disturbance:
         size = np.array([(*v.disturbance_acceleration, *v.disturbance_angular) for v in vehicles])
         times = np.array([(*v.disturbance_acceleration_time, *v.disturbance_angular_time) for v in vehicles])
         keep = np.exp(-period / np.where(times > 0.0, times, np.inf))
-        self._of_each = {
-            "_size": size,
-            "_keep": keep,
-            "_fresh": size * np.sqrt(1.0 - keep**2),
-            "_inertia": np.array([v.body_inertia for v in vehicles]),
-        }
-        rows = 1 if len(vehicles) == 1 else n  # else what holds for all
-        self._size, self._keep, self._fresh, self._inertia = (x[[0] * rows] for x in self._of_each.values())
+        self._size, self._keep, self._fresh = size, keep, size * np.sqrt(1.0 - keep**2)
+        self._inertia = np.array([v.body_inertia for v in vehicles])
         self.now = np.zeros((n, 6))  # m/s2 along the world's axes, rad/s2 about the body's
         self.held = np.zeros((n, 6))  # what `push` returns
-
-    def assign(self, ids, choice: np.ndarray) -> None:
-        """Copy the disturbances of the vehicles numbered `vehicles` (k,) to the vehicles `ids` (k,)."""
-        for name, values in self._of_each.items():
-            getattr(self, name)[ids] = values[choice]
 
     def seed(self, seed: Seed) -> None:
         """Restart everything drawn from now on."""
@@ -80,7 +70,8 @@ class Disturbance:
 
     def reset(self, ids) -> None:
         """Restart from the stationary distribution for the vehicles `ids`."""
-        self.now[ids] = self._own(self._size, ids) * self._random.standard_normal(self.now[ids].shape)
+        size = self._size[self._choice[ids]]
+        self.now[ids] = size * self._random.standard_normal(size.shape)
 
     def push(self, state: np.ndarray, torque: bool) -> np.ndarray:
         """Return the push applied from now on: acceleration [m/s2] and torque [N m] (n, 6) in the world's
@@ -88,28 +79,22 @@ class Disturbance:
 
         state (n, 13); torque: whether it has an effect, else it is 0.
         """
-        _push(self.now, state, self._inertia, torque, self.held)
+        _push(self.now, state, self._inertia, self._choice, torque, self.held)
         return self.held
 
     def step(self, ids=slice(None)) -> None:
         """Advance the vehicles `ids` by one control period."""
-        now = self.now[ids]
-        keep, fresh = self._own(self._keep, ids), self._own(self._fresh, ids)
-        self.now[ids] = keep * now + fresh * self._random.standard_normal(now.shape)
-
-    @staticmethod
-    def _own(values: np.ndarray, ids) -> np.ndarray:
-        return values[0] if len(values) == 1 else values[ids]
+        now, choice = self.now[ids], self._choice[ids]
+        self.now[ids] = self._keep[choice] * now + self._fresh[choice] * self._random.standard_normal(now.shape)
 
 
 @kernel
-def _push(now, state, inertia, torque, out):
-    each = len(inertia) > 1
+def _push(now, state, inertia, choice, torque, out):
     for i in range(len(now)):
         for k in range(3):
             out[i, k], out[i, 3 + k] = now[i, k], 0.0
         if torque:
-            r, diagonal = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[i if each else 0]
+            r, diagonal = rotation(state[i, ROLL], state[i, PITCH], state[i, YAW]), inertia[choice[i]]
             for k in range(3):
                 for j in range(3):
                     out[i, 3 + k] += r[k, j] * diagonal[j] * now[i, 3 + j]

@@ -81,15 +81,15 @@ class AnalyticPlant(Plant):
         dt = self.control_period / self.substeps
         if self.disturbance is not None:
             self.disturbance.push(self.state, self.attitude == "rate_loop")
-        self.delays.push_commands(commands)
+        self.delays.push_commands(commands, self._everyone)
         if self.delays.of_commands:
-            for k in range(self.substeps):
-                self._advance(self.delays.acting(k * dt, dt), dt, 1)
+            for delayed in self.delays.acting(self.substeps):
+                self._advance(delayed, dt, 1)
         else:
             self._advance(commands, dt, self.substeps)
         if self.disturbance:
             self.disturbance.step()
-        self.delays.push_state(self.state)
+        self.delays.push_state(self.state, self._everyone)
         where = self.inclination, self._position, self.fleet
         within = float(self.keep_out)
         geometry.clearances(self.state, *where, self._distance, self.azimuth, self.size, within)

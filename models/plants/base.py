@@ -110,20 +110,18 @@ class Plant:
         self.integral = np.zeros((n, 2))
         self.load = hanging(n) if any(v.effects_load_mass > 0.0 for v in self._vehicles) else UNLOADED
         self.perturbation = perturbation.neutral(n)
-        self.delays = Delays(n, self._vehicles, self.control_period)
-        self._alike = np.zeros(n, int)
-        self.choice = np.zeros(
-            n, int
-        )  # whose constants each has: 0 the plant's own, k those of the k-th of the pool
+        self._everyone, self._alike = np.arange(n), np.zeros(n, int)
+        # Whose constants each has: 0 the plant's own, k those of the k-th of the pool.
+        self.choice = np.zeros(n, int)
+        self.delays = Delays(self.choice, self._vehicles, self.control_period)
         self._records = np.concatenate([forces.pack(member) for member in self._vehicles])
         self._hover_shares = np.array([v.hover_lag for v in self._vehicles]) / self.vehicle.hover_lag
         self._constants = self._records[self.choice] if self.pool else self._records  # (n,) or (1,)
-        self._height = np.full(n, self.vehicle.platform_surface_height)
-        self.hover_share = np.ones(n)  # lag of each vehicle in hover over that of the plant's own
-        self.tilt = np.zeros(n)  # by which a vehicle's platform is inclined more than the plant's own, rad
+        self._heights = np.array([v.platform_surface_height for v in self._vehicles])
+        self._tilts = self._records["platform"]["inclination"] - self.vehicle.platform_inclination
         self.disturbance = None
         if disturbance is not None:
-            self.disturbance = Disturbance(n, self._vehicles, self.control_period, disturbance)
+            self.disturbance = Disturbance(self.choice, self._vehicles, self.control_period, disturbance)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         c = self.contacts
@@ -181,7 +179,7 @@ class Plant:
         if self.pool:
             if not ((self.choice >= 0) & (self.choice <= len(self.pool))).all():
                 raise UserError("the snapshot belongs to a plant with a different pool of vehicles")
-            self._apply_choice(np.arange(self.n))
+            self._apply_choice(self._everyone)
         self._apply_perturbation()
 
     def _make_room(self, arrays: dict[str, np.ndarray]) -> None:
@@ -196,19 +194,21 @@ class Plant:
         if not ((choice >= 0) & (choice <= len(self.pool))).all():
             raise UserError(f"choose vehicles 1 to {len(self.pool)} of the pool, or 0 for the plant's own")
         self.choice[ids] = choice
-        self._apply_choice(np.asarray(ids))
+        self._apply_choice(self._everyone[ids])
 
     def _apply_choice(self, ids: np.ndarray) -> None:
         """Apply the `choice` of the vehicles `ids`."""
-        choice = self.choice[ids]
-        self._constants[ids] = self._records[choice]
-        platforms = self._records["platform"][choice]
-        self._height[ids] = platforms["surface_height"]
-        self.tilt[ids] = platforms["inclination"] - self.vehicle.platform_inclination
-        self.hover_share[ids] = self._hover_shares[choice]
-        self.delays.assign(ids, choice)
-        if self.disturbance:
-            self.disturbance.assign(ids, choice)
+        self._constants[ids] = self._records[self.choice[ids]]
+
+    @property
+    def hover_share(self) -> np.ndarray:
+        """Lag (n,) of each vehicle in hover over that of the plant's own."""
+        return self._hover_shares[self.choice]
+
+    @property
+    def tilt(self) -> np.ndarray:
+        """Angle (n,) by which each vehicle's platform is inclined more than the plant's own [rad]."""
+        return self._tilts[self.choice]
 
     @property
     def inclination(self) -> np.ndarray:
@@ -227,8 +227,9 @@ class Plant:
         the surface, velocity, attitude, rates. The surface's attitude is Rz(yaw) Rx(roll) Ry(pitch), its
         inclination the pitch. The platforms are at rest until `set_motion` is called.
         """
-        rows = np.zeros((len(self._height[ids]), PLATFORM_SIZE))
-        rows[:, Z], rows[:, PITCH], rows[:, YAW] = self._height[ids], inclination, azimuth
+        height = self._heights[self.choice[ids]]
+        rows = np.zeros((len(height), PLATFORM_SIZE))
+        rows[:, Z], rows[:, PITCH], rows[:, YAW] = height, inclination, azimuth
         self.platform[ids] = rows
         self.present[ids] = present
 
@@ -254,7 +255,7 @@ class Plant:
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """Return `geometry.platform_poses` for the vehicles `ids`."""
         where = self.inclination[ids], self.present[ids]
-        return geometry.platform_poses(*where, self.vehicle, self._height[ids], self.azimuth[ids])
+        return geometry.platform_poses(*where, self.vehicle, self._heights[self.choice[ids]], self.azimuth[ids])
 
     def _meet(self, shapes: Sequence[geometry.Shapes]) -> None:
         """Set the shapes of the plant's own vehicle and of the vehicles of its pool."""

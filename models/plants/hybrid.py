@@ -184,7 +184,8 @@ class HybridPlant(MujocoPlant):
         numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
         of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
         counts = threads.in_threads(lambda part: _fly(ids, *part, *of_all), parts)
-        self._write_loads(ids[~self.in_engine[ids]])
+        if len(self.load):
+            self._write_loads(ids[~self.in_engine[ids]])
         return np.concatenate(
             [self._results.for_engine[first : first + count] for (first, _), count in zip(parts, counts)]
         )

@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from inclined_landing.models import attitude_loops, contact, equations, geometry, perturbation
 from inclined_landing.models.attitude import (
+    COMMAND_SIZE,
     LAG,
     PITCH,
     PWM,
@@ -115,7 +116,6 @@ class MujocoPlant(Plant):
         self._history_of = held_histories(self.model) if self.model.nhistory else None
         self._seen = np.zeros((n, self.substeps, self.model.nsensordata))
         self.contact_sensors = contact_sensors(self.model)
-        self._everyone = np.arange(n)
         self._perturbed = self._contact_set = False
         self.torque_needs_motors = torque_needs_motors
         self._loops = np.array([self.model.actuator(name).id for name in ("roll", "pitch", "yaw_rate")])
@@ -139,12 +139,13 @@ class MujocoPlant(Plant):
         """Store an engine and its arrays that the plant reads and writes."""
         self._batch, bind = batch, batch.bind
         self._columns = Columns.of(self.model)
-        self._ctrl, self._warmstart, self._time = bind("ctrl"), bind("qacc_warmstart"), bind("time")
+        self._ctrl = bind("ctrl")
         self.integral = bind("act")[:, 1:]
         self._mocap_pos, self._mocap_quat = bind("mocap_pos"), bind("mocap_quat")
         self._warning = batch.warning
         self._history = bind("history") if self.model.nhistory else None
         self._applied = bind("xfrc_applied")[:, self.model.body("crazyflie").id]
+        self._of_pool = [(_as_bytes(rows), _as_bytes(batch.expand(k))) for k, rows in self._fields.items()]
         if self.platforms:
             self.platforms.bind(batch)
 
@@ -173,13 +174,15 @@ class MujocoPlant(Plant):
         """See `Plant.assign`; the contact parameters become those of the selected vehicles."""
         super().assign(ids, choice)
         self._contact[ids] = self._contact_of_each[choice]
-        self._apply_contact()
-        self._apply_perturbation()
+        if self._contact_set:
+            self._apply_contact()
+        if self._perturbed:
+            self._apply_perturbation()
 
     def _apply_choice(self, ids: np.ndarray) -> None:
         super()._apply_choice(ids)
-        for name, rows in self._fields.items():
-            self.batch.expand(name)[ids] = rows[self.choice[ids]]
+        for rows, expanded in self._of_pool:
+            _copy_rows(ids, self.choice, rows, expanded)
 
     def _of_model(self, field: str) -> np.ndarray:
         """Return a field of the vehicles' models, (n, ...), or (1, ...) if all have the same."""
@@ -262,14 +265,9 @@ class MujocoPlant(Plant):
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13): pose, rates, lag; contacts, past commands cleared."""
-        ids = np.asarray(ids)
-        if ids.dtype == bool:
-            ids = np.flatnonzero(ids)
+        ids = self._everyone[ids]
         state = np.ascontiguousarray(state, dtype=float)
         _write_state(ids, state, self.batch.state, self._columns)
-        self._ctrl[ids] = 0.0
-        self._warmstart[ids] = 0.0
-        self._time[ids] = 0.0
         self._warning[ids] = 0
         self._place_platforms(ids)
         self._begin(ids, state)
@@ -318,14 +316,14 @@ class MujocoPlant(Plant):
         """Return the last commands, delayed if there are delays: (1, n, 4), or (substeps, n, 4)."""
         if not self.delays.of_commands:
             return self._ctrl[None].copy()  # in C order, as kernels are compiled for
-        step = self.control_period / self.substeps
-        return np.array([self.delays.acting(k * step, step).copy() for k in range(self.substeps)])
+        return self.delays.acting(self.substeps)
 
     def check(self) -> None:
         """Raise FloatingPointError, naming the vehicles, if the engine has diverged since their reset."""
-        diverged = np.flatnonzero(self.diverged)
-        if len(diverged):
-            raise FloatingPointError(f"the engine diverged for vehicles {diverged[:5].tolist()}")
+        diverged = self.diverged
+        if diverged.any():
+            numbers = np.flatnonzero(diverged)[:5].tolist()
+            raise FloatingPointError(f"the engine diverged for vehicles {numbers}")
 
     @property
     def diverged(self) -> np.ndarray:
@@ -341,7 +339,7 @@ class MujocoPlant(Plant):
         "sensordata" belongs to the beginning of the step. Without fields, an empty result is returned.
         """
         commands = np.asarray(commands, float)
-        chosen = slice(None) if ids is None else ids
+        chosen = self._everyone if ids is None else ids
         self._give(commands, chosen)
         if self.attitude == "kinematic":
             self._synchronise(chosen)
@@ -368,12 +366,9 @@ class MujocoPlant(Plant):
         """Set the body rates of the vehicles `ids` that touch nothing to those of the first-order loops."""
         kept = np.ones(self.n, bool)
         kept[ids] = self.contacts.touch[ids].any(axis=(1, 2))
-        wanted = self._ctrl
-        if self.delays.of_commands:
-            wanted = self.delays.acting(0.0, self.control_period / self.substeps)
         rows = self.batch.state, self._columns
-        _synchronise_rates(*rows, wanted, self._constants, self.perturbation, kept)
-        self._write_loads(self._everyone[ids])  # whose joints turn with the vehicles
+        _synchronise_rates(*rows, self.acting_commands()[0], self._constants, self.perturbation, kept)
+        self._write_loads(ids)  # whose joints turn with the vehicles
 
     def _roll(self, ids: np.ndarray | None, record: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
         """Run one control period of the vehicles `ids` in the engine and read the results; see `advance`."""
@@ -403,10 +398,10 @@ class MujocoPlant(Plant):
 
     def allow_torque(self, commands: np.ndarray) -> None:
         """Enable the attitude torques that motors under commands (n, 4) can produce; `step` calls this."""
+        if not self.torque_needs_motors:
+            return
         running = commands[:, PWM] > 0.0
-        if not self.torque_needs_motors or (
-            running.all() and self.batch.expanded("actuator_forcerange") is None
-        ):
+        if running.all() and self.batch.expanded("actuator_forcerange") is None:
             return
         limits = self._of_model("actuator_forcerange")[:, self._loops]
         self.batch.expand("actuator_forcerange")[:, self._loops] = running[:, None, None] * limits
@@ -447,16 +442,31 @@ def _diverged(warning, state):
     return out
 
 
+def _as_bytes(rows: np.ndarray) -> np.ndarray:
+    """Return rows (n, ...) of any type as bytes (n, b) that share their memory."""
+    return rows.reshape(len(rows), -1).view(np.uint8)
+
+
+@kernel
+def _copy_rows(ids, choice, rows, out):
+    """Write those of the rows (m, b) that the vehicles `ids` have, by their choice (n,), into out (n, b)."""
+    for i in ids:
+        for k in range(rows.shape[1]):
+            out[i, k] = rows[choice[i], k]
+
+
 @kernel
 def _write_state(ids, state, engine, at):
-    """Write the states (k, 13) of the vehicles `ids` to the engine's rows (n, s); at: `Columns`."""
+    """Begin at the states (k, 13) of the vehicles `ids` in the engine's rows (n, s); at: `Columns`."""
     for k in range(len(ids)):
         row, s, qpos, qvel = engine[ids[k]], state[k], at.qpos, at.qvel
         for j in range(3):
             row[qpos + j], row[qvel + j], row[qvel + 3 + j] = s[j], s[VX + j], s[WX + j]
         w, x, y, z = quaternion(s[ROLL], s[PITCH], s[YAW])
         row[qpos + 3], row[qpos + 4], row[qpos + 5], row[qpos + 6] = w, x, y, z
-        row[at.act] = s[LAG]
+        row[at.act], row[at.time] = s[LAG], 0.0
+        row[at.ctrl : at.ctrl + COMMAND_SIZE] = 0.0
+        row[at.warmstart : at.warmstart + at.nv] = 0.0
 
 
 @kernel
