@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from inclined_landing.models.attitude import PITCH_COMMAND, ROLL_COMMAND, YAW_RATE_COMMAND
-from inclined_landing.models.compiled import formula, inlined, inner, unlocked
+from inclined_landing.models.attitude import PITCH_COMMAND, ROLL, ROLL_COMMAND, YAW_RATE_COMMAND
+from inclined_landing.models.compiled import formula, inlined, inner, kernel, unlocked
 from inclined_landing.models.perturbation import GAIN_SCALE, TIME_CONSTANT_SCALE
 
 
@@ -75,17 +75,20 @@ def integrates(v):
     return v.effects.attitude_integral != 0.0 or v.effects.attitude_hold != 0.0
 
 
-def resting_integrals(angles: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
-    """Return the steady integrals (k, 2) [rad s] without a moment, at roll and pitch (k, 2) without an error.
+@kernel
+def write_resting_integrals(ids, state, vehicles, out):
+    """Write the steady integrals (n, 2) [rad s] without a moment, at attitudes without an error.
 
-    vehicles (k,) or (1,): from `forces.pack`.
+    Only those of the vehicles `ids` are written. state: (n, 13); vehicles: (n,) or (1,) from `forces.pack`.
     """
-    # integral I/tau + hold (I/tau - angle) = 0
-    hold = vehicles["effects"]["attitude_hold"]
-    total = vehicles["effects"]["attitude_integral"] + hold
-    share = np.divide(hold, total, out=np.zeros_like(total), where=total != 0.0)
-    limit = vehicles["attitude"]["integral_limit"][:, None]
-    return np.clip(angles * (share * vehicles["attitude"]["time_constant"])[:, None], -limit, limit)
+    for i in ids:
+        v = vehicles[i if len(vehicles) > 1 else 0]
+        # integral I/tau + hold (I/tau - angle) = 0
+        hold, limit = v.effects.attitude_hold, v.attitude.integral_limit
+        total = v.effects.attitude_integral + hold
+        time = (hold / total if total != 0.0 else 0.0) * v.attitude.time_constant
+        for k in range(2):
+            out[i, k] = min(limit, max(-limit, state[i, ROLL + k] * time))
 
 
 @inlined

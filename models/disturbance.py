@@ -85,7 +85,8 @@ class Disturbance:
     def step(self, ids=slice(None)) -> None:
         """Advance the vehicles `ids` by one control period."""
         now, choice = self.now[ids], self._choice[ids]
-        self.now[ids] = self._keep[choice] * now + self._fresh[choice] * self._random.standard_normal(now.shape)
+        fresh = self._fresh[choice] * self._random.standard_normal(now.shape)
+        self.now[ids] = self._keep[choice] * now + fresh
 
 
 @kernel

@@ -72,6 +72,7 @@ class AnalyticPlant(Plant):
 
     def reset(self, ids, state: np.ndarray) -> None:
         """Put the vehicles `ids` into `state` (k, 13) at time 0; contacts and past commands cleared."""
+        ids = self._everyone[ids]
         self._begin(ids, state)
         self._ambient[ids, forces.TIME] = 0.0
 

@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Meta
 
 from inclined_landing.models import forces, geometry, perturbation
-from inclined_landing.models.attitude import PITCH, ROLL, STATE_SIZE, WZ, YAW, Z
-from inclined_landing.models.attitude_loops import resting_integrals
+from inclined_landing.models.attitude import PITCH, STATE_SIZE, WZ, YAW, Z
+from inclined_landing.models.attitude_loops import write_resting_integrals
 from inclined_landing.models.base import schema
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.delays import Delays
@@ -198,7 +198,8 @@ class Plant:
 
     def _apply_choice(self, ids: np.ndarray) -> None:
         """Apply the `choice` of the vehicles `ids`."""
-        self._constants[ids] = self._records[self.choice[ids]]
+        # As rows of numbers, because NumPy copies records field by field.
+        forces.numbers(self._constants)[ids] = forces.numbers(self._records)[self.choice[ids]]
 
     @property
     def hover_share(self) -> np.ndarray:
@@ -254,8 +255,8 @@ class Plant:
 
     def _platform_poses(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """Return `geometry.platform_poses` for the vehicles `ids`."""
-        where = self.inclination[ids], self.present[ids]
-        return geometry.platform_poses(*where, self.vehicle, self._heights[self.choice[ids]], self.azimuth[ids])
+        where, height = (self.inclination[ids], self.present[ids]), self._heights[self.choice[ids]]
+        return geometry.platform_poses(*where, self.vehicle, height, self.azimuth[ids])
 
     def _meet(self, shapes: Sequence[geometry.Shapes]) -> None:
         """Set the shapes of the plant's own vehicle and of the vehicles of its pool."""
@@ -284,11 +285,10 @@ class Plant:
     def _apply_perturbation(self) -> None:
         """Hook for plants that also store the perturbation elsewhere."""
 
-    def _begin(self, ids, state: np.ndarray) -> None:
+    def _begin(self, ids: np.ndarray, state: np.ndarray) -> None:
         """Begin a new episode of the vehicles `ids` at `state` (k, 13): the part common to both plants."""
-        constants = self._constants[ids] if len(self._constants) > 1 else self._constants
         self.state[ids] = state
-        self.integral[ids] = resting_integrals(state[:, ROLL:YAW], constants)
+        write_resting_integrals(ids, self.state, self._constants, self.integral)
         if len(self.load):
             self.load[ids] = HANGING
         self.delays.reset(ids, state)
