@@ -134,10 +134,7 @@ class Dependence:
     score: float  # gain in standard deviations over random sign flips
     displacement: float  # m, root mean square displacement by it within a second
     displacement_ci95: tuple[float, float]
-    regimes: dict[str, float]  # regime -> root mean square there
     against: str  # the input that explains most of it
-    x: np.ndarray  # (b,) bin centres of that input
-    y: np.ndarray  # (b,) its mean there
 
 
 @dataclasses.dataclass(frozen=True)

@@ -290,7 +290,6 @@ class LinearGaussian:
         _, covariance = self.change(names)
         variance = self.standard_errors(names) ** 2
         deviation = np.array([self.random_effect(k, change) for k in range(len(self.flight_a))])
-        alone = np.linalg.inv(self.flight_a + np.diag(1.0 / self.between))
         result = {}
         fitted = [c.key for c in self.columns if c.effect in names and isinstance(c, ParameterColumn)]
         for name, parameter in dict.fromkeys(fitted):
@@ -302,7 +301,6 @@ class LinearGaussian:
             result[name, parameter] = ParameterEstimate(
                 error=float(np.sqrt(max(0.0, square)) * unit),
                 deviation=deviation[:, k].sum(axis=1) * unit,
-                alone=np.sqrt(np.maximum(0.0, alone[:, k][:, :, k].sum(axis=(1, 2)))) * unit,
                 between=float(np.sqrt(self.between[k].mean()) * unit),
             )
         return result
@@ -314,7 +312,6 @@ class ParameterEstimate:
 
     error: float  # standard error
     deviation: np.ndarray  # (f,) random effect of every flight
-    alone: np.ndarray  # (f,) their standard errors
     between: float  # between-flight standard deviation
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.noise import ErrorResponses
-from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
+from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.infer.gaussian import EffectSet, LinearGaussian
 from inclined_landing.eval.gap.infer.sets import SetPosterior
 from inclined_landing.eval.gap.model.prediction import CHANNELS, UNITS_OF, channels_of
@@ -215,19 +215,14 @@ def _functions(
 def _dependence(
     problem, function: _RidgeRegression, basis: Basis, inputs, residual: Sequence[np.ndarray], vehicle, score
 ) -> Dependence:
-    """Return a function's size, by regime too, and its mean over the input that explains most of it."""
+    """Return a function's size, and the input that explains most of it."""
     names, arrays = inputs
     weights = function.weights()
     values = [basis(x) @ weights for x in arrays]
     value = np.concatenate([f.cut(v).mean(axis=1) for f, v in zip(problem.flights, values)])
-    regimes = np.concatenate([f.regimes for f in problem.flights])
-    rms = {n: float(np.sqrt((value[w] ** 2).mean())) for n, w in zip(REGIMES, regimes.T) if w.any()}
-    against, best, curve = names[0], -1.0, (np.zeros(0), np.zeros(0))
-    for k, name in enumerate(names):
-        x = np.concatenate([f.cut(v[:, k]).mean(axis=1) for f, v in zip(problem.flights, arrays)])
-        spread, centres, means = _binned(x, value)
-        if spread > best:
-            against, best, curve = name, spread, (centres, means)
+    means = [f.cut(v).mean(axis=1) for f, v in zip(problem.flights, arrays)]
+    spreads = [_variance_between_bins(x, value) for x in np.concatenate(means).T]
+    against = names[int(np.argmax(spreads))]
     unit = UNITS_OF.get(function.target, UNITS_OF["x"])
     channels = _channels(function.target)
     weight = problem.weight / problem.inflation
@@ -238,7 +233,7 @@ def _dependence(
     share = float(np.clip(function.gain / max(total, 1e-9), 0.0, 1.0))
     moved, *ends = _displacement(problem, function, basis, arrays, vehicle)
     size, target, on = float(np.sqrt((value**2).mean())), function.target, function.on
-    return Dependence(target, on, size, unit, share, float(score), moved, tuple(ends), rms, against, *curve)
+    return Dependence(target, on, size, unit, share, float(score), moved, tuple(ends), against)
 
 
 def _displacement(problem, function: _RidgeRegression, basis: Basis, arrays, vehicle) -> np.ndarray:
@@ -290,15 +285,15 @@ def _basis(problem: Problem, names: Sequence[str], arrays: Sequence[np.ndarray])
     return Basis.of(np.concatenate([x[f.usable] for f, x in zip(problem.flights, arrays)]), names)
 
 
-def _binned(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return the between-bin variance of y, bin centres and means."""
+def _variance_between_bins(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the variance of y between bins of x."""
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     if len(edges) < 3:
-        return 0.0, np.zeros(0), np.zeros(0)
+        return 0.0
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     count = np.maximum(1, np.bincount(place, minlength=len(edges) - 1))
-    centre, mean = np.bincount(place, x) / count, np.bincount(place, y) / count
-    return float((count * (mean - y.mean()) ** 2).sum() / len(y)), centre, mean
+    mean = np.bincount(place, y) / count
+    return float((count * (mean - y.mean()) ** 2).sum() / len(y))
 
 
 def _fit(

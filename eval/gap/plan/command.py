@@ -56,12 +56,10 @@ def command(
     found = doubt.effects_in_doubt(plan_input, plan.discrimination, plan.expected)
     beyond = doubt.measured_otherwise(found)
     if not doubt.is_worth_flying(found, plan.gain):
-        say(doubt.in_doubt(found), *beyond)
+        say(*doubt.in_doubt(found), *beyond)
         say("No flight was planned, because no safe flight would distinguish these.")
         return
-    lines = [doubt.in_doubt(found), *filter(None, [doubt.outcome(found)])] if found else []
-    lines += beyond
-    lines += doubt.why_near(plan)
+    lines = [*doubt.in_doubt(found), *doubt.outcome(found), *beyond, *doubt.why_near(plan)]
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.reference.csv())
         storage.write_json(folder / "plan.json", to_json(plan, plan_input, found, report) | {"text": lines})

@@ -66,12 +66,13 @@ def set_label(one: ScoredSet) -> str:
     return listed([label(name) for name in one.effects]) or "nothing"
 
 
-def in_doubt(found: Sequence[InDoubt]) -> str:
+def in_doubt(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the effects in doubt."""
-    return f"In doubt: {listed([f'{label(one.name)} ({probability(one.probability)})' for one in found])}."
+    names = [f"{label(one.name)} ({probability(one.probability)})" for one in found]
+    return [f"In doubt: {listed(names)}."] if names else []
 
 
-def outcome(found: Sequence[InDoubt]) -> str:
+def outcome(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the expected probabilities after a flight."""
     rows = [
         f"{label(one.name)} from {probability(one.probability)} to {probability(one.if_missing)} if the "
@@ -79,7 +80,7 @@ def outcome(found: Sequence[InDoubt]) -> str:
         for one in found
         if one.name not in _beyond_flights(found)
     ]
-    return f"Expected probabilities after the flight: {'; '.join(rows)}." if rows else ""
+    return [f"Expected probabilities after the flight: {'; '.join(rows)}."] if rows else []
 
 
 def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:

@@ -155,7 +155,7 @@ def show(d: Diagnosis, notes: Sequence[str] = (), report: Path | None = None) ->
     following = ""
     if report:
         headline += f" The report is {report / 'report.html'}."
-        if d.verdict in ("undecided", "unknown") or d.possible or not all(e.sure for e in d.effects):
+        if d.verdict == "undecided" or d.possible or not all(e.sure for e in d.effects):
             following = f"landing-eval plan {report} --out {report.with_name(report.name + '-flight')}"
     print_answer(headline, filter(None, lines), effect_table(d), notes, d, following)
 

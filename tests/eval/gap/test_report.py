@@ -65,9 +65,8 @@ def example(verdict="effects"):
     said = ()
     if verdict != "nothing":
         said = (named("thrust_scale", SCALE, 0.8, "mass"), named("attitude_trim", TRIM, 0.1))
-    bins = np.arange(3.0)
     moved = (0.21, (0.1, 0.3))
-    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, {"hover": 0.4}, "position z", bins, bins)
+    left = Dependence("z", "place", 0.3, "m/s2", 0.4, 9.0, *moved, "position z")
     scored = {
         "nothing": (
             ScoredSet((), 0.9, {}, {}),
