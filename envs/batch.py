@@ -86,9 +86,19 @@ class BatchEnv:
 
     nominal: share of the random episodes with the plant's own vehicle; the others have one of its pool, drawn
     for every episode and hovering initially. None: the vehicles remain those that the plant assigned.
+
+    told: tasks that observe the vehicle, or whose actions are relative to hover, use each vehicle of the
+    pool; otherwise the task's.
     """
 
-    def __init__(self, task: Task, plant: Plant, seed: int | None = None, nominal: float | None = None):
+    def __init__(
+        self,
+        task: Task,
+        plant: Plant,
+        seed: int | None = None,
+        nominal: float | None = None,
+        told: bool = True,
+    ):
         if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
             objects = shown(f"{task!r} and {plant!r}", 80)
             raise UserError(
@@ -111,12 +121,13 @@ class BatchEnv:
             np.zeros((n, plant.state.shape[1])), np.zeros(n), np.zeros(n, bool), np.full(n, np.nan)
         )
         self._action_size = len(task.action_names)
-        vehicles = (task.vehicle, *plant.pool)  # what is hidden in a plant's own vehicle nobody is told
+        # What is hidden in a plant's own vehicle nobody is told.
+        vehicles = (task.vehicle, *(plant.pool if told else [task.vehicle] * len(plant.pool)))
         self._privileged = (
             np.array([vehicle_parameters(v) for v in vehicles]) if task.observe_vehicle else None
         )
         self._hover_pwm = None
-        if task.per_vehicle_hover and plant.pool:
+        if task.per_vehicle_hover and plant.pool and told:
             self._hover_pwm = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
         task.prepare(plant)
 

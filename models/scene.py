@@ -329,7 +329,7 @@ def _text(value) -> str:
     return " ".join(repr(float(x)) for x in values)
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=128)
 def compile_scene(vehicle: Vehicle, **options) -> mujoco.MjModel:
     """Return the compiled scene for simulation, without visual geoms; options as of `build_spec`."""
     return build_spec(vehicle, visuals=False, **options).compile()

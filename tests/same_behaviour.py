@@ -34,7 +34,7 @@ COMMANDS = {
     "touchdown": (EVAL, "touchdown touchdown --json", ()),
     "mission": (EVAL, "mission --missions 20 --seed 3 --json", ()),
     "robustness": (EVAL, "robustness landing landing-nominal --every 50 --json", ()),
-    "moving": (EVAL, "robustness --over moving --flights 2 --json", ()),
+    "moving": (EVAL, "robustness --over moving --json", ()),
     "equivalence": (EVAL, "equivalence --out {out}", ("report.json",)),
     "contact_truth": (EVAL, "contact --out {out}", ("contact.json",)),
     "paper_landing": (EVAL, "landings paper_landing --out {out}", ("results.parquet",)),

@@ -8,12 +8,11 @@ the goal box and the result.
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +22,7 @@ from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.shared.measures import Row, median_of, share_of
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.eval.study.engine import fact
-from inclined_landing.eval.study.rest import cut_motors
+from inclined_landing.eval.study.rest import Fleet, cut_motors
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, YAW
 from inclined_landing.models.base.errors import UserError, shown
@@ -44,6 +43,7 @@ ARRIVAL = (
 )
 _NUMBERS = [m.name for m in ARRIVAL if m.unit != "1"]
 _FLAGS = [m.name for m in ARRIVAL if m.unit == "1"]
+_AT_ONCE = 1024  # flights; their records take some 80 MB
 
 
 def named_policies(texts: Sequence[str]) -> dict[str, str]:
@@ -86,50 +86,56 @@ def slope_words(task: Task) -> str:
     return f"up to +-{steepest}" if task.is_planar else f"up to {steepest}, facing any way"
 
 
-def fly(
+def fly(policy: Policy, starts: Start, plant: str, vehicle: Vehicle | None = None) -> pd.DataFrame:
+    """Return a row for each flight of a policy from `starts`, without a motor cut.
+
+    vehicle: the vehicle that flies, if it is not the policy's; see `fly_each`.
+    """
+    variant = policy.task.vehicle if vehicle is None else vehicle, 1.0
+    return next(fly_each(policy, starts, plant, [variant], cut_from=len(starts)))
+
+
+def fly_each(
     policy: Policy,
     starts: Start,
     plant: str,
+    variants: Iterable[tuple[Vehicle, float]],
     *,
-    vehicle: Vehicle | None = None,
-    thrust_scale: float = 1.0,
-    disturbance: bool = False,
-    cut_from: int | None = 0,
-) -> pd.DataFrame:
-    """Return a row for each flight of a policy from `starts`.
+    cut_from: int = 0,
+) -> Iterator[pd.DataFrame]:
+    """Yield for each variant, a vehicle and the scale of its thrust, a row for each flight from `starts`.
 
-    vehicle: the vehicle that flies, if it is not the policy's, which does not observe the difference; it
-    begins with the same load. disturbance: fly in the disturbance of the vehicle, always with the same seed.
-    cut_from: for landings, the first flight whose motors are cut on arrival; None for no flight.
+    The policy does not observe how a vehicle differs from that of its task; all begin with the same load.
+    cut_from: for landings, the first of the starts whose flights have their motors cut on arrival.
     """
-    task = policy.task
-    vehicle = task.vehicle if vehicle is None else vehicle
-    starts = dataclasses.replace(starts, state=starts.state.copy())
-    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / vehicle.thrust_lag_rate
-    fleet = make_plant(plant, len(starts), vehicle, disturbance=0 if disturbance else None)
-    if thrust_scale != 1.0:
-        fleet.perturb(thrust_scale=thrust_scale)
-    tilt = vehicle.platform_inclination - task.vehicle.platform_inclination
-    fleet = _Tilted(fleet, tilt) if tilt else fleet
-    flights = record_flights(policy, fleet, starts, steps=task.judged_steps)
+    at_once = max(1, _AT_ONCE // len(starts))
+    # A vehicle with a slung load has another model; all others fly together.
+    for _, alike in itertools.groupby(variants, lambda variant: variant[0].effects_load_mass > 0.0):
+        group = list(alike)
+        for first in range(0, len(group), at_once):
+            yield from _fly_batch(policy, starts, plant, group[first : first + at_once], cut_from)
+
+
+def _fly_batch(
+    policy: Policy, starts: Start, plant: str, variants: Sequence[tuple[Vehicle, float]], cut_from: int
+) -> Iterator[pd.DataFrame]:
+    """Yield what `fly_each` does; the flights of all variants are simulated together."""
+    task, n = policy.task, len(starts)
+    variant, start = np.divmod(np.arange(n * len(variants)), n)  # of each flight
+    vehicles, scales = zip(*variants)
+    pool = list(dict.fromkeys(vehicle for vehicle in vehicles if vehicle != task.vehicle))
+    chosen = np.array([0 if v == task.vehicle else 1 + pool.index(v) for v in vehicles])[variant]
+    fleet = Fleet(task.vehicle, pool, chosen, np.array(scales)[variant])
+    starts = starts[start]
+    rates = np.array([vehicle.thrust_lag_rate for vehicle in vehicles])[variant]
+    starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / rates
+    flown = fleet.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
+    flights = record_flights(policy, flown, starts, steps=task.judged_steps, told=False)
     table = table_of(task, flights)
-    if cut_from is None or not task.cut_at_success:
-        return table
-    return table.join(_arrivals(flights, cut_from, vehicle, thrust_scale))
-
-
-class _Tilted:
-    """A plant whose platforms are inclined by `tilt` [rad] more than the task sets them."""
-
-    def __init__(self, plant: Any, tilt: float):
-        self._plant, self._tilt = plant, tilt
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._plant, name)
-
-    def set_platform(self, ids, inclination, present=True, azimuth=0.0) -> None:
-        """Set the platforms as in the plant, with the additional tilt."""
-        self._plant.set_platform(ids, np.asarray(inclination) + self._tilt, present, azimuth)
+    if task.cut_at_success and cut_from < n:
+        table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), fleet))
+    for _, rows in table.groupby(variant):
+        yield rows.reset_index(drop=True)
 
 
 def table_of(task: Task, flights: Sequence[Flight]) -> pd.DataFrame:
@@ -149,15 +155,11 @@ def table_of(task: Task, flights: Sequence[Flight]) -> pd.DataFrame:
     return table.assign(time_to_goal=table["time"].where(table["success"]), **task.measured(last))
 
 
-def _arrivals(
-    flights: Sequence[Flight], cut_from: int, vehicle: Vehicle, thrust_scale: float
-) -> pd.DataFrame:
-    """Return columns on the entry into the goal box, and on the result if the motors were `cut` there.
+def _arrivals(flights: Sequence[Flight], cut: np.ndarray, fleet: Fleet) -> pd.DataFrame:
+    """Return columns on the entry into the goal box, and on the result if the motors were `cut` (n,) there.
 
-    Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN for flights that did
-    not arrive.
+    Velocities in m/s, towards and along the slope; `pitch_error` in rad; False and NaN for other flights.
     """
-    cut = np.array([k >= cut_from and f.success for k, f in enumerate(flights)])
     empty = dict.fromkeys(_NUMBERS, np.nan) | dict.fromkeys(_FLAGS, False)
     table = pd.DataFrame({"cut": cut}).assign(**empty)
     if not cut.any():
@@ -169,7 +171,7 @@ def _arrivals(
     velocity = state[:, VX : VZ + 1]
     away, along = surface.split(velocity, inclination)
     _, standing = surface.attitude_at_rest(inclination, -state[:, YAW])
-    after = cut_motors(state, inclination, vehicle, thrust_scale)
+    after = cut_motors(state, inclination, fleet[cut])
     found = {
         "entry_speed": np.linalg.norm(velocity, axis=1),
         "entry_normal_speed": -away,

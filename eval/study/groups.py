@@ -9,9 +9,8 @@ at its entry is reported too, and what happens when the motors are cut there (`r
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,7 @@ from inclined_landing.envs.shared.measures import Measure, count_words
 from inclined_landing.envs.tasks.landing import PAPER_RESULTS
 from inclined_landing.envs.tasks.start import joined
 from inclined_landing.eval.study.engine import Case, Panel, Results, Study, View
-from inclined_landing.eval.study.flights import ARRIVAL, fly, policy_facts, slope_words
+from inclined_landing.eval.study.flights import ARRIVAL, fly_each, policy_facts, slope_words
 from inclined_landing.models.base.errors import UserError
 
 
@@ -41,14 +40,12 @@ def study(
     *,
     plant: str = "mujoco",
     thrust_scales: Sequence[float] = (1.0,),
-    disturbance: bool = False,
     seed: int = 0,
 ) -> Study:
     """Return the study of policies of one kind from all groups of starts.
 
-    plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms).
-    disturbance: fly in the disturbance of the task's vehicle, the same in every call. seed: for the random
-    starts.
+    plant: "mujoco", "hybrid" or "analytic", always the plain one (no keep-out zone, RK4 at 4 ms). seed: for
+    the random starts.
     """
     task = next(iter(policies.values())).task
     by = ("policy", "starts", *["slope"] * task.has_platform, "thrust_scale")
@@ -56,15 +53,13 @@ def study(
     if task.cut_at_success:
         at_entry = "At entry into the goal box, and after cutting the motors there (frozen starts)"
         views.append(View(("policy", "thrust_scale"), ARRIVAL, at_entry, across=True))
+    flown = {name: _fly(policy, plant, thrust_scales, seed) for name, policy in policies.items()}
     return Study(
         name=f"success_{task.name}",
         title=f"{task.name}, {plant} plant, starts drawn with seed {seed}",
         cases=[
-            Case(
-                {"policy": name, "thrust_scale": float(scale)},
-                partial(_fly, policy, plant, scale, disturbance, seed),
-            )
-            for name, policy in policies.items()
+            Case({"policy": name, "thrust_scale": float(scale)}, partial(next, tables))
+            for name, tables in flown.items()
             for scale in thrust_scales
         ],
         views=views,
@@ -76,14 +71,14 @@ def study(
     )
 
 
-def _fly(policy: Policy, plant: str, scale: float, disturbance: bool, seed: int) -> pd.DataFrame:
-    """Return the flights from all groups of starts; motors are cut on arrival in the last one."""
+def _fly(policy: Policy, plant: str, scales: Sequence[float], seed: int) -> Iterator[pd.DataFrame]:
+    """Yield the flights from all groups of starts for each scale; those of the last are cut on arrival."""
     groups = policy.task.evaluation_groups(seed)
     counts = [len(group) for group in groups.values()]
     starts, cut_from = joined(list(groups.values())), sum(counts[:-1])
-    options: dict[str, Any] = {"thrust_scale": scale, "disturbance": disturbance}
-    flights = fly(policy, starts, plant, cut_from=cut_from, **options)
-    return flights.assign(starts=np.repeat(list(groups), counts), slope=slope_words(policy.task))
+    variants = [(policy.task.vehicle, scale) for scale in scales]
+    for flights in fly_each(policy, starts, plant, variants, cut_from=cut_from):
+        yield flights.assign(starts=np.repeat(list(groups), counts), slope=slope_words(policy.task))
 
 
 def _remarks(policies: Mapping[str, Policy], results: Results) -> list[str]:

@@ -10,7 +10,8 @@ every engine step. It stops early if the outcome is known: on the floor, or 0.15
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ from inclined_landing.envs.tasks import StepContext, touchdown
 from inclined_landing.envs.tasks.landing import GOAL_SIZE
 from inclined_landing.models import surface
 from inclined_landing.models.attitude import PWM, VX, VZ, WX, WZ
-from inclined_landing.models.plants import MujocoPlant
+from inclined_landing.models.plants import MujocoPlant, Plant
 from inclined_landing.models.plants.recorder import REST_RATE, REST_SPEED, STEP, Recorder
 from inclined_landing.models.vehicle import Vehicle
 
@@ -31,6 +32,9 @@ _STILL = 0.15  # s
 # them after DURATION, as (1 + DURATION / _STILL) / 15 < 1.
 _SLOW = 1 / 15
 _LOOK = 5 * STEP  # s, after which it is asked which vehicles are at rest
+
+
+P = TypeVar("P", bound=Plant)
 
 
 class Pilot(Protocol):
@@ -142,17 +146,37 @@ class Aftermath:
     at_rest: np.ndarray  # (n,) bool: at the end still, feet and nothing else on the slab
 
 
-def cut_motors(
-    states: np.ndarray, inclination: float | np.ndarray, vehicle: Vehicle, thrust_scale: float = 1.0
-) -> Aftermath:
+@dataclasses.dataclass(frozen=True)
+class Fleet:
+    """Vehicles that fly together and differ in their numbers."""
+
+    vehicle: Vehicle
+    pool: Sequence[Vehicle] = ()
+    choice: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(1, int))  # see `Plant.assign`
+    thrust_scale: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(1))  # as `choice`
+
+    def __getitem__(self, ids) -> Fleet:
+        """Return the fleet of the vehicles `ids`."""
+        return dataclasses.replace(self, choice=self.choice[ids], thrust_scale=self.thrust_scale[ids])
+
+    def begin(self, plant: P) -> P:
+        """Give a plant of its `vehicle` and `pool` the chosen vehicles and the scales of their thrust."""
+        if self.pool:
+            plant.assign(np.arange(plant.n), self.choice)
+        if (self.thrust_scale != 1.0).any():
+            plant.perturb(thrust_scale=self.thrust_scale)
+        return plant
+
+
+def cut_motors(states: np.ndarray, inclination: float | np.ndarray, fleet: Fleet) -> Aftermath:
     """Cut the motors at `states` (n, 13) over platforms inclined by `inclination` (n,) or one for all [rad].
 
-    thrust_scale: scale of the thrust that still decays.
+    fleet: the vehicles; the scaled thrust is the one that still decays.
     """
     n = len(states)
-    plant = MujocoPlant(n, vehicle, control_period=_LOOK, timestep=STEP, torque_needs_motors=True)
+    options: dict[str, Any] = {"control_period": _LOOK, "timestep": STEP, "torque_needs_motors": True}
+    plant = fleet.begin(MujocoPlant(n, fleet.vehicle, pool=fleet.pool, **options))
     plant.set_platform(np.arange(n), inclination)
-    plant.perturb(thrust_scale=thrust_scale)
     recorder = Recorder(plant, states)
     at_rest_for, flying = np.zeros(n), np.arange(n)
     for _ in range(round(DURATION / _LOOK)):

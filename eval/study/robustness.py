@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -15,11 +13,8 @@ from inclined_landing.envs.ids import SHIPPED
 from inclined_landing.eval.base.options import (
     MOST_COMPARED,
     Flag,
-    Flat,
     NewFolder,
     PlantName,
-    Seed,
-    ThrustScale,
     only_with,
 )
 from inclined_landing.eval.study.options import BASELINES, THRUSTS, VEHICLES
@@ -46,56 +41,10 @@ Policies = Annotated[
 ]
 Over = Literal["thrust", "effects", "slopes", "vehicles", "moving"]
 _FROM_GRID = only_with("over", "thrust", "effects", "slopes", "vehicles")
-_EFFECTS = tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="(default: all)")
 _VEHICLE = tyro.conf.arg(
     metavar="VEHICLE [...]",
     help_behavior_hint=f"(default: Crazyflie 2.1; with --over vehicles: {' '.join(VEHICLES)})",
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class ChangeOptions:
-    """Options of --over thrust and effects, flown from the frozen grid of starts.
-
-    Args:
-        thrust: actual thrust divided by the thrust that the policies were trained with.
-        effect: effects of the library, at a plausible size; with --full in three sizes.
-    """
-
-    thrust: Annotated[
-        tuple[ThrustScale, ...], tyro.conf.arg(metavar="X [X ...]"), only_with("over", "thrust")
-    ] = THRUSTS
-    effect: Annotated[tuple[str, ...], _EFFECTS, only_with("over", "effects")] = tuple(LIBRARY)
-
-
-@dataclasses.dataclass(frozen=True)
-class DrawOptions:
-    """Options of --over vehicles.
-
-    Args:
-        ranges: file of ranges to draw vehicles from, or the name of a shipped one.
-        draws: number of vehicles to draw, 0 for none (default: 32; with --full 256).
-        starts: number of starts of the frozen grid for each drawn vehicle.
-        seed: seed for the drawn vehicles and their starts; choose one that no policy was trained with.
-    """
-
-    ranges: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = Path("vehicles")
-    draws: Annotated[int, Meta(ge=0, le=4096)] | None = None
-    starts: Annotated[int, Meta(ge=1, le=64)] = 4
-    seed: Seed = 2_000_003
-
-
-@dataclasses.dataclass(frozen=True)
-class MovingOptions:
-    """Options of --over moving, the frozen benchmark of moving platforms.
-
-    Args:
-        scenario: scenarios of the benchmark (default: all).
-        flights: number of flights in each scenario (default: 4; with --full all).
-    """
-
-    scenario: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    flights: Annotated[int, Meta(ge=1, le=100_000)] | None = None
 
 
 def command(
@@ -108,9 +57,7 @@ def command(
     plant: Annotated[PlantName, _FROM_GRID] = "hybrid",
     every: Annotated[Annotated[int, Meta(ge=1, le=250)] | None, _FROM_GRID] = None,
     vehicle: Annotated[tuple[str, ...], _VEHICLE] = (),
-    thrust_and_effects: Flat[ChangeOptions] = ChangeOptions(),
-    drawn_vehicles: Annotated[Flat[DrawOptions], only_with("over", "vehicles")] = DrawOptions(),
-    moving_platforms: Annotated[Flat[MovingOptions], only_with("over", "moving")] = MovingOptions(),
+    draws: Annotated[Annotated[int, Meta(ge=0, le=4096)] | None, only_with("over", "vehicles")] = None,
     json: Flag = False,
 ) -> None:
     """Test policies at other thrusts, under effects, on slopes, vehicles or moving platforms.
@@ -128,6 +75,7 @@ def command(
             always uses mujoco.
         every: fly from every n-th start of the frozen sets (default: 12; with --full 1).
         vehicle: vehicle files or names of shipped vehicles; more than one only with --over vehicles.
+        draws: number of vehicles to draw from the shipped ranges, 0 for none (default: 32; with --full 256).
         json: print only JSON on standard output.
     """
     over, vehicle = tuple(dict.fromkeys(over)), tuple(dict.fromkeys(vehicle))
@@ -141,15 +89,14 @@ def command(
     from inclined_landing.models.parameters import load_vehicle
     from inclined_landing.models.plants import check_plant
 
-    changes.check_effects(thrust_and_effects.effect)
     check_plant(plant)
     every = every or (1 if full else QUICK_EVERY)
     pilots = moving.find_pilots(policies) if "moving" in over else {}
     found: list[Study] = []
     if {"thrust", "effects", "slopes"} & set(over):
         cases = changes.changes(
-            thrust_and_effects.thrust if "thrust" in over else (),
-            tuple(dict.fromkeys(thrust_and_effects.effect)) if "effects" in over else (),
+            THRUSTS if "thrust" in over else (),
+            tuple(LIBRARY) if "effects" in over else (),
             tuple(changes.SIZES) if full else ("medium",),
         )
         known = load_vehicle(vehicle[0]) if vehicle else None
@@ -160,14 +107,11 @@ def command(
         if "slopes" in over:
             found.append(slopes.study(loaded, plant=plant, every=every))
     if "vehicles" in over:
-        draws = drawn_vehicles.draws
-        options = dataclasses.asdict(drawn_vehicles)
-        options["draws"] = (DRAWS if full else QUICK_DRAWS) if draws is None else draws
-        named = vehicle or VEHICLES
-        found.append(vehicles.study(named_policies(policies), named, plant=plant, every=every, **options))
+        count = (DRAWS if full else QUICK_DRAWS) if draws is None else draws
+        named = named_policies(policies), vehicle or VEHICLES
+        found.append(vehicles.study(*named, draws=count, plant=plant, every=every))
     if "moving" in over:
-        flights = moving_platforms.flights or (None if full else QUICK_FLIGHTS)
-        found.append(moving.study(scenarios(moving_platforms.scenario), pilots, flights))
+        found.append(moving.study(scenarios(), pilots, None if full else QUICK_FLIGHTS))
     hand_over("robustness", run(found), json=json, out=out)
 
 

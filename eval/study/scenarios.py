@@ -19,7 +19,6 @@ import numpy as np
 from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.envs.tasks.start import Start
 from inclined_landing.models.attitude import Z
-from inclined_landing.models.base.errors import UserError, choices, shown
 from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.vehicle import Vehicle
 
@@ -96,17 +95,10 @@ class Scenario:
 
 
 @functools.cache
-def scenarios(names: tuple[str, ...] = ()) -> dict[str, Scenario]:
-    """Return the scenarios of these names (default: all), in the order of the tables.
-
-    Raises UserError for an unknown name.
-    """
+def scenarios() -> dict[str, Scenario]:
+    """Return the scenarios by name, in the order of the tables."""
     text = (resources.files(__package__) / "scenarios.toml").read_text("utf-8")
-    known = {
+    return {
         name: Scenario(waves={mode: entry.pop(mode) for mode in MODES if mode in entry}, **entry)
         for name, entry in tomllib.loads(text).items()
     }
-    for name in names:
-        if name not in known:
-            raise UserError(f"scenario {shown(name, 60)} does not exist; {choices(known, name)}")
-    return {name: known[name] for name in names or known}

@@ -68,10 +68,10 @@ def _cases(name: str, policy: Policy, plant: str, every: int) -> Iterator[Case]:
         grid = frozen.clear(one, frozen.grid())[::every]
         start = one.start(hover_states(grid, one.vehicle))
         labels = {"policy": name, "slopes": SINGLE.format(math.degrees(one.inclination))}
-        yield Case(labels, partial(fly, policy, start, plant, cut_from=None))
+        yield Case(labels, partial(fly, policy, start, plant))
     if task.observes_slope and not task.is_planar:
         start = _any_heading(slopes.start)
-        yield Case({"policy": name, "slopes": SAME}, partial(fly, policy, start, plant, cut_from=None))
+        yield Case({"policy": name, "slopes": SAME}, partial(fly, policy, start, plant))
 
 
 def _fly_all(policy: Policy, slopes: Slopes, plant: str) -> pd.DataFrame:
@@ -81,7 +81,7 @@ def _fly_all(policy: Policy, slopes: Slopes, plant: str) -> pd.DataFrame:
     for (name, edges), cell in zip(edges_of.items(), slopes.cell):
         if len(edges) > 2:
             angles[name] = np.degrees(0.5 * (edges[:-1] + edges[1:]))[cell]
-    return fly(policy, slopes.start, plant, cut_from=None).assign(**angles)
+    return fly(policy, slopes.start, plant).assign(**angles)
 
 
 def _any_heading(start: Start) -> Start:

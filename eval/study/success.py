@@ -43,7 +43,6 @@ def command(
     *,
     flown: Flat[Flown] = Flown(),
     thrust_scale: Scales = (),
-    disturbance: Flag = False,
     seed: Seed = 0,
     json: Flag = False,
     out: NewFolder = None,
@@ -53,7 +52,6 @@ def command(
     Args:
         policies: policy files.
         thrust_scale: factors on the total thrust, one row for each (default: 1).
-        disturbance: fly in the air disturbance of the vehicle file, as landing-eval gap writes it.
         seed: seed for the random starts.
         json: print only JSON on standard output.
         out: new folder for index.html, the numbers as JSON, flights.csv, and the figures.
@@ -72,11 +70,7 @@ def command(
         its = dataclasses.replace(flown, vehicle=Path(vehicle)) if vehicle else flown
         loaded[name] = its.load(path)
         facts.append(fact(name, "vehicle", str(its.vehicle or "crazyflie.toml")))
-    for policy in loaded.values():
-        air = policy.task.vehicle
-        if disturbance and not any((*air.disturbance_acceleration, *air.disturbance_angular)):
-            raise UserError("--disturbance needs a --vehicle whose table [disturbance] is not all zero")
-    options: dict[str, Any] = {"thrust_scales": scales, "disturbance": disturbance}
-    found = [groups.study(kind, plant=flown.plant, seed=seed, **options) for kind in groups.kinds(loaded)]
+    options: dict[str, Any] = {"plant": flown.plant, "thrust_scales": scales, "seed": seed}
+    found = [groups.study(kind, **options) for kind in groups.kinds(loaded)]
     found[0] = dataclasses.replace(found[0], facts=[*facts, *found[0].facts])
     hand_over("success", run(found), json=json, out=out)

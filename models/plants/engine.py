@@ -19,6 +19,9 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
+from inclined_landing.models import plugins
+
+plugins.stop_profile()
 _engines: weakref.WeakSet[Engine] = weakref.WeakSet()
 _forking = threading.Lock()
 _locked: list[Engine] = []  # during a fork

@@ -37,7 +37,7 @@ from inclined_landing.models.plants.engine import Columns, Engine, differing_fie
 from inclined_landing.models.plants.platforms import Platforms
 from inclined_landing.models.plants.slung_load import load_joint, read_loads, write_loads
 from inclined_landing.models.plausible import ENGINE_STEP, check_solref
-from inclined_landing.models.scene import Period, Zone, build_spec, compile_scene
+from inclined_landing.models.scene import Period, Zone, compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
 # The engine's warnings on which it silently resets a simulation: first, and after the last.
@@ -103,7 +103,7 @@ class MujocoPlant(Plant):
                 max(v.effects_thrust_delay, v.effects_attitude_delay) for v in self._vehicles
             )
         self.model = compile_scene(self.vehicle, **options)
-        others = [build_spec(v, visuals=False, **options).compile() for v in self.pool]
+        others = [compile_scene(v, **options) for v in self.pool]
         self._fields = differing_fields([self.model, *others])
         of_all = [self.model, *others] if sizes_differ(self._vehicles) else [self.model]
         self._meet([geometry.shapes_of(model) for model in of_all])

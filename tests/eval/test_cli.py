@@ -63,7 +63,7 @@ def test_a_command_and_its_module_are_called_alike(name):
     (["success", "x", "--seed", "one"], "Error parsing --seed: "),
     (["success", "x", "--inclination=steep"], "Error parsing --inclination: "),
     (["success", "x", "--thrust-scale", "1", "x"], "Error parsing --thrust-scale: "),
-    (["robustness", "--flights", "nan"], "Error parsing --flights: "),
+    (["robustness", "--draws", "nan"], "Error parsing --draws: "),
     (["success", "x", "--inclination", "nan"], "--inclination must be a number, not nan"),
     (["success", "x", "--thrust-scale", "1", "inf"], "--thrust-scale"),
     (["success", "x", "--out", ""], "--out is empty; is a shell variable unset?"),

@@ -31,11 +31,8 @@ REFUSED = [
     "replay landing --out a.html --seed 3",
     *(f"replay landing --out a.html --{option}"
       for option in ("restart 2", "mapping a", "unit a=deg", "platform")),
-    "robustness landing --over slopes --thrust 0.9",
-    "robustness landing --over thrust --effect drag",
     *(f"robustness landing --over moving --{option}" for option in ("plant analytic", "every 3")),
-    *(f"robustness landing --over slopes --{option}"
-      for option in ("ranges a", "draws 3", "starts 3", "seed 3", "scenario a", "flights 3")),
+    "robustness landing --over slopes --draws 3",
     "video landing --out a.gif --gif",
     "video landing --out a.mp4 --seed 3",
     "video landing --out a.mp4 --start 0,2 --drawn 3",

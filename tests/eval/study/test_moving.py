@@ -10,6 +10,7 @@ import pytest
 
 from inclined_landing.eval.cli import main
 from inclined_landing.eval.study import moving
+from inclined_landing.eval.study import scenarios as study
 from inclined_landing.eval.study.engine import run
 from inclined_landing.eval.study.moving import fly, planner, vehicle_flown
 from inclined_landing.eval.study.scenarios import scenarios
@@ -42,18 +43,19 @@ def test_ship_and_car_move_as_their_spectra_say(name):
     np.testing.assert_allclose(scenario.period, made.period, atol=5.1e-5)
 
 
-def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, capsys):
+def test_the_planner_lands_and_the_report_is_the_same_again(tmp_path, monkeypatch, capsys):
     """On a ship at sea; fewer flights are the first ones, with the same numbers."""
     scenario = scenarios()["ship_5_bow"]
     flown = fly(scenario, planner, 3)
     assert flown["at_rest"].all() and (flown["normal_speed"] > 0).all()
     assert fly(scenario, planner, 1).iloc[0].equals(flown.iloc[0])
-    arguments = ["robustness", "planner", "--over", "moving", "--scenario", "ship_5_bow", "--flights", "3"]
-    assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
+    monkeypatch.setattr(study, "scenarios", lambda: {"ship_5_bow": scenario})
+    arguments = ["robustness", "planner", "--over", "moving", "--out", str(tmp_path / "out"), "--json"]
+    assert main(arguments) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "out/robustness.json").read_text())
     counts = [row["count"] for row in printed["rows"] if row["measure"] == "at_rest" and row["scenario"]]
-    assert counts == [3]
+    assert counts == [4]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         *("flights.csv", "index.html", "moving.pdf", "moving.png", "robustness.json")
     ]
@@ -66,9 +68,9 @@ def test_who_does_nothing_does_not_land():
     def off(n):
         return lambda t, context: np.zeros((n, 4))
 
-    travel = scenarios(("travel_200_cm_s",))
-    assert not fly(travel["travel_200_cm_s"], off, 4)["at_rest"].any()
-    (results,) = run([moving.study(travel, {"off": off}, 1)])
+    travel = scenarios()["travel_200_cm_s"]
+    assert not fly(travel, off, 4)["at_rest"].any()
+    (results,) = run([moving.study({"travel_200_cm_s": travel}, {"off": off}, 1)])
     assert results.one("at_rest", together="all scenarios")["count"] == 0
 
 

@@ -53,8 +53,11 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("robust") / "out"
     twin = out.with_name(f"twin{EVIL_FILE}.zip")
     twin.write_bytes(load_policy("landing-nominal").path.read_bytes())
-    options = "--full --every 60 --thrust 0.7 --effect friction"
-    assert cli.main(["robustness", "landing-nominal", str(twin), "--out", str(out), *options.split()]) == 0
+    few = changes.changes((0.7,), ("friction",))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(changes, "changes", lambda *of: few)
+        arguments = ["landing-nominal", str(twin), "--full", "--every", "60", "--out", str(out)]
+        assert cli.main(["robustness", *arguments]) == 0
     return out
 
 

@@ -19,7 +19,7 @@ from inclined_landing.envs.tasks.base import hover_states
 from inclined_landing.eval import cli
 from inclined_landing.eval.study import changes, flights, groups, rest, show
 from inclined_landing.eval.study.engine import count, run
-from inclined_landing.eval.study.flights import ARRIVAL, fly, table_of
+from inclined_landing.eval.study.flights import ARRIVAL, fly_each, table_of
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -137,7 +137,7 @@ def test_wrong_arguments_of_record_flights_are_one_sentence(landing):
 def test_cut_motors_fall_and_stay(landing):
     state = pose(landing.goal_position[1])
     state[:, LAG] = 0.0
-    after = rest.cut_motors(state, ALPHA, load_vehicle())
+    after = rest.cut_motors(state, ALPHA, rest.Fleet(load_vehicle()))
     gap = landing.start_clearance(landing.start(state))[0]
     g = load_vehicle().environment_gravity
     # free fall over the gap, parallel to the slope; the speed is taken up to two 4 ms steps early
@@ -151,7 +151,7 @@ def test_cut_motors_fall_and_stay(landing):
 
 def test_cut_motors_slide_on_a_slippery_slope(landing):
     slippery = dataclasses.replace(load_vehicle(), contact_friction=0.3)
-    after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, slippery)
+    after = rest.cut_motors(pose(landing.goal_position[1]), ALPHA, rest.Fleet(slippery))
     assert after.touched[0] and not after.at_rest[0]
 
 
@@ -162,10 +162,10 @@ def test_flights_that_are_decided_early_end_as_they_would(landing, monkeypatch):
     states[:, [VX, VZ]] += rng.uniform(-1.0, 1.0, (6, 2))
     for friction in (0.3, 0.49, 0.8):
         vehicle = dataclasses.replace(load_vehicle(), contact_friction=friction)
-        early = rest.cut_motors(states, ALPHA, vehicle)
+        early = rest.cut_motors(states, ALPHA, rest.Fleet(vehicle))
         with monkeypatch.context() as patch:
             patch.setattr(rest, "_decided", lambda at_rest_for, on_floor: np.zeros(len(on_floor), bool))
-            whole = rest.cut_motors(states, ALPHA, vehicle)
+            whole = rest.cut_motors(states, ALPHA, rest.Fleet(vehicle))
         np.testing.assert_array_equal(early.at_rest, whole.at_rest)
         np.testing.assert_array_equal(early.touched, whole.touched)
         np.testing.assert_array_equal(early.normal_speed, whole.normal_speed)
@@ -193,26 +193,11 @@ def test_landings_of_a_policy_that_hovers(landing):
     storage.to_json(show.document("success", [results]))
 
 
-def test_the_disturbance_of_the_vehicle_is_flown_where_asked_for(capsys):
-    """Hovering without feedback, the vehicle is blown from where it starts; still air is refused."""
-    sizes = {"disturbance_acceleration": (2.0, 2.0, 2.0), "disturbance_acceleration_time": (1.0, 1.0, 1.0)}
-    task = make_task("landing", dataclasses.replace(load_vehicle(), **sizes), pwm_centre="hover")
-    touched = []
-    for disturbance in (False, True):
-        results = of_one(Constant(task, 0.0, 0.0), plant="analytic", disturbance=disturbance)
-        touched.append(results.one(TOUCHED, starts="frozen grid")["count"])
-    assert touched[0] == 0 and touched[1] > 10
-    assert cli.main(["success", "landing", "--disturbance"]) == 2
-    assert (
-        "--disturbance needs a --vehicle whose table [disturbance] is not all zero" in capsys.readouterr().err
-    )
-
-
 def test_how_landings_enter_the_goal_box(landing):
     policy = Constant(landing, 0.0, ALPHA / load_vehicle().command_angle_limit)
     states = np.concatenate([pose(landing.goal_position[1])] * 4)
     states[:, VX], states[:, VZ] = [0.5, -0.5, 0.0, 0.0], [0.0, 0.0, 0.5, -0.5]
-    table = fly(policy, landing.start(states), "mujoco")
+    table = next(fly_each(policy, landing.start(states), "mujoco", [(load_vehicle(), 1.0)]))
     entry = {measure.name: measure.of(table) for measure in ARRIVAL}
     # normal (-0.434, 0, 0.901): only the second and the third move away
     assert entry["moving_away"]["count"] == 2 and entry["moving_away"]["flights"] == 4
@@ -255,17 +240,34 @@ def test_effects_on_a_policy_that_hovers(landing, capsys):
     assert "scale 0.88" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["landing", "landing-vehicles"])  # the latter observes its vehicle
+def test_vehicles_that_fly_together_fly_as_they_do_alone(name):
+    """Bit for bit, a delayed command, a slung load and another thrust among them."""
+    policy = load_policy(name)
+    known = policy.task.vehicle
+    effects = ("attitude_delay", "slung_load", "platform_tilt", "foot_height", "motor_lag")
+    cases = changes.changes((), effects, ("medium",))
+    variants = [(case.vehicle(known), 1.0) for case in cases] + [(known, 0.9)]
+    starts = policy.task.start(hover_states(frozen.grid()[::120], known))
+    together = list(fly_each(policy, starts, "hybrid", variants))
+    alone = [next(fly_each(policy, starts, "hybrid", [variant])) for variant in variants]
+    assert len(together) == 7
+    pd.testing.assert_frame_equal(pd.concat(together), pd.concat(alone), check_exact=True)
+
+
 def test_a_tilted_platform_is_tilted_for_the_plant_alone(landing, monkeypatch):
     inclinations = []
 
     def recorded(policy, plant, states, **options):
         flights = record_flights(policy, plant, states, steps=2)
-        inclinations.append(flights[0].inclination)
+        inclinations.extend(flight.inclination for flight in flights)
         return flights
 
     monkeypatch.setattr(flights, "record_flights", recorded)
     under_effects(Constant(landing, 0.0, 0.0), plant="analytic")
-    assert inclinations == pytest.approx([ALPHA, ALPHA, ALPHA, ALPHA + 0.05])
+    assert inclinations == pytest.approx(
+        np.repeat([ALPHA, ALPHA, ALPHA, ALPHA + 0.05], len(inclinations) // 4)
+    )
 
 
 def test_effects_on_a_setpoint_policy():
