@@ -87,7 +87,7 @@ class BatchEnv:
     nominal: share of the random episodes with the plant's own vehicle; the others have one of its pool, drawn
     for every episode and hovering initially. None: the vehicles remain those that the plant assigned.
 
-    told: tasks that observe the vehicle, or whose actions are relative to hover, use each vehicle of the
+    informed: tasks that observe the vehicle, or whose actions are relative to hover, use each vehicle of the
     pool; otherwise the task's.
     """
 
@@ -97,7 +97,7 @@ class BatchEnv:
         plant: Plant,
         seed: int | None = None,
         nominal: float | None = None,
-        told: bool = True,
+        informed: bool = True,
     ):
         if not (isinstance(task, Task) and all(hasattr(plant, name) for name in ("n", "state", "step"))):
             objects = shown(f"{task!r} and {plant!r}", 80)
@@ -121,13 +121,13 @@ class BatchEnv:
             np.zeros((n, plant.state.shape[1])), np.zeros(n), np.zeros(n, bool), np.full(n, np.nan)
         )
         self._action_size = len(task.action_names)
-        # What is hidden in a plant's own vehicle nobody is told.
-        vehicles = (task.vehicle, *(plant.pool if told else [task.vehicle] * len(plant.pool)))
+        # No policy observes how the plant's own vehicle differs from the task's.
+        vehicles = (task.vehicle, *(plant.pool if informed else [task.vehicle] * len(plant.pool)))
         self._privileged = (
             np.array([vehicle_parameters(v) for v in vehicles]) if task.observe_vehicle else None
         )
         self._hover_pwm = None
-        if task.per_vehicle_hover and plant.pool and told:
+        if task.per_vehicle_hover and plant.pool and informed:
             self._hover_pwm = np.array([task.pwm_centre, *map(settled_hover, plant.pool)])
         task.prepare(plant)
 

@@ -85,7 +85,7 @@ class Actor(Protocol):
 
 
 def record_flights(
-    policy: Actor, plant, states: np.ndarray | Start, *, steps: int | None = None, told: bool = True
+    policy: Actor, plant, states: np.ndarray | Start, *, steps: int | None = None, informed: bool = True
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
@@ -98,7 +98,7 @@ def record_flights(
             task's vehicle.
         states: states (n, 13) or n starts.
         steps: fly at most this many control steps (default: the task's limit).
-        told: see `BatchEnv`.
+        informed: see `BatchEnv`.
 
     Raises:
         UserError: when the number of states is not the plant's.
@@ -117,7 +117,7 @@ def record_flights(
         raise UserError(f"plant must be a plant or the name of one, not {shown(repr(plant), 40)}")
     if plant.n != len(states):
         raise UserError(f"the plant has {plant.n} vehicles, but {len(states)} starts were given")
-    env = BatchEnv(policy.task, plant, seed=0, told=told)
+    env = BatchEnv(policy.task, plant, seed=0, informed=informed)
     limit = policy.task.max_steps if steps is None else steps
     if not (is_whole(limit) and 1 <= limit <= policy.task.max_steps):
         raise UserError(f"a flight must have 1 to {policy.task.max_steps} control steps, not {limit}")

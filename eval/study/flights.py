@@ -130,7 +130,7 @@ def _fly_batch(
     rates = np.array([vehicle.thrust_lag_rate for vehicle in vehicles])[variant]
     starts.state[:, LAG] *= task.vehicle.thrust_lag_rate / rates
     flown = fleet.begin(make_plant(plant, len(starts), task.vehicle, pool=pool))
-    flights = record_flights(policy, flown, starts, steps=task.judged_steps, told=False)
+    flights = record_flights(policy, flown, starts, steps=task.judged_steps, informed=False)
     table = table_of(task, flights)
     if task.cut_at_success and cut_from < n:
         table = table.join(_arrivals(flights, table["success"].to_numpy() & (start >= cut_from), fleet))
