@@ -199,15 +199,13 @@ class StateEstimate:
 class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
-    heading [rad]: direction of the nose when the first attitude arrives; used while no pose has an attitude.
+    The attitude is unknown until a pose shows the arena's heading.
     """
 
-    def __init__(self, noise: FilterNoise, heading: float = 0.0):
+    def __init__(self, noise: FilterNoise):
         self.filter = KalmanFilter(noise)
         self.last_pose: MeasuredPose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
-        self.heading_measured = False  # does motion capture show it
-        self._heading = heading
         self._offset: float | None = None  # of the arena's heading over the vehicle's own, rad
         self._mocap_attitude: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
 
@@ -221,7 +219,7 @@ class Estimator:
             pose.time == before.time or np.array_equal(pose.position, before.position)
         ):
             return False
-        if pose.attitude is not None and np.isfinite(pose.attitude).all() and np.any(pose.attitude):
+        if np.isfinite(pose.attitude).all() and np.any(pose.attitude):
             self._align(pose, 0.0 if before is None else pose.time - before.time)
         return self.filter.update(pose.time, pose.position, impact)
 
@@ -232,8 +230,6 @@ class Estimator:
         ):
             return
         self.attitude = attitude
-        if self._offset is None and not self.heading_measured:
-            self._offset = self._heading - frames.heading_of(attitude.rotation)
 
     def predict(self, time: float) -> StateEstimate:
         """Return the state estimate for `time` [s]."""
@@ -272,16 +268,14 @@ class Estimator:
         rotation = frames.quaternion_rotation(pose.attitude)
         self._mocap_attitude = pose.time, rotation
         if self.attitude is None:
-            self.heading_measured = True
             return
         offset = frames.heading_of(rotation) - frames.heading_of(self.attitude.rotation)
-        if self._offset is None or not self.heading_measured:
+        if self._offset is None:
             self._offset = offset
         else:
             # First-order low-pass: o <- o + (1 - exp(-dt / T)) (o_measured - o)
             share = -math.expm1(-max(0.0, dt) / HEADING_TIME)
             self._offset += share * frames.wrapped(offset - self._offset)
-        self.heading_measured = True
 
 
 class ConsistencyMonitor:
