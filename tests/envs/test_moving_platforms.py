@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +12,6 @@ from inclined_landing.envs.make import make_batch
 from inclined_landing.envs.tasks import StepContext, make_task
 from inclined_landing.envs.tasks.touchdown import FRICTION, TouchdownConditions, resting
 from inclined_landing.models.attitude import ROLL, VX, VZ, WX, WZ, YAW, Z, rotation
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import Contacts, make_plant
 from inclined_landing.train.descent import Descent
 
@@ -162,17 +160,3 @@ def test_the_law_that_training_begins_with_lands():
         step = env.step(law(StepContext(env.plant.state, platform=env.plant.platform), -1.0), ~success)
         success |= step.success
     assert success.mean() > 0.9  # of 234 others up to 40 deg: 0.996
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"fastest": 1.0}, "dimensions=3"),
-        ({"fastest": math.nan, "dimensions": 3}, "fastest must be"),
-        ({"swell": 1.0, "dimensions": 3}, "fastest too"),
-        ({"fastest": 1.0, "swell": "much", "dimensions": 3}, "swell must be"),
-    ],
-)
-def test_options_that_fit_nothing_are_sentences(options, said):
-    with pytest.raises(UserError, match=said):
-        make_task("touchdown", **options)

@@ -1,6 +1,7 @@
 """Options of tasks: one record each, from which constructors, `landing-train` and policy files take them."""
 
 import dataclasses
+import math
 from typing import Annotated
 
 import pytest
@@ -70,3 +71,28 @@ def test_options_find_the_class(name, kind):
         if options:
             with pytest.raises(UserError, match=f"make_task.'{name}', .... selects the class"):
                 kind(**options)
+
+
+@pytest.mark.parametrize("task, options, sentence", [
+    ("landing", {"pwm_centre": "static"}, "pwm_centre must be 'paper', 'hover', 'own' or a PWM from 10000"),
+    ("landing", {"pwm_centre": 9_999}, "not 9999"),
+    ("landing", {"pwm_centre": math.nan}, "not nan"),
+    ("landing", {"pwm_span": 0}, "pwm_span must be a number from 1 to 65535, not 0"),
+    ("landing", {"inclination": 1.0}, "outside the supported range"),
+    ("landing", {"inclination": math.nan}, "inclination must be a number, not nan"),
+    ("landing", {"slope": 1.0}, "the task landing has no option 'slope'; choose from angle_limit"),
+    ("landing", {"steepest": 2.0}, "steepest must be an angle above 0 and up to 0.873 rad"),
+    ("landing", {"steepest": "wide"}, "steepest must be"),
+    ("landing", {"dimensions": 4}, "dimensions must be 2 or 3, not 4"),
+    ("landing", {"random_yaw": True}, "random_yaw needs dimensions=3"),
+    ("landing", {"azimuth": 1.0}, "azimuth needs dimensions=3"),
+    ("landing", {"azimuth": math.inf, "dimensions": 3}, "azimuth must be a number, not inf"),
+    ("landing", {"angle_limit": 3.0}, "angle_limit must be an angle from 0.01 to 1.4 rad, not 3.0"),
+    ("touchdown", {"fastest": 1.0}, "dimensions=3"),
+    ("touchdown", {"fastest": math.nan, "dimensions": 3}, "fastest must be"),
+    ("touchdown", {"swell": 1.0, "dimensions": 3}, "fastest too"),
+    ("touchdown", {"fastest": 1.0, "swell": "much", "dimensions": 3}, "swell must be"),
+])  # fmt: skip
+def test_wrong_options_are_refused(task, options, sentence):
+    with pytest.raises(UserError, match=sentence):
+        make_task(task, **options)

@@ -134,6 +134,22 @@ def test_the_exact_steps_are_the_equations():
     np.testing.assert_allclose(flown[:, LAG], lag, rtol=1e-8)
 
 
+@pytest.mark.parametrize("damping", [0.4, 0.7, 1.0, 1.3])
+def test_damping_moves_the_poles_to_the_roots_of_its_equation(damping):
+    """Of the derivative and of the exact step: s^2 + damping (B + 1/tau) s + B/tau."""
+    v = dataclasses.replace(V, attitude_time_constant=0.06, attitude_damping=damping)
+    a, b = 1 / v.attitude_time_constant, v.attitude_bandwidth
+    poles = np.roots([1.0, damping * (a + b), a * b])
+    assert np.iscomplex(poles).all() == (damping < 0.85)
+    t, k = np.arange(31) * 0.02, v.attitude_gain
+    residues = poles[::-1] / (poles - poles[::-1])  # of the step response 1 + sum of residue exp(pole t)
+    exact = 0.3 * k * (1.0 + (residues[:, None] * np.exp(poles[:, None] * t)).sum(axis=0).real)
+    steps = attitude_loops.angle_steps(1, np.full(30, 0.3), column(np.zeros(30)), 0.0, 0.02, forces.pack(v))
+    np.testing.assert_allclose(steps, exact, atol=1e-12)
+    end = fly(hovering(), [v.hover_pwm, 0, 0.3, 0], 0.6, 1200, rate_loop=True, vehicle=v)[0]
+    assert end[PITCH] == pytest.approx(exact[-1], rel=1e-8)  # (B h)^4 / 120 of each step's change
+
+
 @pytest.mark.parametrize(
     "damping, integral, hold, saturation, error",
     [

@@ -106,39 +106,6 @@ def test_drag_is_relative_to_the_wind(build):
     np.testing.assert_allclose(data.qfrc_passive, 0, atol=1e-18)
 
 
-@pytest.mark.parametrize(
-    ("attribute", "text", "rule"),
-    [
-        ("lag_rate", "0", "greater than 0"),
-        ("lag_rate", "inf", "1 finite number, it is 'inf'"),
-        ("state_gain", "-1", "at least 0"),
-        ("direct_gain", "-1", "at least 0"),
-        ("drag", "-1 -1 1", "at most 0"),
-        ("pwm_to_force", "1e-11 0 0", "at least 0, greater than 0, at least 0"),
-        ("pwm_to_speed", "-1 1", "at least 0"),
-        ("motors", "2.5", "a whole number"),
-        ("motors", "0", "a whole number"),
-        ("disc_radius", "0", "greater than 0"),
-        ("sag_reference", "0", "other than 0"),
-        ("spin_down", "-1", "greater than -1"),
-        ("body_drag", "-0.1", "at least 0"),
-    ],
-)
-def test_wrong_attribute_is_refused_in_a_sentence(build, attribute, text, rule):
-    with pytest.raises(ValueError, match=f"rotors: attribute '{attribute}' must be .*{rule}"):
-        build(rotors={attribute: text})
-
-
-def test_ground_effect_needs_its_surfaces(build):
-    with pytest.raises(ValueError, match="'surfaces' must be names of planes and boxes, there is none named"):
-        build(rotors={"ground_effect": "1"})
-    with pytest.raises(ValueError, match="none named 'ball'"):
-        build(
-            rotors={"ground_effect": "1", "surfaces": "ball"},
-            site='<site name="com"/><geom name="ball" size="0.1"/>',
-        )
-
-
 def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build):
     """A box on the floor under two of the four rotors, half a radius within; not the ball that hangs between.
 
@@ -163,27 +130,3 @@ def test_ground_effect_sees_any_named_surface_with_its_nearest_upper_face(build)
     assert data.actuator_force[0] == pytest.approx(weight + 2 * near + 2 * far, rel=1e-9)
     assert data.qfrc_passive[4] == pytest.approx(-2 * 0.05 * (near - far), rel=1e-9)  # nose up
     assert abs(data.qfrc_passive[3]) < 1e-12
-
-
-def test_unknown_attribute_is_refused(build):
-    with pytest.raises(ValueError, match="unrecognized attribute 'plugin:lagrate'"):
-        build(rotors={"lagrate": "1"})
-
-
-@pytest.mark.parametrize(
-    ("changed", "sentence"),
-    [
-        ({"actdim": None}, 'must have actdim="1"'),
-        ({"actdim": "2"}, 'must have actdim="1", it has 2'),
-        ({"site": None, "joint": "hinge", "gear": "1"}, "'thrust' must act on a site"),
-    ],
-    ids=["no actdim", "actdim 2", "joint"],
-)
-def test_wrong_actuator_is_refused_in_a_sentence(build, changed, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        build(actuators=build.actuator("thrust", **changed) + build.actuator("roll"))
-
-
-def test_instance_without_actuator_is_refused(build):
-    with pytest.raises(ValueError, match="rotors: the instance must drive at least one actuator"):
-        build(actuators=build.actuator("roll"))
