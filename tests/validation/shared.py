@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -65,29 +65,20 @@ def answered(
     """
     files = {name: folder / f"{name}.json" for name in calls}
     todo = {name: call for name, call in calls.items() if not files[name].exists()}
-    with storage.made(folder):
-        for name, answer in in_processes(work, todo, processes, len(calls) - len(todo)):
-            storage.write_json(files[name], answer)
-    return {name: storage.read_json(file, "answer") for name, file in files.items()}
-
-
-def in_processes(
-    work: Callable[..., Any], calls: Mapping[str, tuple], processes: int, done: int
-) -> Iterator[tuple[str, Any]]:
-    """Yield name and result of every call as it ends, with a bar of which `done` were made before."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"  # the processes share the cores already
     # A spawned process starts clean: threads of libraries do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context)
-    with stages(done + len(calls), "cases", done) as tick, pool:
-        jobs = {pool.submit(work, *call): name for name, call in calls.items()}
+    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    done = len(calls) - len(todo)
+    with storage.made(folder), stages(len(calls), "cases", done) as tick, pool:
+        jobs = {pool.submit(work, *call): name for name, call in todo.items()}
         try:
             for job in as_completed(jobs):
-                yield jobs[job], job.result()
+                storage.write_json(files[jobs[job]], job.result())
                 tick(jobs[job])
         except BrokenProcessPool as error:
             raise UserError(f"a process was killed ({error}); the same command goes on") from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+    return {name: storage.read_json(file, "answer") for name, file in files.items()}

@@ -32,10 +32,11 @@ import tyro
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.models import contact
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import MujocoPlant
+
+from .shared import table_of
 
 COLUMNS = ("toss", "t", *"xyz", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 POSE, MOTION = slice(1, 8), slice(8, 14)  # columns of a toss: position and quaternion, velocity and rates
@@ -278,48 +279,32 @@ def best_of(settings: Sequence[Contact], tosses: Sequence[np.ndarray]) -> Contac
     return settings[int(np.argmin((found / found.min(axis=0)).sum(axis=1)))]
 
 
-def command(
-    chosen: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")],
-    held_out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[HELD_OUT]")] = None,
-    /,
-) -> None:
+def command(chosen: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")], /) -> None:
     """Contact that tosses of a real cube give, and how far predictions with it are off (minutes).
 
     Args:
-        chosen: tosses that the grid of the engine's settings is chosen on.
-        held_out: tosses whose errors are reported as well.
+        chosen: tosses, on which the grid of the engine's settings is chosen too.
     """
-    tosses, *others = (read(path) for path in (chosen, held_out) if path is not None)
+    tosses = read(chosen)
     interval, windows = interval_of(tosses), windows_of(tosses)
     kinds = {kind: windows.only(which) for kind, which in kinds_of(windows).items() if which.sum() >= LEAST}
     fits = {kind: estimate(some, interval) for kind, some in kinds.items()}
-    heads = ("windows", "friction [1]", "restitution [1]", "time [ms]", "height of the surface [mm]")
-    table = new_table("Contact by kind of motion", "motion in contact", *heads)
     z = stats.norm.ppf(0.5 + CONFIDENCE / 2)
+    lines = []
     for kind, (at, covariance) in fits.items():
         half = z * np.sqrt(np.diag(covariance))
-        cells = [
-            f"{at[0]:.3f} +- {half[0]:.3f}",
-            f"{at[1]:.2f} +- {half[1]:.2f}",
-            f"{1e3 * np.exp(at[2]):.0f}",
-            f"{1e3 * at[3]:.2f} +- {1e3 * half[3]:.2f}",
-        ]
-        table.add_row(kind, str(len(kinds[kind].start)), *cells)
-    show_table(table)
+        cells = {"friction": f"{at[0]:.3f} ± {half[0]:.3f}", "restitution": f"{at[1]:.2f} ± {half[1]:.2f}"}
+        cells |= {"surface [mm]": f"{1e3 * at[3]:.2f} ± {1e3 * half[3]:.2f}"}
+        lines.append({"motion in contact": kind, "windows": len(kinds[kind].start)} | cells)
     values = np.array([at for at, _ in fits.values()])
     variances = np.array([np.diag(covariance) for _, covariance in fits.values()])
-    (mu, *ends_mu), (e, *ends_e), (time, *_), (height, *ends_h) = (
-        pooled(values[:, k], variances[:, k]) for k in range(len(STEPS))
-    )
-    percent = f"{100 * CONFIDENCE:.0f} %"
-    say(
-        f"Friction {mu:.3f} [{ends_mu[0]:.3f}, {ends_mu[1]:.3f}], known {KNOWN_FRICTION}.",
-        f"Restitution {e:.2f} [{max(ends_e[0], 0):.2f}, {ends_e[1]:.2f}], known {KNOWN_RESTITUTION}.",
-        f"The surface lies {-1e3 * height:.2f} mm lower than its nominal height [{-1e3 * ends_h[1]:.2f}, "
-        f"{-1e3 * ends_h[0]:.2f}].",
-        f"Intervals are {percent} for a kind of motion that was not seen: the scatter of the kinds is the "
-        "error of the engine's law of contact.",
-    )
+    together = [pooled(values[:, k], variances[:, k]) for k in range(len(STEPS))]
+    friction, restitution, (time, *_), (height, *_) = together
+    cells = {"friction": _interval(friction, KNOWN_FRICTION, ".3f")}
+    cells |= {"restitution": _interval(restitution, KNOWN_RESTITUTION, ".2f")}
+    cells |= {"surface [mm]": _interval([1e3 * x for x in together[3]], None, ".2f")}
+    lines.append({"motion in contact": "together, for a kind not seen", "windows": ""} | cells)
+    print(table_of(lines))
     struck = next(iter(fits.values()))[0]  # the first impacts decide where a toss goes
     settings = {
         "the engine's defaults": Contact(),
@@ -330,12 +315,22 @@ def command(
             struck[0], struck[1], float(np.exp(time)), height
         ),
     }
-    for name, some in zip(("TABLE", "HELD_OUT"), (tosses, *others)):
-        heads = ("position [widths, %]", "median", "attitude [deg]", "median", "from the table's velocity")
-        table = new_table(f"Mean error over whole tosses of {name} ({len(some)})", "contact", *heads)
-        for setting_name, setting in settings.items():
-            found, given = errors(setting, some), errors(setting, some, fitted_start=False).mean(axis=0)
-            mean, median = found.mean(axis=0), np.median(found, axis=0)
-            cells = (100 * mean[0], 100 * median[0], mean[1], median[1])
-            table.add_row(setting_name, *(f"{x:.1f}" for x in cells), f"{100 * given[0]:.1f}, {given[1]:.1f}")
-        show_table(table)
+    print(table_of([_predicted(name, setting, tosses) for name, setting in settings.items()]))
+
+
+def _interval(ends: Sequence[float], known: float | None, form: str) -> str:
+    value, low, high = (format(x, form) for x in ends)
+    return f"{value} [{low}, {high}]" + ("" if known is None else f"; known {known}")
+
+
+def _predicted(name: str, setting: Contact, tosses: Sequence[np.ndarray]) -> dict:
+    """Return the mean errors over whole tosses, in brackets with the table's velocity, and the medians."""
+    found, given = (errors(setting, tosses, fitted_start=fitted) * [100.0, 1.0] for fitted in (True, False))
+    (place, angle), (place_given, angle_given) = found.mean(axis=0), given.mean(axis=0)
+    middle = np.median(found, axis=0)
+    return {
+        "contact": name,
+        "position [% of the width]": f"{place:.1f} ({place_given:.1f})",
+        "attitude [deg]": f"{angle:.1f} ({angle_given:.1f})",
+        "medians": f"{middle[0]:.1f}, {middle[1]:.1f}",
+    }
