@@ -13,6 +13,7 @@ from inclined_landing.models.motion import MODES, Motion
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant, make_plant
 from inclined_landing.models.plants.platforms import MOST, strays
+from inclined_landing.models.plants.recorder import impulses
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.surface import normals, relative
 
@@ -191,6 +192,26 @@ def test_force_on_a_heaving_platform(integrator):
             late = 2 * TAU + PERIOD  # the largest of one control period is seen
             assert abs(plant.contacts.force[0, 0, 0] - expected) < MASS * size * turn**3 * late
     assert 0.25 * 4.0**3 * late < 0.3 * 4.0  # m/s2: small beside the acceleration of 4 m/s2
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_impulses_of_contacts_explain_the_motion(moving):
+    """m dv = impulse - m g dt in every engine step of a drop onto a level platform, to rounding."""
+    plant = MujocoPlant(1, CALM, moving=moving, control_period=STEP, threads=1)
+    moves = motion(travel=(0.5, 0.2, 0.0), heave=SWELL["heave"]) if moving else None
+    standing(plant, moves, above=0.01)
+    met = 0.0
+    for _ in range(40):
+        given, before = impulses(plant, OFF)[0], plant.state[0, VX : VZ + 1].copy()
+        plant.step(OFF)
+        gained = MASS * (plant.state[0, VX : VZ + 1] - before)
+        np.testing.assert_allclose(
+            gained, given - [0, 0, MASS * G * STEP], rtol=0, atol=1e-9 * MASS * G * STEP
+        )
+        met = max(met, np.linalg.norm(given))
+    assert met > 5 * MASS * G * STEP
+    with pytest.raises(UserError, match="need the integrator RK4"):
+        impulses(MujocoPlant(1, integrator="implicitfast"), OFF)
 
 
 def slip(acceleration, friction: float, seconds: float) -> float:

@@ -1,9 +1,13 @@
 """The blind test: the seed alone decides a case, fresh families are others, and the scorer counts right."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 
 from inclined_landing.models import effects
+from inclined_landing.models.base.errors import UserError
 from tests.validation.gap_blind import cases, causes, command, score
 from tests.validation.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
 from tests.validation.simulator import FAMILIES
@@ -189,3 +193,24 @@ def test_the_table_has_a_column_for_every_set_and_a_line_for_every_failure():
     assert lines[0] == "|  | dev | fresh | all |" and lines[2] == "| cases | 9 | 1 | 10 |"
     assert f"| {SINGLE} | 9 of 9 [70, 100 %] |  | 9 of 9 [70, 100 %] |" in lines  # Wilson's interval
     assert lines[-1].startswith(f"| fresh_0 | {QUIET} | effects | wind |")
+
+
+def test_one_command_draws_scores_and_prints_the_table(tmp_path, monkeypatch, capsys):
+    """Of all sets that are installed; the answer, in place of a diagnosis, is that nothing is missing."""
+
+    def answered(folder, work, calls, processes):
+        folder.mkdir(parents=True)
+        labels = {name: case.label() for name, (case,) in calls.items()}
+        return {name: score.score_case(one, report()) | {"plan": True} for name, one in labels.items()}
+
+    monkeypatch.setattr(command, "answered", answered)
+    monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None)
+    command.command(tmp_path / "blind", cases=40, seed=3)
+    text = (tmp_path / "blind" / "table.md").read_text()
+    assert text in capsys.readouterr().out and text.startswith("|  | dev | fresh | all |")
+    rows = json.loads((tmp_path / "blind" / "results.json").read_text())["cases"]
+    assert len(rows) == 40 and all(row["set"] in ("dev", "fresh") for row in rows)
+    nothing = sum(not row["causes"] for row in rows)
+    assert re.search(rf"{QUIET} \|.*\| {nothing} of {nothing} ", text)
+    with pytest.raises(UserError, match="--sets rotorpy needs rotorpy; pip install"):
+        command.command(tmp_path / "other", ("rotorpy",))
