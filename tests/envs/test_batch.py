@@ -162,3 +162,13 @@ def test_unknown_vehicle_numbers_are_refused(ids):
             UserError, match=r"ids must be vehicle numbers from 0 to 3, or a boolean mask of shape \(4,\)"
         ):
             call(ids)
+
+
+def test_what_episodes_have_so_far_is_restored():
+    """In another batch, also what only some tasks count."""
+    env, other = build(3), build(3, seed=9)
+    counted = ("length", "total", "contact_steps", "touched", "held_steps")
+    for name in counted:
+        getattr(env, name)[:] = 1
+    other.restore_episodes(env.episode_state())
+    assert all((getattr(other, name) == 1).all() for name in counted)
