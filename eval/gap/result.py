@@ -264,7 +264,6 @@ class InconsistentFlights:
     others: tuple[str, ...]
     differences: tuple[Difference, ...]  # the surest first
     p_value: float  # of the most significant difference, corrected for multiple testing
-    false_alarms: float  # familywise false alarm rate
 
 
 @dataclasses.dataclass(frozen=True)

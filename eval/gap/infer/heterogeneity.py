@@ -243,7 +243,6 @@ def _described_split(
         others=tuple(names[k] for k in split.others),
         differences=tuple(differences),
         p_value=split.level,
-        false_alarms=thresholds.INCONSISTENT,
     )
 
 

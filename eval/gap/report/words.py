@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Mapping, Sequence
 
 from inclined_landing.eval.gap import thresholds
@@ -193,7 +192,9 @@ _UNEXPLAINED = "the flights show an error that no effect of the library explains
 def _nameless(d: Diagnosis) -> str:
     """Return the headline of a diagnosis without a named effect."""
     names = listed([f"{label(name)} ({probability(part)})" for name, part in d.undecided.items()], "or")
-    larger = f"the error is larger than in the reference flights, {_against_reference(d)}"
+    before = centimetres(d.reference.error) if d.reference else ""
+    larger = "the error is larger than in the reference flights, "
+    larger += f"{centimetres(d.residual.error)} for {before} one second ahead"
     if d.verdict == "undecided":
         if d.probability(*d.undecided) >= thresholds.UNDECIDED:
             return f"Undecided: the model may lack {names}."
@@ -208,13 +209,6 @@ def _nameless(d: Diagnosis) -> str:
         return f"No missing effect is common to all flights{how}."
     well = "the model explains these flights as well as noise and disturbances allow"
     return f"Nothing of a size that matters is missing{how}: {well}."
-
-
-def _against_reference(d: Diagnosis) -> str:
-    """Return the error one second ahead and that of the reference's flights; empty without one."""
-    if d.reference is None:
-        return ""
-    return f"{centimetres(d.residual.error)} for {centimetres(d.reference.error)} one second ahead"
 
 
 def how_much(d: Diagnosis) -> str:
@@ -244,7 +238,7 @@ def how_much(d: Diagnosis) -> str:
     if material:
         most = max(material, key=lambda one: one.displacement)
         repeats = f"Of the remaining error, {centimetres(most.displacement)} repeats from flight to flight"
-        lines.append(f"{repeats}: {axis(most)}, {_dependence(most)}.")
+        lines.append(f"{repeats}: {axis(most)}, depending on {most.against}.")
     if not (d.residual.depends_on or d.inconsistent_flights):
         like = "noise and air disturbances" if not d.exceeds_reference else "gusts and other disturbances"
         lines.append(f"The remaining error does not depend on any logged signal, just like {like}.")
@@ -254,12 +248,6 @@ def how_much(d: Diagnosis) -> str:
     if d.verdict == "undecided":
         lines.append("To refit all constants without naming one, run landing-eval identify on these flights.")
     return " ".join(lines)
-
-
-def _dependence(d: Dependence) -> str:
-    """Return what a function of the residual depends on: `0.25 s after a roll command`."""
-    past = re.fullmatch(r"(.* command) ([\d.]+ s) ago", d.against)
-    return f"{past[2]} after a {past[1]}" if past else f"depending on {d.on}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -338,7 +326,7 @@ def inconsistency(c: InconsistentFlights) -> list[str]:
         subject,
         *(_difference_sentence(one, *(names[::-1] if one.swapped else names)) for one in c.differences),
         "Was the vehicle or the calibration different? The result below mixes the two; run landing-eval gap "
-        f"on the logs of each. False-alarm rate: {100 * c.false_alarms:g} %.",
+        f"on the logs of each. False-alarm rate: {100 * thresholds.INCONSISTENT:g} %.",
     ]
 
 
