@@ -58,16 +58,26 @@ _TOLERANCE = 1e-3
 def save_policy(model, path: str | Path) -> None:
     """Save a Stable-Baselines3 model of any algorithm as a policy file.
 
-    The model must have been trained on a `BatchVecEnv`, or on environments of `gymnasium.make`. The file's
-    actions are compared with those of `model.predict`. Raises UserError, and writes nothing, for a policy, an
-    environment or a wrapper that a file cannot represent. Stable-Baselines3 can also load the file, to
-    continue the training.
+    The model must have been trained on a `BatchVecEnv`, or on environments of `gymnasium.make`; the
+    statistics of a `VecNormalize` around them are saved as well. The file's actions are compared with those
+    of `model.predict`. Raises UserError, and writes nothing, for a policy, an environment or a wrapper that a
+    file cannot represent. Stable-Baselines3 can also load the file, to continue the training.
     """
     if not isinstance(model, BaseAlgorithm):
         raise UserError(f"save_policy takes a Stable-Baselines3 model, not {shown(repr(model), 40)}")
     if not isinstance(path, (str, os.PathLike)):
         raise UserError(f"save_policy takes the path of a file, not {shown(repr(path), 40)}")
-    task, network = _trained_on(model), actor_of(model)
+    task, normalised = _trained_on(model)
+    network = actor_of(model)
+    if normalised is not None:
+        if np.isfinite(network["limit"]):
+            raise UserError(
+                "VecNormalize and ScaledObservation both scale the observations; use "
+                "VecNormalize(..., norm_obs=False), or no ScaledObservation"
+            )
+        # clip((o - centre)/scale, -limit, limit)
+        scale = np.sqrt(normalised.obs_rms.var + normalised.epsilon)
+        network |= {"centre": normalised.obs_rms.mean, "scale": scale, "limit": float(normalised.clip_obs)}
     path = Path(path) if Path(path).suffix else Path(f"{path}.zip")
     storage.check_file(path)
     action_map = {"pwm_centre": OWN if task.per_vehicle_hover else task.pwm_centre, "pwm_span": task.pwm_span}
@@ -83,7 +93,7 @@ def save_policy(model, path: str | Path) -> None:
         write_policy(model, part, metadata, network)
         with policy_file.open_file(part) as archive:
             written = policy_file.read(archive, path)[1]
-        _compare(model, Policy(task=task, metadata=metadata, path=path, **written))
+        _compare(model, Policy(task=task, metadata=metadata, path=path, **written), normalised)
 
 
 def write_policy(model: BaseAlgorithm, path: Path, metadata: dict, network: dict[str, Any]) -> None:
@@ -141,12 +151,13 @@ def _array(tensor) -> np.ndarray:
     return np.array(tensor.detach().cpu().double().numpy())
 
 
-def _compare(model: BaseAlgorithm, policy: Policy) -> None:
+def _compare(model: BaseAlgorithm, policy: Policy, normalised: VecNormalize | None) -> None:
     """Raise UserError unless a policy's actions are those of `model.predict`."""
     rng, task = np.random.default_rng(0), policy.task
     size = 10.0 ** rng.uniform(-1.0, 1.5, (_DRAWN, 1)) * input_scale(task)  # some beyond every limit
     rows = (input_centre(task) + size * rng.normal(size=(_DRAWN, len(policy.centre)))).astype(np.float32)
-    wanted, _ = model.predict(rows, deterministic=True)
+    seen = rows if normalised is None else normalised.normalize_obs(rows)
+    wanted, _ = model.predict(seen, deterministic=True)
     difference = float(np.abs(policy.predict(rows) - wanted).max())
     if not difference <= _TOLERANCE:
         raise _not_evaluated(
@@ -158,26 +169,48 @@ def _not_evaluated(model: BaseAlgorithm, why: str) -> UserError:
     return UserError(f"a policy file cannot hold the policy of this {type(model).__name__}, which {why}")
 
 
-def _trained_on(model: BaseAlgorithm) -> Task:
-    """Return the task of a model's environments; raises UserError if the policy observes something else."""
+def _trained_on(model: BaseAlgorithm) -> tuple[Task, VecNormalize | None]:
+    """Return the task of a model's environments, and the `VecNormalize` that the policy observes through."""
     env = model.get_env()
     if env is None:
         raise UserError(
             "the model has no environment; load it with env=ENV, the environment it was trained on"
         )
-    normalised = hasattr(model, "rollout_buffer") and model._last_original_obs is not None
+    normalising: list[VecNormalize] = []
     while isinstance(env, VecEnvWrapper):
-        if type(env) is VecNormalize:
-            normalised = env.norm_obs
+        if type(env) is VecNormalize and not normalising:
+            normalising.append(env)
         elif type(env) not in _HARMLESS:
             raise _not_held(type(env).__name__)
         env = env.venv
-    if normalised:
+    task = env.env.task if type(env) is BatchVecEnv else _task_of_single(env)
+    if not normalising:
+        _check_never_normalised(model)
+        return task, None
+    if not normalising[0].norm_obs:
+        return task, None
+    if model.num_timesteps and normalising[0].obs_rms.count < 1.0:
         raise UserError(
-            "a policy file cannot hold the statistics of VecNormalize; use VecNormalize(..., norm_obs=False) "
-            "and scale the observations in the network, with policy_kwargs=scaled_observation(task)"
+            "the VecNormalize around the model's environment has no statistics; use "
+            "VecNormalize.load(STATISTICS, ENV)"
         )
-    return env.env.task if type(env) is BatchVecEnv else _task_of_single(env)
+    return task, normalising[0]
+
+
+def _check_never_normalised(model: BaseAlgorithm) -> None:
+    """Raise UserError if a model that has no VecNormalize may have been trained behind one."""
+    # The observation before VecNormalize; without one None or, of algorithms with a replay buffer, the one
+    # that was stored there last.
+    raw, buffer = model._last_original_obs, getattr(model, "replay_buffer", None)
+    if raw is None or (buffer and np.array_equal(raw, buffer.observations[buffer.pos - 1])):
+        return
+    sentence = (
+        f"this {type(model).__name__} was trained with VecNormalize, and its environment has none; load it "
+        "with env=VecNormalize.load(STATISTICS, ENV)"
+    )
+    if buffer is not None:
+        sentence += "; if it was trained without one, load its replay buffer, which shows that"
+    raise UserError(sentence)
 
 
 def _task_of_single(env) -> Task:

@@ -131,6 +131,7 @@ JUDGED = (
         ("sample(self, rng, k): return self.start(np.zeros((1, 13)))", "shape (2, 13), not (1, 13)"),
         ("observe(self, context): return context.state[:, :1]", "observe returned must have shape (2, 2)"),
         ("observe(self, context): return [['a', 'b']] * 2", "observe returned must be finite"),
+        ("score(self, flights): return 1 / 0", "ZeroDivisionError: division by zero"),
         ("__init__(self): pass", "__init__() "),
     ],
 )

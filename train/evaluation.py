@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,11 @@ import numpy as np
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.randomise import read_ranges
+from inclined_landing.envs.shared.user_code import blame
 from inclined_landing.envs.tasks.base import VEHICLE_KINDS, Start
+from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.models.attitude import LAG
+from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import make_plant
 from inclined_landing.train import ppo
 from inclined_landing.train.config import TrainConfig
@@ -65,3 +69,19 @@ class PeriodicEvaluation:
             of_kind = {column.removesuffix(f"_{kind}"): x for column, x in score.items() if kind in column}
             parts.append(f"{self.task.score_words(score | of_kind)} ({name})")
         return ", ".join(parts)
+
+    def rehearse(self) -> None:
+        """Call the methods that evaluation needs, on two flights of 20 steps; raises TaskError."""
+        task = self.task
+        idle = SimpleNamespace(task=task, predict=lambda seen: np.zeros((len(seen), len(task.action_names))))
+        try:
+            plant = make_plant("hybrid", 2, task.vehicle, threads=1, **task.plant_options)
+            starts = task.evaluation_starts(np.random.default_rng(0), 2)
+            flights = record_flights(idle, plant, starts, steps=min(20, task.judged_steps or 20))
+            task.score_words(task.score(flights))
+            task.flight_words(flights[0])
+        except (UserError, MemoryError, FloatingPointError):
+            raise
+        except Exception as error:
+            reason = blame(error) or f"{type(error).__name__}: {shown(error, 120)}"
+            raise TaskError(f"task {task.name} does not fit the interface of tasks: {reason}") from error

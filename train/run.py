@@ -131,6 +131,8 @@ class Run:
             if self.teacher.task.name == self.task.name:
                 self.curriculum.skip()
         self.evaluation = PeriodicEvaluation(config)
+        if is_path(config.task):
+            self.evaluation.rehearse()
 
     def _restore(self, saved: Checkpoint) -> None:
         """Set the new model, vehicles and curriculum to a checkpoint; raise UserError if it does not fit."""

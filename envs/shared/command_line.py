@@ -25,7 +25,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO, get_args, get_origin
 
 from inclined_landing.models.base import imports
 from inclined_landing.models.base.errors import UserError, not_installed, shown
@@ -60,9 +60,10 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
         if value.isdigit() and not value.isascii():
             raise UserError(f"{shown(word)}: numbers are written with the digits 0 to 9")
     message, page = io.StringIO(), io.StringIO()
+    words = _positionals_first(arguments, _choices(target))
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(page):
-            made = tyro.cli(target, prog=prog, args=arguments, config=_config())
+            made = tyro.cli(target, prog=prog, args=words, config=_config())
     except SystemExit as end:
         if end.code:
             raise UserError(_sentence(message.getvalue(), prog)) from end
@@ -70,6 +71,39 @@ def parse(target: Callable, prog: str, arguments: Sequence[str] | None = None) -
         raise
     check_given(getattr(made, "options", made), given(arguments))
     return made
+
+
+def _choices(target: Callable) -> dict[str, Container[str]]:
+    """Return the choices of each option that takes several of a few words."""
+    from inclined_landing.envs.shared.options import flag_of
+    from inclined_landing.models.base import schema
+
+    found: dict[str, Container[str]] = {}
+    for name, kind in schema.kinds_of(target).items():
+        of_each = get_args(kind)[0] if get_origin(kind) is tuple else None
+        if get_origin(of_each) is Literal:
+            found[flag_of(name)] = get_args(of_each)
+    return found
+
+
+def _positionals_first(arguments: Sequence[str], choices: Mapping[str, Container[str]]) -> list[str]:
+    """Move positional arguments that follow an option's values, and are not among its `choices`, to the
+    front.
+
+    An option with several values would consume them all, as in `--over moving POLICY`. If a positional
+    argument comes first, the order is left unchanged.
+    """
+    if not arguments or not arguments[0].startswith("-"):
+        return list(arguments)
+    front, others, known = list[str](), list[str](), None
+    for before, word in zip(["", *arguments], arguments):
+        if word.startswith("-"):
+            known = choices.get(word)
+        elif known is not None and before not in choices and word not in known:
+            front.append(word)
+            continue
+        others.append(word)
+    return front + others
 
 
 def check_given(options: Mapping[str, Any] | object, flags: Container[str]) -> None:

@@ -220,17 +220,53 @@ def learner(env, kind=PPO, **options):
     return kind("MlpPolicy", env, seed=0, device="cpu", **usual, **options)
 
 
-def test_observations_behind_vecnormalize_are_refused_and_rewards_are_not(tmp_path):
-    """Also of a model that was given a plain environment after its training."""
-    network = learner(VecNormalize(vehicles())).learn(64)
-    network.save(tmp_path / "theirs.zip")
-    for one in (network, PPO.load(tmp_path / "theirs.zip", env=vehicles())):
-        with pytest.raises(UserError, match=r"statistics of VecNormalize; .*scaled_observation\(task\)"):
-            save_policy(one, tmp_path / "mine.zip")
-    network = learner(VecNormalize(VecMonitor(vehicles()), norm_obs=False)).learn(64)
+@pytest.mark.parametrize("kind", [PPO, SAC])
+@pytest.mark.parametrize(
+    "options", [{}, {"clip_obs": 0.7, "epsilon": 0.1}, {"clip_obs": np.inf}, {"norm_obs": False}]
+)
+def test_a_policy_behind_vecnormalize_takes_its_statistics_along(tmp_path, kind, options):
+    env = VecNormalize(VecMonitor(vehicles()), **options)
+    network = learner(env, kind).learn(64)
     save_policy(network, tmp_path / "mine")
-    assert_same_actions(network, tmp_path / "mine.zip")
+    raw = np.random.default_rng(0).normal(size=(50, 5)).astype(np.float32)
+    expected = network.predict(env.normalize_obs(raw), deterministic=True)[0]
+    # float32 sums of 256 terms at most
+    np.testing.assert_allclose(load_policy(tmp_path / "mine.zip").predict(raw), expected, atol=1e-5)
     assert load_policy(tmp_path / "mine.zip").metadata["steps"] == 64
+
+
+def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
+    """The policy file of a model that was given another environment; the remedy works."""
+    env = VecNormalize(vehicles())
+    network = learner(env).learn(64)
+    network.save(tmp_path / "plain.zip")
+    env.save(tmp_path / "statistics.pkl")
+    with pytest.raises(UserError, match=r"with VecNormalize.*VecNormalize\.load"):
+        save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
+    with pytest.raises(UserError, match=r"has no statistics; use VecNormalize\.load"):
+        save_policy(PPO.load(tmp_path / "plain.zip", env=VecNormalize(vehicles())), tmp_path / "bare.zip")
+    again = VecNormalize.load(tmp_path / "statistics.pkl", vehicles())
+    save_policy(PPO.load(tmp_path / "plain.zip", env=again), tmp_path / "mine.zip")
+    np.testing.assert_array_equal(load_policy(tmp_path / "mine.zip").centre, env.obs_rms.mean)
+
+
+@pytest.mark.parametrize("kind", [SAC, TD3])
+def test_a_model_with_a_replay_buffer_tells_by_it_that_there_was_no_vecnormalize(tmp_path, kind):
+    """Also with another environment, and after loading with the buffer; the actions are the model's."""
+    network = learner(vehicles(), kind, learning_starts=4).learn(16)
+    network.set_env(vehicles())
+    save_policy(network, tmp_path / "mine.zip")
+    assert_same_actions(network, tmp_path / "mine.zip")
+    network.save_replay_buffer(tmp_path / "buffer.pkl")
+    again = kind.load(tmp_path / "mine.zip", env=vehicles(), device="cpu")
+    with pytest.raises(UserError, match=f"this {kind.__name__} was trained with VecNormalize.*replay buffer"):
+        save_policy(again, tmp_path / "again.zip")
+    again.load_replay_buffer(tmp_path / "buffer.pkl")
+    save_policy(again, tmp_path / "again.zip")
+    hidden = learner(VecNormalize(vehicles()), kind, learning_starts=4).learn(16)
+    hidden.set_env(vehicles())
+    with pytest.raises(UserError, match="was trained with VecNormalize"):
+        save_policy(hidden, tmp_path / "hidden.zip")
 
 
 @pytest.mark.parametrize("kind", [DummyVecEnv, pytest.param(SubprocVecEnv, marks=pytest.mark.slow)])
@@ -258,6 +294,7 @@ def test_wrappers_that_leave_observations_and_actions_alone_are_no_hindrance(tmp
     "make, said",
     [
         (lambda: VecFrameStack(vehicles(), 2), "wrapper VecFrameStack, .*option history"),
+        (lambda: VecNormalize(VecNormalize(vehicles())), "wrapper VecNormalize"),
         (lambda: Mirrored(single()), r"wrapper Mirrored, .*model\.set_env"),
         (lambda: Monitor(Own(plant="analytic")), "wrapper in <Monitor<Own"),
         (lambda: gym.wrappers.RescaleAction(single(), -2, 2), "RescaleAction"),
@@ -279,6 +316,7 @@ def test_arguments_that_are_not_a_model_or_a_path_are_refused(tmp_path):
         (PPO.load(tmp_path / "p.zip", device="cpu"), tmp_path / "mine.zip", "has no environment"),
         (network, None, "takes the path of a file, not None"),
         (network, tmp_path / "p.zip" / "mine.zip", "is not a folder"),
+        (learner(VecNormalize(vehicles()), policy_kwargs=SCALED), tmp_path / "mine.zip", "norm_obs=False"),
     ):
         with pytest.raises(UserError, match=said):
             save_policy(one, path)
