@@ -115,18 +115,26 @@ class Reading:
     Args:
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
     """
 
     mapping: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     unit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=UNIT")] = ()
+    where: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="COLUMN=VALUE")] = ()
 
     def options(self) -> dict[str, Any]:
         """Return the arguments for `read_log`. Raises UserError for invalid options."""
-        pairs = [text.partition("=") for text in self.unit]
-        for text, (left, _, right) in zip(self.unit, pairs):
-            if not (left and right):
-                raise UserError(f"--unit {shown(text)!r}: expected COLUMN=UNIT, as in roll=deg")
-        return {"mapping": self.mapping, "units": {column: unit for column, _, unit in pairs}}
+        units = _pairs(self.unit, "--unit", "COLUMN=UNIT, as in roll=deg")
+        where = _pairs(self.where, "--where", "COLUMN=VALUE, as in name=cf1")
+        return {"mapping": self.mapping, "units": units, "where": where}
+
+
+def _pairs(options: tuple[str, ...], option: str, expected: str) -> dict[str, str]:
+    pairs = [text.partition("=") for text in options]
+    for text, (left, _, right) in zip(options, pairs):
+        if not (left and right):
+            raise UserError(f"{option} {shown(text)!r}: expected {expected}")
+    return {left: right for left, _, right in pairs}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -137,6 +145,7 @@ class LogSource(Reading):
         files: CSV (.csv, .csv.gz), Crazyflie micro-SD binary or ROS bag; several files of one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
     """
 
     files: LogFiles
@@ -155,6 +164,7 @@ class FlightSource(LogSource):
             one flight as A+B.
         mapping: shipped mapping or mapping file (TOML), if the column names do not identify the format.
         unit: unit of a column that states none, for example roll=deg; repeatable.
+        where: which rows to read, in a file with several vehicles, for example name=cf1; repeatable.
         heldout: flights used for evaluation only (default: each flight is evaluated with a fit to the
             others).
         vehicle: vehicle file (TOML) of the model (default: the shipped Crazyflie 2.1).

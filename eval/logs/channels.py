@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from inclined_landing.eval.logs import clock, limits, units
-from inclined_landing.eval.logs.mapping import AttitudePid, ColumnMap, Mixer, Source, find
+from inclined_landing.eval.logs import clock, limits, units, vehicles
+from inclined_landing.eval.logs.mapping import AttitudePid, ColumnMap, Mixer, Source, find, patterns
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.base.errors import UserError, shown
 
@@ -72,7 +72,7 @@ def channels_of(
 def _on_its_clock(
     column_map: ColumnMap, record: Record, stated: Mapping[str, str], notes: list[str]
 ) -> Record:
-    """Return a table in which all columns have the times of its time column."""
+    """Return a table sorted by time, in which all columns have the times of its time column."""
     where = record.path
     wanted = {source.columns[0]: source.unit for source in column_map.sources("t")}
     record = clock.with_clock(_as_named(column_map, record), wanted, stated.get("t"))
@@ -80,12 +80,26 @@ def _on_its_clock(
     if time is None:
         called = ", ".join(wanted) or "t"
         raise UserError(f'{where}: no time column ({called}); a mapping file can name it with t = "NAME"')
-    t = time.value
+    names = list(record.columns)
+    asked = {name for column in patterns(column_map) if (name := find(names, column, where)) is not None}
+    dated = int(np.flatnonzero(~np.isnan(time.value))[-1]) + 1
+    if dated > 1 and 0 < len(time.value) - dated <= limits.MOST_AT_THE_END:
+        note = f"the last {len(time.value) - dated} rows have no time and were cut"
+        record = dataclasses.replace(record.rows(np.arange(dated)), notes=(*record.notes, note))
+        time = dataclasses.replace(time, value=time.value[:dated])
+    axes = [c for key in ("x", "y", "z") for s in column_map.sources(key) for c in s.columns]
+    vehicles.check_one(record, time.value, [n for c in axes if (n := find(names, c, where)) is not None])
+    t, rows = time.value, clock.order(time.value, [record.columns[name] for name in asked - {time.column}])
+    if rows is not None:
+        late = int((t < np.maximum.accumulate(t)).sum())
+        note = f"{late} rows are out of order; sorted by time"
+        columns = {name: values[rows] for name, values in record.columns.items()}
+        record, t = dataclasses.replace(record, columns=columns, notes=(*record.notes, note)), t[rows]
     clock.check(where, t, f"column {time.column}")
     if t[0] == t[-1]:
         count = f"{len(t)} row{'s' if len(t) > 1 else ''}"
         raise UserError(f"{where}: {count}, all at {t[0]:g} s ({time.column}): not a flight")
-    return dataclasses.replace(record, times=dict.fromkeys(record.columns, t), is_table=True)
+    return dataclasses.replace(record, times=dict.fromkeys(names, t), is_table=True)
 
 
 def _as_named(column_map: ColumnMap, record: Record) -> Record:
@@ -130,6 +144,9 @@ def _channel(
             continue  # a column of empty cells was not logged
         time = record.times.get(found[0], np.array(0.0))  # none yet of the clock itself
         if record.times and not record.is_table:
+            if (rows := clock.order(time, [value])) is not None:
+                time, value = time[rows], value[rows]
+                notes.append(f"values of {found[0]} are out of order; sorted by time")
             clock.check(record.path, time, f"the time of {found[0]}", is_table=False)
         if source.late:
             notes.append(f"{canonical} is dated {1e3 * source.late:.0f} ms earlier than in the file")
@@ -163,13 +180,13 @@ def _channel(
 def _combined(
     canonical: str, source: Source, found: list[str], record: Record, notes: list[str]
 ) -> np.ndarray:
-    """Return the column of a source (m,), or the mean or mean square of several, with a note."""
+    """Return the column of a source (m,), or the sum, mean or mean square of several, with a note."""
     if source.column is not None:
         return record.columns[found[0]]
     value = np.sum([record.columns[name] ** (2 if source.mean_square else 1) for name in found], axis=0)
-    kind = "mean" if source.mean else "mean square"
+    kind = "sum" if source.sum else "mean" if source.mean else "mean square"
     notes.append(f"{canonical} is derived: the {kind} of {', '.join(found)}")
-    return value / len(found)
+    return value if source.sum else value / len(found)
 
 
 def _attitude(pid: AttitudePid, record: Record, notes: list[str]) -> dict[str, Channel]:

@@ -29,6 +29,7 @@ class Source(Table, frozen=True):
 
     column: str | None = None  # or, of several:
     mean: tuple[str, ...] | None = None
+    sum: tuple[str, ...] | None = None
     mean_square: tuple[str, ...] | None = None  # of measured rotor speeds
     measured: bool = False  # of a thrust command: that of measured rotor speeds
     full: Annotated[float, Meta(gt=0.0, le=limits.LARGEST_VALUE)] | None = None  # in the file's own unit
@@ -40,7 +41,7 @@ class Source(Table, frozen=True):
     @property
     def columns(self) -> tuple[str, ...]:
         """Return the names of the columns from which the value is computed."""
-        return self.mean or self.mean_square or (self.column or "",)
+        return self.mean or self.sum or self.mean_square or (self.column or "",)
 
 
 class AttitudePid(Table, frozen=True):
@@ -69,6 +70,8 @@ class ColumnMap(Table, frozen=True):
     detect: tuple[str, ...] = ()
     inherit: str = ""  # a shipped mapping whose columns are taken too
     euler: Literal["ZXY", "ZYX"] = "ZXY"
+    header: tuple[Annotated[int, Meta(ge=1, le=1000)], ...] = ()  # lines of a table that name its columns
+    where: dict[str, str | float] = field(default_factory=dict)  # the rows to take: value by column
     notes: tuple[str, ...] = ()
     attitude_pid: AttitudePid | None = None  # where roll and pitch were not logged
     mixer: Mixer | None = None  # where the requests of the motors were not logged
@@ -158,6 +161,17 @@ def patterns(column_map: ColumnMap | None) -> list[str]:
     return [column for source in sources for column in source.columns]
 
 
+def is_named(names: Sequence[str], column_map: ColumnMap) -> bool:
+    """Return whether a mapping uses any of the given column names."""
+    return any(_any(names, pattern) for pattern in patterns(column_map))
+
+
+def means_time(name: str, column_map: ColumnMap | None) -> bool:
+    """Return whether a column's name means time, or is the time column of a mapping."""
+    wanted = () if column_map is None else [c for source in column_map.sources("t") for c in source.columns]
+    return name in wanted or clocks.named([name]) is not None
+
+
 def _parse(where: str, data: dict) -> ColumnMap:
     read = schema.parse(data, ColumnMap, f"{where}: ")
     if read.inherit and read.inherit not in shipped():
@@ -169,6 +183,8 @@ def _parse(where: str, data: dict) -> ColumnMap:
             raise UserError(f"{where}: [columns] {canonical} names no column")
         for source in read.sources(canonical):
             _check_source(source, canonical, f"{where}: [columns] {canonical}")
+    if list(read.header) != sorted({*read.header}):
+        raise UserError(f"{where}: header must list line numbers in their order, each once")
     columns = (shipped()[read.inherit].columns if read.inherit else {}) | read.columns
     if not columns and read.refuse is None:
         raise UserError(f"{where}: no [columns]")
@@ -176,10 +192,10 @@ def _parse(where: str, data: dict) -> ColumnMap:
 
 
 def _check_source(source: Source, canonical: str, where: str) -> None:
-    if [source.column, source.mean, source.mean_square].count(None) != 2:
-        raise UserError(f"{where} needs exactly one of column, mean, mean_square")
+    if [source.column, source.mean, source.sum, source.mean_square].count(None) != 3:
+        raise UserError(f"{where} needs exactly one of column, mean, sum, mean_square")
     if not all(source.columns):
-        raise UserError(f"{where}: column, mean and mean_square must name columns")
+        raise UserError(f"{where}: column, mean, sum and mean_square must name columns")
     if source.full is not None and (units.COLUMNS[canonical] != "pwm" or source.unit is not None):
         raise UserError(f"{where}: full is only for a thrust command or a request, instead of a unit")
     if source.mean_square is not None and source.full is None:

@@ -27,6 +27,11 @@ LEAST_EXCITATION = 0.015  # rad rms of tilt, or twice what 1 mm of noise looks l
 LEAST_CORRELATION = 0.6  # correlation from which two columns are said to show the same motion
 SURE_CORRELATION = 0.8  # from which their scales are compared
 MOST_RATIO = 20.0  # of an acceleration to what the attitude gives, beyond which a unit is wrong
+# Of one axis to another: 0.9 to 1.1 in public and simulated flights. Feet are 3.3, degrees 57.
+AXES_RATIO = 2.0
+# Of the relative change of the specific force to that of the command: 0.5 to 1.1 in these flights, 2 where
+# thrust goes with the command's square.
+MOST_GAIN = 2.5
 # Circling against drag turns the tilt against the acceleration too, by up to 13 deg in NanoBench flights.
 SUSPICIOUS_TURN = np.radians(20.0)
 WRONG_TURN = np.radians(60.0)
@@ -176,6 +181,7 @@ def check(log: FlightLog) -> Iterator[Finding]:
         _check_clock(log, parts),
         _check_swapped_height(parts),
         _check_quaternion(parts) if log.from_quaternion else (),
+        _check_axes(parts),
     ):
         found = list(wrong)
         yield from found
@@ -209,6 +215,36 @@ def _check_clock(log: FlightLog, parts: list[Motion]) -> Iterator[Finding]:
         if not 1 / 4 < step * log.rate < 4:
             text = f"roll and pitch belong to the horizontal acceleration if rows are {step:.2g} s apart"
             yield refuse("t", f"{text}, not {1 / log.rate:.2g} s: state the unit of time")
+
+
+def _check_axes(parts: list[Motion]) -> Iterator[Finding]:
+    """Yield findings if one axis has another scale than the others."""
+    yaw = [np.nan_to_num(p.attitude[:, 2]) for p in parts]
+    frames = (
+        (("x", "y"), [p.tilt * np.exp(1j * turn) for p, turn in zip(parts, yaw)], [p.lean for p in parts]),
+        (("pitch", "roll"), [p.tilt for p in parts], [p.thrust_tilt for p in parts]),
+    )
+    for names, tilts, leans in frames:
+        tilt, lean = np.concatenate(tilts), np.concatenate(leans)
+        ratios = []
+        for part in (np.real, np.imag):
+            a, b = part(tilt), part(lean)
+            if _correlation(a, b) > SURE_CORRELATION and b.std() > LEAST_EXCITATION:
+                ratios.append(b.std() / a.std())
+        if len(ratios) == 2 and not 1 / AXES_RATIO < ratios[0] / ratios[1] < AXES_RATIO:
+            texts = [f"{ratio:.2g} times along {name}" for name, ratio in zip(names, ratios)]
+            text = f"the horizontal acceleration is {' and '.join(texts)} what the attitude implies"
+            yield refuse(
+                ", ".join(names), f"{text}: one of x, y, pitch, roll is in another unit (feet, degrees?)"
+            )
+            return
+    pwm, force = (np.concatenate([getattr(p, key) for p in parts]) for key in ("pwm", "force"))
+    correlation = _best_lag([p.pwm for p in parts], [p.force for p in parts])[1]
+    gain = (force.std() / GRAVITY) / max(pwm.std() / pwm.mean(), 1e-12)
+    if correlation > SURE_CORRELATION and gain > MOST_GAIN:
+        yield limit(
+            "z", f"z accelerates {gain:.1f} times as much as the thrust command implies: is it in feet?"
+        )
 
 
 def _check_swapped_height(parts: list[Motion]) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas
 
-from inclined_landing.eval.logs import assemble, checks, copies, csv_file, limits, sd_card
+from inclined_landing.eval.logs import assemble, checks, copies, csv_file, formats, limits, sd_card, vehicles
 from inclined_landing.eval.logs import mapping as mappings
 from inclined_landing.eval.logs.channels import Channel, channels_of
 from inclined_landing.eval.logs.log import COMMANDS, MEASURED, FlightLog, as_logs
@@ -29,6 +29,7 @@ def read_log(
     *,
     mapping: str | Path | None = None,
     units: Mapping[str, str] | None = None,
+    where: Mapping[str, str | float] | None = None,
     name: str | None = None,
     check: bool = True,
 ) -> FlightLog:
@@ -39,6 +40,7 @@ def read_log(
             with the names joined by `+`, as for the client's one file per log block.
         mapping: name of a shipped mapping or path of a mapping file; detected from the columns if None.
         units: unit per canonical column if neither file nor mapping states it, {"roll": "deg"}.
+        where: the rows to read from a table of several vehicles, {"name": "cf1"}.
         check: refuse flights that `check_log` refuses, and add its limits to the notes.
 
     Raises:
@@ -46,13 +48,16 @@ def read_log(
     """
     paths = _paths(path)
     stated = _dictionary("units", units, "units by column")
+    chosen = _dictionary("where", where, "values by column")
     files = "+".join(map(str, paths))
     for column, unit in stated.items():
         if column not in COLUMNS:
             raise UserError(f"unit given for the column {shown(column)}; {choices(COLUMNS, column)}")
         factor(column, unit, files)
     column_map = None if mapping is None else mappings.load(mapping)
-    records = [_record(path, column_map) for path in paths]
+    records = vehicles.choose(
+        [_record(path, column_map) for path in paths], (column_map.where if column_map else {}) | chosen
+    )
     if column_map is None:
         names = dict.fromkeys(
             column for record in records for column in (*record.columns, *record.unreadable)
@@ -114,7 +119,8 @@ def _record(path: Path, column_map: ColumnMap | None) -> Record:
         return bag.read(path, mappings.patterns(column_map))
     if sd_card.is_sd_card_log(path):
         return sd_card.read(path)
-    return csv_file.read(path)
+    formats.check(path)
+    return csv_file.read(path, column_map)
 
 
 def _paths(path: Any) -> list[Path]:

@@ -18,6 +18,7 @@ class Record:
     units: unit per column if the file states it.
     unreadable: a sentence per column whose values cannot be read: it is not in `columns`, or NaN there
         if it contains only text.
+    labels: text (m,) of columns of few words, such as the names of vehicles.
     """
 
     path: str
@@ -25,5 +26,11 @@ class Record:
     times: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     unreadable: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    labels: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
     is_table: bool = False  # whether all columns have the same times, which are checked
+
+    def rows(self, selection: np.ndarray) -> Record:
+        """Return a table with the rows (k,) of an index array or a mask (m,)."""
+        columns, labels = ({n: v[selection] for n, v in of.items()} for of in (self.columns, self.labels))
+        return dataclasses.replace(self, columns=columns, labels=labels)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.eval.logs.clock import LATEST_ROW
 from inclined_landing.eval.logs.record import Record
 from inclined_landing.models.base.errors import UserError
 
@@ -24,7 +25,6 @@ MAGIC = 0xBC
 _TIME = {1: ("<u4", 1e-3), 2: ("<u8", 1e-6)}  # version -> type, seconds
 _TYPES = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "e": "<f2"}
 _FIXED_FREQUENCY = "fixedFrequency"
-_LATE = 1.0  # s by which an event may be earlier than the one before it
 _LONGEST_PAUSE = 60.0  # s that a recording in which the checksum is wrong may pause
 
 
@@ -89,7 +89,7 @@ def _of_one_recording(
     kind, seconds = np.dtype(_TIME[version][0]), _TIME[version][1]
     packed = np.frombuffer(data, np.uint8)[offsets[:, None] + 2 + np.arange(kind.itemsize)]
     t = np.ascontiguousarray(packed).view(kind)[:, 0] * seconds
-    jumps = np.flatnonzero((np.diff(t) < -_LATE) | (np.diff(t) > _LONGEST_PAUSE))
+    jumps = np.flatnonzero((np.diff(t) < -LATEST_ROW) | (np.diff(t) > _LONGEST_PAUSE))
     if not len(jumps):
         return rows
     last = jumps[0]

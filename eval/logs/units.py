@@ -32,7 +32,7 @@ COLUMNS = {
 _DEGREE = math.pi / 180
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "angle": {"rad": 1.0, "deg": _DEGREE},
     "angular rate": {"rad/s": 1.0, "deg/s": _DEGREE},
@@ -47,6 +47,7 @@ _SPELLINGS = {
     **dict.fromkeys(("degree", "degrees"), "deg"),
     **dict.fromkeys(("radian", "radians"), "rad"),
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("foot", "feet"), "ft"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),

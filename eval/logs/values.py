@@ -21,6 +21,8 @@ from inclined_landing.eval.logs.units import OF_A_FORCE
 
 SHORTEST = 1.0  # s: below, not even one prediction window with room for delays
 SHORT_FLIGHT = 5.0  # s
+SETTLES = 0.5  # s after which an attitude has settled where it was commanded
+FOLLOWS = 0.1  # rad, the least that an attitude moves on that does not follow its command
 MOST_JUMPS = 0.02  # of the rows
 JUMP = 0.03  # m that a row may lie away from its neighbours besides what LARGEST_ACCELERATION allows
 LARGEST_ACCELERATION = 40.0  # m/s2
@@ -232,6 +234,7 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
             "wrong; " + OF_A_FORCE,
         )
     else:
+        yield from _check_frozen_thrust(log)
         share = (pwm >= 65534.0).mean()
         if share > 0.01:
             yield limit(
@@ -240,8 +243,29 @@ def _check_thrust(log: FlightLog) -> Iterator[Finding]:
             )
 
 
+def _check_frozen_thrust(log: FlightLog) -> Iterator[Finding]:
+    """Yield a finding if a thrust command that otherwise changes stays constant for long in flight."""
+    pwm = log.command[:, 0]
+    start, stop = _constant(pwm)
+    lasts = np.where((pwm[start] > MOTORS_OFF) & (pwm[start] < 65534.0), log.t[stop - 1] - log.t[start], 0.0)
+    long = lasts >= SHORTEST
+    if long.any() and lasts[~long].max(initial=0.0) < SETTLES:
+        first = start[long][0]
+        yield limit(
+            "cmd_thrust_pwm",
+            f"column cmd_thrust_pwm stays at {pwm[first]:.0f} PWM for {lasts[long].max():.2g} s from "
+            f"t = {log.t[first]:.2f} s on, but otherwise changes all the time: was it still logged?",
+        )
+
+
+def _constant(column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first row and the row after the last (n,) of every stretch in which a column is constant."""
+    start = np.flatnonzero(np.r_[True, np.diff(column) != 0.0])
+    return start, np.append(start[1:], len(column))
+
+
 def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
-    for (name, most, unit), column in zip(_ATTITUDE_COMMANDS, log.command[:, 1:].T):
+    for (name, most, unit), column, angle in zip(_ATTITUDE_COMMANDS, log.command[:, 1:].T, log.attitude.T):
         if np.isnan(column).all():
             continue
         if np.ptp(column) < 1e-6 and name != "cmd_yaw_rate":
@@ -251,6 +275,27 @@ def _check_attitude_commands(log: FlightLog) -> Iterator[Finding]:
             top = f"{abs(column[row]):.3g} {unit} at t = {log.t[row]:.2f} s"
             taken = unit.replace("rad", "degrees")
             yield refuse(name, f"column {name} reaches {top}: {taken}? State its unit")
+        elif unit == "rad":
+            yield from _check_frozen_command(log, name, column, angle)
+
+
+def _check_frozen_command(
+    log: FlightLog, name: str, column: np.ndarray, angle: np.ndarray
+) -> Iterator[Finding]:
+    """Yield a finding if an angle (m,) keeps moving long after its command (m,) became constant."""
+    usual = np.ptp(np.percentile(angle, (5, 95)))
+    for a, b in zip(*_constant(column)):
+        rows = slice(int(np.searchsorted(log.t, log.t[a] + SETTLES)), b)
+        if log.t[b - 1] - log.t[a] < SHORTEST + SETTLES or log.command[rows, 0].min() < MOTORS_OFF:
+            continue
+        moved = np.ptp(np.percentile(angle[rows], (5, 95)))
+        if moved > max(FOLLOWS, 0.5 * usual):
+            yield limit(
+                name,
+                f"column {name} stays at {column[a]:.3g} rad for {log.t[b - 1] - log.t[a]:.2g} s from "
+                f"t = {log.t[a]:.2f} s on, while the angle moves by {moved:.2g} rad: was it still logged?",
+            )
+            return
 
 
 def _check_voltage(log: FlightLog) -> Iterator[Finding]:

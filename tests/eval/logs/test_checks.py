@@ -480,6 +480,14 @@ def test_an_axis_that_never_changes_is_judged_by_how_the_vehicle_leans():
     assert "column y never changes: this axis cannot be checked" in found(still, "limit")
 
 
+@pytest.mark.parametrize("column", ["cmd_thrust_pwm", "cmd_roll"])
+def test_a_command_that_is_no_longer_logged_is_named(column):
+    log = flight()
+    k = ["cmd_thrust_pwm", "cmd_roll"].index(column)
+    log.command[700:, k] = log.command[700, k]
+    assert any(f"column {column} stays at" in text for text in found(log, "limit"))
+
+
 @pytest.mark.parametrize("flies", [True, False])
 def test_a_log_that_stops_is_noticed_in_flight(flies):
     log = flight()
@@ -503,6 +511,33 @@ def test_the_command_names_two_vehicles(tmp_path, capsys):
     assert "flights of different vehicles are mixed" in captured.err
     assert '"decision": "refuse"' in captured.out
     assert read_log(files[0]).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"x": 1 / 0.3048}, "3.* times along x and 1.* times along y .* another unit"),
+        ({"y": 1 / 0.3048}, "1.* times along x and 3.* times along y .* another unit"),
+        ({"pitch": 1 / 5}, "5.* times along pitch and .* along roll|times along x"),
+    ],
+)
+@pytest.mark.parametrize("heading", [0.0, 0.2])
+def test_one_axis_in_another_unit_is_refused(columns, words, heading):
+    log = flight(heading=heading)
+    table = log_table(log)
+    changed = change(log, **{name: factor * table[name].to_numpy() for name, factor in columns.items()})
+    changed = dataclasses.replace(changed, velocity=None)
+    assert any(f.decision == "refuse" and re.search(words, f.text) for f in check_log(changed))
+
+
+def test_a_height_in_feet_is_said():
+    """Thrust goes with the 1.25th power of the command in these flights: 1.25/0.3048 = 4.1."""
+    log = flight()
+    changed = change(log, z=log.position[:, 2] / 0.3048)
+    assert any(
+        "z accelerates 4." in finding.text and "feet" in finding.text for finding in check_log(changed)
+    )
+    assert not any("feet" in finding.text for finding in check_log(log))
 
 
 @pytest.mark.parametrize("factor", [50.0, 20.0, 0.1])

@@ -1,10 +1,14 @@
 """Readers of flight logs: what is written comes back, in this package's units and convention."""
 
+import bz2
 import contextlib
 import gzip
+import lzma
 import os
 import re
+import shlex
 import sqlite3
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -216,11 +220,17 @@ REFUSED = [  # file, its content, what is said
     ("a.csv", None, r"a\.csv: no such flight log"),
     ("a.csv.gz", gzip.compress(HEADER.encode() * 99, mtime=0)[:40], "not a readable text table"),
     ("a.csv", bytes(range(128, 256)), "not a readable text table"),
-    ("a.ulg", PX4, "names programs that convert logs"),
-    ("a.pkl", b"\x80\x04\x95" + bytes(99), "not a readable text table"),
-    ("a.csv", "t,x\n0,Höhe\n".encode("latin-1"), "save it as CSV in UTF-8"),
-    ("a.csv", "<!DOCTYPE html>", "match no known log format|a header and no rows"),
-    ("log07", bytes(4096), "it contains zero bytes"),
+    ("a.ulg", PX4, "`ulog2csv a.ulg`"),
+    ("a.csv", PX4, "a log of PX4"),
+    ("a.BIN", b"\xa3\x95\x80\x80" + bytes(99), "mavlogdump.py"),
+    ("a.bbl", b"H Product:Blackbox flight data recorder\n", "blackbox_decode"),
+    ("a.xlsx", b"PK\x03\x04" + bytes(99), "a spreadsheet: save it as CSV"),
+    ("a.parquet", b"PAR1" + bytes(99), r"read_parquet\(.*a.parquet'\).to_csv"),
+    ("a.npz", b"PK\x03\x04" + bytes(99), r"numpy.load\(.*a.npz'\)"),
+    ("a.pkl", b"\x80\x04\x95" + bytes(99), "a pickle, which is not opened"),
+    ("a.csv", "<!DOCTYPE html>", "a web page"),
+    ("a.csv", "version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+    ("log07", bytes(4096), "only zero bytes"),
     ("no.bag", b"#ROSBAG V9.9\n", "not a readable bag"),
 ]  # fmt: skip
 
@@ -241,13 +251,33 @@ def written(folder: Path, log: FlightLog) -> str:
     return (folder / "good.csv").read_text()
 
 
+def semicolons(text: str) -> str:
+    return text.replace(",", ";").replace(".", ",")
+
+
+def thousands(text: str) -> str:
+    """Thrust as 37,721.880; the numbers have three places behind the point, in quotes."""
+    return re.sub(r"\b(\d\d)(\d{3}\.\d+)", r'"\1,\2"', text)
+
+
 HABITS = {
-    "semicolons": lambda text: text.replace(",", ";"),
-    "tabs": lambda text: text.replace(",", "\t"),
-    "line ends of Windows": lambda text: text.replace("\n", "\r\n"),
+    "decimal comma": semicolons,
+    "decimal comma and tabs": lambda text: text.replace(",", "\t").replace(".", ","),
+    "decimal comma in quotes": lambda text: re.sub(r"(-?\d+)\.([\d]+)", r'"\1,\2"', text),
+    "decimal comma under units": lambda text: semicolons(
+        text.replace("\n", "\ns,m,m,m,rad,rad,rad,PWM,rad,rad,rad/s\n", 1)
+    ),
+    "thousands separators": thousands,
+    "first line of a spreadsheet": lambda text: "sep=;\r\n" + text.replace(",", ";").replace("\n", "\r\n"),
     "comments above": lambda text: "# a, b\n#\n\n" + text,
+    "comments among the rows": lambda text: text.replace("\n", "\n# mark, 1\n", 3),
+    "a title": lambda text: "Flight of 3 March\nvehicle,seven\n\n" + text,
     "header of numpy.savetxt": lambda text: "# " + text,
     "blanks": lambda text: "# " + text.replace(",", " "),
+    "bars": lambda text: text.replace(",", "|"),
+    "a header twice": lambda text: text + text.partition("\n")[0] + "\n",
+    "Latin-1": lambda text: re.sub("\n", ",é\n", text).replace("é", "Höhe", 1).encode("latin-1"),
+    "zeros at the end": lambda text: text.encode() + bytes(5000),
     "a note in one row": lambda text: re.sub(r"(?m)^0\.2,.*", r"\g<0>,mark", text).replace(
         "\n", ",note\n", 1
     ),
@@ -257,6 +287,8 @@ HABITS = {
     ),
     "units with a gap": lambda text: text.replace("\n", "\ns,m,m,m,rad,rad,rad,,rad,rad,\n", 1),
     "packed with another name": lambda text: gzip.compress(text.encode(), mtime=0),
+    "xz": lambda text: lzma.compress(text.encode()),
+    "bzip2": lambda text: bz2.compress(text.encode()),
 }
 
 
@@ -272,9 +304,23 @@ def test_tables_as_programs_and_people_write_them(tmp_path, habit):
         assert np.allclose(getattr(back, key), getattr(log, key), rtol=1e-12, atol=1e-12), key
 
 
-@pytest.mark.parametrize(("mark", "missing"), [("-", True), ("nan(ind)", True), ("o", False)])
+def test_a_zip_file_of_one_table_is_read_and_of_several_is_not(tmp_path):
+    text = written(tmp_path, a_log())
+    for count in (1, 2):
+        with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+            for k in range(count):
+                archive.writestr(f"{k}.csv", text)
+        if count == 1:
+            assert len(read(tmp_path / "a.zip")) == 40
+    with pytest.raises(UserError, match="contains 2 files; unpack it"):
+        read(tmp_path / "a.zip")
+
+
+@pytest.mark.parametrize(
+    ("mark", "missing"), [("-", True), ("---", True), ("nan(ind)", True), ("\\N", True), ("o", False)]
+)
 def test_marks_of_missing_values_are_gaps_and_other_text_is_refused(tmp_path, mark, missing):
-    text = re.sub(r"(?m)^0\.2,[^,]*", f"0.2,{mark}", written(tmp_path, a_log()))
+    text = re.sub(r"(?m)^0\.2,[^,]*", f"0.2,{mark.replace(chr(92), chr(92) * 2)}", written(tmp_path, a_log()))
     (tmp_path / "a.csv").write_text(text)
     if missing:
         assert len(read(tmp_path / "a.csv")) == 39
@@ -289,6 +335,29 @@ def test_what_cannot_be_read_and_is_not_needed_is_left_out(tmp_path):
     back = read(tmp_path / "a.csv")
     assert back.voltage is None
     assert "vbat is left out: line 22, column vbat: 'flat' is not a number" in back.notes
+
+
+ENDS = {  # what follows the rows, and how many of the lines are no comments
+    "a word": ("END\n", 1),
+    "a sentence": ("landed, battery low\n", 1),
+    "a line that is cut": ("0.4,1.0,2.0,-", 0),
+    "sums without a name": (",0.1,0.2,0.3\n", 0),
+    "sums": ("mean,0.1,0.2,0.3\nmax,1,1,1\n\n", 2),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_words_and_sums_below_a_log_are_cut(tmp_path, end):
+    log = a_log()
+    text, count = ENDS[end]
+    (tmp_path / "a.csv").write_text(written(tmp_path, log) + text)
+    back = read(tmp_path / "a.csv")
+    assert np.array_equal(back.t, log.t)
+    assert count == 0 or any(f"the last {count} rows hold words" in note for note in back.notes)
+    # More of them are no end, and a column of words is a column of words.
+    (tmp_path / "a.csv").write_text(written(tmp_path, log) + "END\n" * 11)
+    with pytest.raises(UserError, match="line 42, column t: 'END' is not a number"):
+        read(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("word", ["True", "false"])
@@ -313,35 +382,68 @@ CLOCKS = {  # name of the column, and its cells
     "t_ms": lambda t: np.round(1e3 * t),
     "us": lambda t: np.round(1e6 * t),
     "t": lambda t: np.round(1e3 * t),
+    "tick of 32 bits": lambda t: np.round(1e6 * t - 2e5) % 2**32,
+    "time of day": lambda t: [f"{h:02}:{m:02}:{s:09.6f}" for h, m, s in map(_of_day, t + 86399.8)],
+    "date": lambda t: [f"2024-02-29T10:20:{s:09.6f}Z" for s in t],
+    "stamp": lambda t: [f"{int(s + 99.8)}.{round(1e9 * ((s + 99.8) % 1))}" for s in t],
+    "header.stamp.secs,header.stamp.nsecs": lambda t: [
+        f"{int(s + 99.8)},{round(1e9 * ((s + 99.8) % 1))}" for s in t
+    ],
 }
+
+
+def _of_day(s: float) -> tuple[int, int, float]:
+    s = round(s % 86400, 6)
+    return int(s // 3600), int(s % 3600 // 60), s % 60
 
 
 @pytest.mark.parametrize("kind", CLOCKS)
 def test_time_by_other_names_and_in_other_units(tmp_path, kind):
     log = a_log()
     rows = written(tmp_path, log).splitlines()
-    lines = [kind + rows[0][1:]]
+    name = {"tick of 32 bits": "tick", "time of day": "time", "date": "t"}.get(kind, kind)
+    lines = [name + rows[0][1:]]
     lines += [f"{cell},{row.partition(',')[2]}" for cell, row in zip(CLOCKS[kind](log.t), rows[1:])]
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
     back = read(tmp_path / "a.csv")
     # Nanoseconds since 1970 have 61 bits; a number has 53.
     assert np.allclose(back.t, log.t, atol=1e-6) and np.allclose(back.position, log.position)
-    assert any(word in " ".join(back.notes) for word in ("time is the column", "t = t_ms"))
+    assert kind == "date" or any(word in " ".join(back.notes) for word in ("time is the column", "t = t_ms"))
 
 
-def test_rows_in_another_order_and_two_flights_are_refused(tmp_path):
+def test_rows_in_order_of_arrival_are_sorted_and_two_flights_are_not(tmp_path):
     log = a_log(400)
     head, *rows = written(tmp_path, log).splitlines()
-    for order, words in (
-        ([*range(60), *range(400)], "cut the file where the next flight begins"),  # another recording
-        (
-            np.random.default_rng(0).permutation(400),
-            r"and in \d+ more: correct that row, sort the rows by it",
-        ),
-    ):
+
+    def order(order) -> FlightLog:
         (tmp_path / "a.csv").write_text("\n".join([head, *(rows[k] for k in order)]) + "\n")
-        with pytest.raises(UserError, match=words):
-            read(tmp_path / "a.csv")
+        return read(tmp_path / "a.csv")
+
+    random = np.random.default_rng(0)
+    for late in (0.02, 0.3):  # s that a row comes late at most
+        back = order(np.argsort(log.t + random.uniform(0.0, late, 400)))
+        assert np.array_equal(back.t, log.t) and np.allclose(back.position, log.position)
+        assert any("sorted by time" in note for note in back.notes)
+    with pytest.raises(UserError, match="cut the file where the next flight begins"):
+        order([*range(60), *range(400)])  # 0.6 s, then another recording
+    with pytest.raises(UserError, match=r"and in \d+ more: correct that row, sort the rows by it"):
+        order(random.permutation(400))
+
+
+def test_log_blocks_that_share_a_table_are_each_in_order(tmp_path):
+    log = a_log()
+    pose, sent = HEADER.split(",")[1:7], HEADER.split(",")[7:]
+    rows = [
+        f"{t!r},{','.join(map(repr, map(float, [*p, *a])))},,,,"
+        for t, p, a in zip(log.t.tolist(), log.position, log.attitude)
+    ]
+    rows += [
+        f"{t!r},,,,,,,{','.join(map(repr, map(float, c)))}"
+        for t, c in zip((log.t - 0.003).tolist(), log.command)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(["t", *pose, *sent]), *rows]) + "\n")
+    back = read(tmp_path / "a.csv")
+    assert np.allclose(back.position, log.position) and np.array_equal(back.command, log.command)
 
 
 @pytest.mark.parametrize("folder", ["plain", "2024+wind", "a+b+c"])
@@ -366,6 +468,42 @@ def two_vehicles(shift: float) -> pandas.DataFrame:
     one = log_table(log)
     other = one.assign(x=one["x"] + 1.0, t=one["t"] + shift)
     return pandas.concat([one.assign(id=7, body="cf 7"), other.assign(id=9, body="cf 9")])
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.001])
+@pytest.mark.parametrize("column", ["id", "body"])
+def test_one_of_several_vehicles_in_a_table_must_be_chosen(tmp_path, shift, column):
+    table = two_vehicles(shift)[["t", "x", "y", "z", "roll", "pitch", "cmd_thrust_pwm", column]]
+    chosen = {"id": 7, "body": "cf 7"}[column]
+    for order in (["t"], [column]):  # row by row, and one after the other
+        table.sort_values(order, kind="stable").to_csv(tmp_path / "a.csv", index=False)
+        option = shlex.quote(f"{column}={chosen}")
+        with pytest.raises(
+            UserError, match=f"column {column} has 2 values .*; choose one with --where {option}"
+        ):
+            read(tmp_path / "a.csv")
+        assert main(["logs", str(tmp_path / "a.csv"), "--where", f"{column}={chosen}"]) == 0
+        (tmp_path / "m.toml").write_text(f"inherit = 'documented'\nwhere = {{ {column} = {chosen!r} }}\n")
+        by_file, by_option = (
+            read(tmp_path / "a.csv", mapping=tmp_path / "m.toml"),
+            read(tmp_path / "a.csv", where={column: str(chosen)}),
+        )
+        assert np.array_equal(by_file.position, by_option.position)
+        np.testing.assert_allclose(by_file.position[:, 0], np.sin(by_file.t), atol=1e-12)
+    with pytest.raises(UserError, match=f"column {column} is never 8; choose from {chosen}"):
+        read(tmp_path / "a.csv", where={column: "8"})
+    with pytest.raises(UserError, match="no column vehicle to choose rows by; choose from"):
+        read(tmp_path / "a.csv", where={"vehicle": "8"})
+
+
+def test_modes_and_counters_of_one_vehicle_choose_nothing(tmp_path):
+    t = np.arange(400) / 100
+    table = log_table(a_log(400, position=np.stack([np.sin(t), np.cos(t), 1.0 + 0.1 * t], axis=1)))
+    mode = np.where(np.sin(20.0 * t) > 0.0, "hover", "manual")
+    table.assign(mode=mode, tick=np.arange(400) % 4, id=np.arange(400) // 10).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    assert len(read(tmp_path / "a.csv")) == 400
 
 
 @pytest.mark.parametrize(("change", "words"), [
@@ -462,12 +600,56 @@ def test_a_mapping_names_scales_turns_shifts_and_derives(tmp_path):
     assert any("dated 20 ms earlier" in note for note in log.notes)
 
 
+MOTIVE = (("Type", "Rigid Body"), ("Name", "cf1"), ("ID", "A1"))  # lines 3 to 5 of a take
+
+
+def test_names_in_other_lines_than_the_first(tmp_path):
+    """Tables of motion capture, y up, beside a file of commands, and of pandas with two rows of names."""
+    log = a_log()
+    roll, pitch, yaw = log.attitude.T
+    x, y, z = log.position.T
+    upper = ["Format Version,1.23,Take Name,a", "", *(f",{k}" + f",{v}" * 6 for k, v in MOTIVE)]
+    upper += [",,Rotation,Rotation,Rotation,Position,Position,Position", "Frame,Time (Seconds),X,Y,Z,X,Y,Z"]
+    rows = zip(range(40), log.t, roll, yaw, -pitch, x, z, -y)
+    take = "\n".join([*upper, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n"
+    (tmp_path / "take.csv").write_text(take)
+    table(tmp_path / "sent.csv", ",".join(["t", *HEADER.split(",")[7:]]), log.t, *log.command.T)
+    with pytest.raises(UserError, match=r"names are in lines 6, 7, .*: header = \[6, 7\]"):
+        read(tmp_path / "take.csv")
+    for lines, prefix, time in (([6, 7], "", ""), ([4, 6, 7], "cf1.", "t = 'Name.Time (Seconds)'\n")):
+        turned = {"roll": ("X", 1), "yaw": ("Y", 1), "pitch": ("Z", -1)}
+        named = {key: (f"{prefix}Rotation.{axis}", sign) for key, (axis, sign) in turned.items()}
+        named |= {
+            k: (f"{prefix}Position.{v}", s) for k, v, s in (("x", "X", 1), ("y", "Z", -1), ("z", "Y", 1))
+        }
+        columns = "".join(f"{k} = {{ column = '{v}', sign = {s} }}\n" for k, (v, s) in named.items())
+        (tmp_path / "m.toml").write_text(
+            f"inherit = 'documented'\nheader = {lines}\n[columns]\n{time}{columns}"
+        )
+        back = read(f"{tmp_path}/take.csv+{tmp_path}/sent.csv", mapping=tmp_path / "m.toml")
+        for key in ("t", "position", "attitude", "command"):
+            np.testing.assert_allclose(getattr(back, key), getattr(log, key), rtol=1e-12, atol=1e-12)
+    (tmp_path / "m.toml").write_text("inherit = 'documented'\nheader = [6, 7]\n")
+    with pytest.raises(UserError, match=r"header = \[6, 7\] names no column of the mapping, but Frame, Time"):
+        read(tmp_path / "take.csv", mapping=tmp_path / "m.toml")
+
+    head, _, rest = written(tmp_path, log).partition("\n")
+    groups = ",".join("command" if name.startswith("cmd") else "state" for name in head.split(","))
+    (tmp_path / "two.csv").write_text("\n".join([groups, head, rest]))
+    with pytest.raises(UserError, match=r"column state appears twice; .*: header = \[2\]"):
+        read(tmp_path / "two.csv")
+    (tmp_path / "m.toml").write_text("inherit = 'documented'\nheader = [2]\n")
+    assert np.array_equal(read(tmp_path / "two.csv", mapping=tmp_path / "m.toml").position, log.position)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("header = [2, 1]\n[columns]\nz = 'z'", "header must list line numbers in their order"),
+        ("header = [0]\n[columns]\nz = 'z'", "header"),
         ("x = 1", "unknown entry 'x' in the file"),
         ("[columns]\nheight = 'z'", r"\[columns\] height is not one of t, x"),
-        ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, mean_square"),
+        ("[columns]\nz = { unit = 'm' }", r"\[columns\] z needs exactly one of column, mean, sum"),
         ("[columns]\nz = { column = 'z', unit = 's' }", "unit 's' of column z is unknown"),
         ("[columns]\nz = { column = 'z', sign = 2 }", "sign must be 1 or -1"),
         ("euler = 'XYZ'\n[columns]\nz = 'z'", "euler must be 'ZXY' or 'ZYX', not 'XYZ'"),
