@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.envs import policy_file
+from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import as_floats
 from inclined_landing.envs.history import input_names
 from inclined_landing.envs.ids import SHIPPED, SHIPPED_FOLDER
@@ -32,7 +32,7 @@ class Policy:
     """The deterministic actor of a policy file; `load_policy` makes one."""
 
     task: Task
-    metadata: dict  # task, task options and origin, as in the file
+    metadata: dict  # empty for a file of Stable-Baselines3 alone
     path: Path
     centre: np.ndarray  # (o,) subtracted from the observation
     scale: np.ndarray  # (o,) that the difference is divided by
@@ -151,7 +151,8 @@ def load_policy(
     Args:
         path: policy file, run folder, or name of a shipped policy.
         task: the task of the policy, by name or as an object, such as that of an environment (which then is
-            the policy's task). By name, and by default, the task is built from the metadata.
+            the policy's task); needed if the file has none. By name, and by default, the task is built from
+            the metadata.
         vehicle: vehicle of the task that is built, if it differs from the training's.
         inclination: inclination [rad] of its slope, if it differs from the training's.
         azimuth: azimuth [rad] of its slope, if it differs from the training's.
@@ -166,19 +167,21 @@ def load_policy(
     vehicle = None if vehicle is None else as_vehicle(vehicle)
     path = locate(path)
     metadata, network = read_policy(path)
+    wanted = task if task is None or isinstance(task, str) else task.name
     if isinstance(task, str):
         task_class(task)  # is there one of this name
-    trained = metadata["task"]
-    wanted = trained if task is None else task if isinstance(task, str) else task.name
-    if wanted != trained:
+    trained = metadata.get("task")
+    if wanted and trained and wanted != trained:
         raise UserError(f"policy {path} was trained for the task {trained}, not for {wanted}")
-    if not known(trained):
+    if not (wanted or trained):
+        raise UserError(f"policy {path} does not state its task; name it ({' or '.join(TASKS)})")
+    if trained and task is None and not known(trained):
         raise _unknown_task(metadata, path)
-    if isinstance(task, Task):
-        _check_training_options(task, metadata, inclination, path)
-    else:
+    if task is None or isinstance(task, str):
         slope = {"inclination": inclination, "azimuth": azimuth}
-        task = _build_task(trained, metadata, vehicle, slope, path)
+        task = _build_task(trained or wanted, metadata, vehicle, slope, path)
+    elif metadata:
+        _check_training_options(task, metadata, inclination, path)
     policy = Policy(task=task, metadata=metadata, path=path, **network)
     expected = len(input_names(task)), len(task.action_names)
     found = len(policy.centre), len(policy.biases[-1])
@@ -191,15 +194,19 @@ def load_policy(
 
 
 def read_policy(path: str | Path) -> tuple[dict, dict[str, Any]]:
-    """Return the metadata of a policy file, or of a shipped policy, and its network as fields of `Policy`."""
+    """Return the metadata of a policy file, or of a shipped policy, and its network as fields of `Policy`.
+
+    The metadata are empty for a plain file of Stable-Baselines3.
+    """
     path = locate(path)
     with policy_file.open_file(path) as archive:
-        return policy_file.read(archive, path)
+        metadata, network = policy_file.read(archive, path)
+        return metadata, network or sb3_file.read_network(archive, metadata, path)
 
 
-def trained_task(path: str | Path) -> str:
-    """Return the task that a policy file, or a shipped policy, was trained for."""
-    return read_metadata(path)["task"]
+def trained_task(path: str | Path) -> str | None:
+    """Return the task that a policy file, or a shipped policy, was trained for; None for a file without."""
+    return read_metadata(path).get("task")
 
 
 def trained_options(path: str | Path) -> dict[str, Any]:
@@ -208,10 +215,10 @@ def trained_options(path: str | Path) -> dict[str, Any]:
 
 
 def read_metadata(path: str | Path) -> dict:
-    """Return the metadata of a policy file or a shipped policy."""
+    """Return the metadata of a policy file or a shipped policy; empty for a plain Stable-Baselines3 file."""
     path = locate(path)
     with policy_file.open_file(path) as archive:
-        return policy_file.read_metadata(archive, path)
+        return policy_file.read(archive, path)[0]
 
 
 def action_map(options: dict) -> tuple[float | str, float]:

@@ -18,7 +18,6 @@ import zlib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
@@ -53,9 +52,9 @@ class _Network(schema.Table, frozen=True):
 class _Metadata(Struct):
     """The metadata that are used; other entries record the origin of a policy."""
 
-    task: _Word
-    network: _Network
+    task: _Word | None = None
     task_options: dict[str, Annotated[float, Meta(gt=-1e9, lt=1e9)] | _Word | bool | None] = {}
+    network: _Network | None = None
 
 
 def write(path: Path, metadata: dict, network: dict[str, Any]) -> None:
@@ -78,39 +77,19 @@ def write(path: Path, metadata: dict, network: dict[str, Any]) -> None:
 
 def open_file(path: Path) -> zipfile.ZipFile:
     """Return the zip of a policy file; raises UserError for anything else."""
-    content, what = storage.read_bytes(path, "policy", LARGEST), f"policy {path}"
-    if content.count(b"PK\x01\x02") > _MEMBERS:
-        raise UserError(f"{what} has more than {_MEMBERS} members")
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(content))
-    except _DAMAGED as error:
-        raise UserError(f"{what} is not a zip file, or is damaged") from error
-    names = archive.namelist()
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise UserError(f"{what}: {shown(twice, 60)} appears twice")
-    return archive
+    return open_zip(storage.read_bytes(path, "policy", LARGEST), f"policy {path}")
 
 
-def read_metadata(archive: zipfile.ZipFile, path: Path) -> dict:
-    """Return the metadata of a policy file; raises UserError for a damaged file, or one of another kind."""
-    if METADATA not in archive.namelist():
-        raise UserError(
-            f"policy {path} is not a file of this package; load the model with its environment and save it "
-            "with save_policy(model, path)"
-        )
-    content = read_member(archive, METADATA, f"policy {path}", _LARGEST_TABLE)
-    metadata = storage.parse_json(content, f"policy {path}: {METADATA} in it")
-    schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ")
-    return metadata
+def read(archive: zipfile.ZipFile, path: Path) -> tuple[dict, dict[str, Any] | None]:
+    """Return the metadata of a policy file (may be empty), and its network in the form that `write` accepts.
 
-
-def read(archive: zipfile.ZipFile, path: Path) -> tuple[dict, dict[str, Any]]:
-    """Return the metadata of a policy file, and its network in the form that `write` accepts.
-
-    Raises UserError for a damaged file.
+    The network is None for a plain file of Stable-Baselines3. Raises UserError for a damaged file.
     """
-    metadata = read_metadata(archive, path)
-    entry = msgspec.convert(metadata.pop(_NETWORK), _Network)
+    metadata = read_table(archive, METADATA, path)
+    entry = schema.parse(metadata, _Metadata, f"policy {path}: its {METADATA}: ").network
+    metadata.pop(_NETWORK, None)
+    if entry is None:
+        return metadata, None
     centre, scale, *layers = (_read_array(archive, name, path) for name in _members(entry.layers))
     return metadata, {
         "centre": centre,
@@ -140,6 +119,33 @@ def _read_array(archive: zipfile.ZipFile, name: str, path: Path) -> np.ndarray:
     if array.dtype not in (np.float32, np.float64):
         raise UserError(f"policy {path}: {name} in it is not an array of floats")
     return np.array(array, np.float64, order="C")
+
+
+def read_table(archive: zipfile.ZipFile, name: str, path: Path) -> dict:
+    """Return a member that is a JSON table; an empty one if it is missing."""
+    if name not in archive.namelist():
+        return {}
+    content = read_member(archive, name, f"policy {path}", _LARGEST_TABLE)
+    value = storage.parse_json(content, f"policy {path}: {name} in it")
+    if not isinstance(value, dict):
+        raise UserError(f"policy {path}: {name} in it is not a table")
+    return value
+
+
+def open_zip(content: bytes, what: str) -> zipfile.ZipFile:
+    """Return the zip in `content`; raises UserError, beginning with `what`, unless its members are few and
+    their names unique.
+    """
+    if content.count(b"PK\x01\x02") > _MEMBERS:
+        raise UserError(f"{what} has more than {_MEMBERS} members")
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(content))
+    except _DAMAGED as error:
+        raise UserError(f"{what} is not a zip file, or is damaged") from error
+    names = archive.namelist()
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise UserError(f"{what}: {shown(twice, 60)} appears twice")
+    return archive
 
 
 def read_member(archive: zipfile.ZipFile, name: str, what: str, largest: int = LARGEST) -> bytes:

@@ -13,15 +13,13 @@ is imitated in the same way.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from inclined_landing.envs import policy_file
+from inclined_landing.envs import policy_file, sb3_file
 from inclined_landing.envs.batch import BatchEnv
 from inclined_landing.envs.history import input_centre, input_scale
 from inclined_landing.envs.policy import Policy, load_policy, trained_task
@@ -148,35 +146,21 @@ def _centre_shift(policy: Policy, task: Task) -> np.ndarray:
 
 
 def _take_exploration_and_critic(model: PPO, policy: Policy, new_inputs: int, shift: np.ndarray) -> None:
-    """Copy the standard deviation of the actions and the critic, which Stable-Baselines3 saved."""
-    found = _tensors(policy.path)
+    """Copy the standard deviation of the actions, and the critic if it is in the policy's file."""
+    with policy_file.open_file(policy.path) as archive:
+        found = sb3_file.read_tensors(archive, policy.path)
     for name, tensor in model.policy.state_dict().items():
         if name != "log_std" and "value_net" not in name:
             continue
-        value = found.get(name, tensor)
+        value = torch.as_tensor(found[name]) if name in found else tensor
+        first = found.get("mlp_extractor.value_net.0.weight")
         if name == "mlp_extractor.value_net.0.weight" and value.ndim == 2:
             value = torch.nn.functional.pad(value, (0, new_inputs))
         elif name == "mlp_extractor.value_net.0.bias" and name in found and shift.any():
-            first = found["mlp_extractor.value_net.0.weight"]
-            value = value + torch.as_tensor(first.numpy() @ shift, dtype=value.dtype)
+            value = value + torch.as_tensor(first @ shift, dtype=value.dtype)
         if value.shape != tensor.shape:
             raise UserError(f"policy {policy.path} has a different {name} than training uses")
         tensor.copy_(value)
-
-
-def _tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Return the tensors of Stable-Baselines3's policy in a policy file, in float64."""
-    with policy_file.open_file(path) as archive:
-        content = policy_file.read_member(archive, "policy.pth", f"policy {path}")
-    try:
-        read = torch.load(io.BytesIO(content), "cpu", weights_only=True)
-        finite = all(t.is_floating_point() and bool(t.isfinite().all()) for t in read.values())
-        tensors = {name: tensor.double() for name, tensor in read.items()}
-    except Exception as error:  # whatever torch raises for bytes that make no sense
-        raise UserError(f"policy {path}: policy.pth in it is damaged") from error
-    if not finite:
-        raise UserError(f"policy {path} has weights that are NaN or infinite")
-    return tensors
 
 
 def lesson(context: StepContext, landing: Policy, observation: np.ndarray | None = None) -> np.ndarray:

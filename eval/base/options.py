@@ -54,8 +54,8 @@ class Flown:
     """How and where the policy flies.
 
     Args:
-        task: task of the policy. Only needed for a custom task, which is written module:Class or
-            file.py:Class and imported.
+        task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
+            is written module:Class or file.py:Class and imported.
         plant: simulated physics.
         inclination: platform inclination in degrees (default: that of the training); negative rises towards
             +x.

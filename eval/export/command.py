@@ -36,8 +36,8 @@ def command(
         policy: policy file, or name of a shipped policy.
         format: onnx for ONNX runtimes, c for a microcontroller.
         out: new folder for the export.
-        task: task of the policy. Only needed for a custom task, which is written module:Class or
-            file.py:Class and imported.
+        task: task of the policy. Only needed for a plain Stable-Baselines3 file and for a custom task, which
+            is written module:Class or file.py:Class and imported.
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: that of the training). Vehicle
             parameters that a policy observes become constants of the network.
     """

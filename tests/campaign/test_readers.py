@@ -3,6 +3,8 @@
 An entry of `READERS` is all that a new kind of file needs: good files, what reads them, what then must hold.
 """
 
+import base64
+import contextlib
 import dataclasses
 import functools
 import gzip
@@ -20,9 +22,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import given
-from stable_baselines3 import PPO
 
-from inclined_landing.envs import BatchVecEnv, make_batch
 from inclined_landing.envs.flights import record_flights
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.randomise import read_ranges
@@ -32,21 +32,22 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.landings.design import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train
-from inclined_landing.train import ppo_kwargs
 from inclined_landing.train.config import TrainConfig
 from inclined_landing.train.run import CHECKPOINT, Run
 from inclined_landing.train.sweep.recipe import read_recipe
 from inclined_landing.train.sweep.recipe import shipped as shipped_recipes
-from inclined_landing.train.warm_start import take_over
 from tests import ROOT
 from tests.campaign import damage, inputs
 from tests.log_files import firmware_values, sd_card, write_bag
 
 POLICY = (resources.files("inclined_landing.envs") / "shipped" / "landing.zip").read_bytes()
-WEIGHTS = "policy.pth"  # of Stable-Baselines3's policy
+WEIGHTS, PICKLED = "policy.pth", "archive/data.pkl"
+# What Stable-Baselines3 alone would have written.
+PLAIN = damage.zipped([(n, b) for n, b in damage.members(POLICY).items() if n in ("data", WEIGHTS)])
 ARRAY = "network/weights_1.npy"
 
 
@@ -86,11 +87,9 @@ def is_flown_by(policy) -> None:
     assert np.isfinite(record_flights(policy, "mujoco", states, steps=5)[0].state).all()
 
 
-def continued(folder: Path) -> None:
-    """Begin a training from the policy in a file."""
-    task = make_task("landing", history=3, pwm_span=25_000, pwm_centre=35_000.0)
-    model = PPO("MlpPolicy", BatchVecEnv(make_batch("landing", 2, **task.options)), **ppo_kwargs(task))
-    take_over(model, load_policy(folder / "p.zip", task))
+def load_plain(folder: Path):
+    """Return the policy of a file of Stable-Baselines3 alone."""
+    return load_policy(folder / "p.zip", make_task("landing", history=3, pwm_span=25_000))
 
 
 def is_a_flight(log) -> None:
@@ -248,7 +247,7 @@ READERS = {
     "policy": Reader(
         lambda: {"p.zip": POLICY}, lambda f: load_policy(f / "p.zip"), is_flown_by, OWN_NETWORKS
     ),
-    "policy to start from": Reader(lambda: {"p.zip": POLICY}, continued, more=NETWORKS),
+    "policy of SB3": Reader(lambda: {"p.zip": PLAIN}, load_plain, is_flown_by, NETWORKS),
     "training": Reader(a_training, lambda f: Run(TrainConfig(out=f / "run", resume=True))),
     "curves": Reader(lambda: RUN, elsewhere("curves {folder}/run --out {out}.png")),
     "report": Reader(
@@ -301,7 +300,21 @@ def test_good_files_are_used(kind):
     assert judged(READERS[kind], "", None) == ""
 
 
-@pytest.mark.parametrize("kind", ["policy", "policy to start from"])
+@pytest.mark.parametrize("key", ["policy_class", "lr_schedule", "policy_kwargs", "anything"])
+def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypatch):
+    """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
+    monkeypatch.chdir(tmp_path)
+    harm = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
+    for content in (POLICY, PLAIN):
+        (tmp_path / "p.zip").write_bytes(
+            damage.with_member(content, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
+        )
+        with contextlib.suppress(UserError):
+            is_flown_by(load_plain(tmp_path))
+    assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("kind", ["policy", "policy of SB3"])
 def test_nothing_in_the_network_of_a_policy_is_executed(kind, tmp_path, monkeypatch):
     """Every change that a network's data may suffer, one after the other."""
     monkeypatch.chdir(tmp_path)

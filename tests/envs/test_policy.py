@@ -11,6 +11,7 @@ import pytest
 import torch
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
@@ -30,7 +31,7 @@ from inclined_landing.envs.save import actor_of
 from inclined_landing.envs.tasks import make_task
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
-from tests.policy_files import Spaces, written
+from tests.policy_files import Spaces, restamp
 
 NAME = "inclined_landing.envs:InclinedLanding-v0"  # imported in other processes too
 SETPOINT = {"task": "setpoint", "task_options": {}}
@@ -43,8 +44,11 @@ def model(observations=5, actions=2, **policy_kwargs) -> PPO:
 
 
 def saved(path, network: PPO, metadata=METADATA):
-    """Write a policy file with these metadata as training does; return its path."""
-    return written(path, network, metadata)
+    """Write Stable-Baselines3's own file, with metadata as earlier versions of this package added them."""
+    network.save(path)
+    if metadata is not None:
+        restamp(path, metadata)
+    return path
 
 
 SCALED = {
@@ -53,11 +57,11 @@ SCALED = {
 }
 
 
-def assert_same_actions(network, path):
+def assert_same_actions(network, path, task=None):
     """float32 sums: 256 terms at 6e-8, before a gain below 10."""
     rows = np.random.default_rng(1).normal(scale=3.0, size=(300, 5)).astype(np.float32)
     wanted, _ = network.predict(rows, deterministic=True)
-    np.testing.assert_allclose(policy.load_policy(path).predict(rows), wanted, atol=1e-4)
+    np.testing.assert_allclose(policy.load_policy(path, task).predict(rows), wanted, atol=1e-4)
     return wanted
 
 
@@ -89,6 +93,15 @@ def test_a_policy_file_is_sb3s_too_and_is_read_without_torch(tmp_path):
         f"from inclined_landing.envs import load_policy; load_policy({str(tmp_path / 'p.zip')!r})"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_plain_sb3_file_needs_the_task(tmp_path):
+    path = saved(tmp_path / "p.zip", model(), metadata=None)
+    with pytest.raises(UserError, match="does not state its task"):
+        policy.load_policy(path)
+    assert policy.load_policy(path, "landing").metadata == {}
+    task = make_task("landing", pwm_centre="hover")
+    assert policy.load_policy(path, task).task is task
 
 
 def test_a_policy_fits_the_default_environment_and_refuses_another_action_map_or_slope():
@@ -130,8 +143,15 @@ def nan_weights(path):
     saved(path, network)
 
 
+def discrete_actions(path):
+    env = Spaces(5, 2)
+    env.action_space = gym.spaces.Discrete(4)
+    PPO("MlpPolicy", env, device="cpu").save(path)
+
+
 def damaged_metadata(path):
-    with zipfile.ZipFile(path, "w") as archive:
+    saved(path, model(), metadata=None)
+    with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(METADATA_FILE, "{")
 
 
@@ -139,12 +159,14 @@ def damaged_metadata(path):
     (lambda path: None, "does not exist"),
     (lambda path: path.mkdir(), "is a folder"),
     (lambda path: path.write_text("nothing"), "is not a zip file"),
-    (another_zip, "is not a file of this package; .* with save_policy"),
-    (lambda path: learner(Spaces(5, 2), SAC).save(path), "is not a file of this package"),
+    (another_zip, "is damaged, or not a policy file; .* with save_policy"),
     (lambda path: saved(path, model(8, 3)),
      "takes 8 observations and returns 3 actions, but the task landing has 5 and 2"),
     (lambda path: saved(path, model(8, 3), SETPOINT), "was trained for the task setpoint, not for landing"),
-    (nan_weights, "weights that are NaN"),
+    (nan_weights, "NaN or infinite"),
+    (discrete_actions, "in an action space other than the task's .*save_policy"),
+    (lambda path: learner(Spaces(5, 2), SAC).save(path), "neither a file of this package nor .*save_policy"),
+    (lambda path: saved(path, model(activation_fn=torch.nn.SiLU)), "SiLU"),
     (damaged_metadata, "inclined_landing.json in it is not JSON"),
     (lambda path: saved(path, model(), METADATA | {"task_options": {"colour": 3}}), "colour"),
 ])  # fmt: skip
@@ -196,6 +218,10 @@ class Doubled(BaseFeaturesExtractor):
         return 2.0 * observations
 
 
+class OwnPolicy(ActorCriticPolicy):
+    """A policy of one's own, which could compute anything."""
+
+
 class Mirrored(gym.ObservationWrapper):
     """Changes what a policy observes, not its space."""
 
@@ -236,11 +262,13 @@ def test_a_policy_behind_vecnormalize_takes_its_statistics_along(tmp_path, kind,
 
 
 def test_a_file_that_lacks_the_statistics_of_vecnormalize_is_refused(tmp_path):
-    """The policy file of a model that was given another environment; the remedy works."""
+    """Stable-Baselines3's own, and one of a model that was given another environment; the remedy works."""
     env = VecNormalize(vehicles())
     network = learner(env).learn(64)
     network.save(tmp_path / "plain.zip")
     env.save(tmp_path / "statistics.pkl")
+    with pytest.raises(UserError, match=r"with VecNormalize, whose statistics.*save_policy"):
+        load_policy(tmp_path / "plain.zip", "landing")
     with pytest.raises(UserError, match=r"with VecNormalize.*VecNormalize\.load"):
         save_policy(PPO.load(tmp_path / "plain.zip", env=vehicles()), tmp_path / "bare.zip")
     with pytest.raises(UserError, match=r"has no statistics; use VecNormalize\.load"):
@@ -323,10 +351,22 @@ def test_arguments_that_are_not_a_model_or_a_path_are_refused(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["p.zip"]
 
 
+def action_bounds():
+    env = Spaces(5, 2)
+    env.action_space = gym.spaces.Box(-2.0, 2.0, (2,), np.float32)
+    return PPO("MlpPolicy", env, device="cpu")
+
+
 def several_observations():
     env = Spaces(5, 2)
     env.observation_space = gym.spaces.Dict({"a": env.observation_space})
     return PPO("MultiInputPolicy", env, device="cpu")
+
+
+def more_tensors():
+    network = model()
+    network.policy.lstm_actor = torch.nn.LSTM(5, 5)
+    return network
 
 
 def by_hand(change):
@@ -337,16 +377,24 @@ def by_hand(change):
 
 
 @pytest.mark.parametrize(
-    "make, said",
+    "make, foreign, own",
     [
-        (lambda: model(features_extractor_class=Doubled), "PPO, .* Doubled"),
-        (lambda: model(activation_fn=torch.nn.ELU), "PPO, .* has ELU in"),
-        (several_observations, "CombinedExtractor"),
+        (lambda: model(features_extractor_class=Doubled), "features extractor .*Doubled", "PPO, .* Doubled"),
+        (lambda: PPO(OwnPolicy, Spaces(5, 2), device="cpu"), "nor one of .*with a standard policy", None),
+        (lambda: model(activation_fn=torch.nn.ELU), "activation .*ELU", "PPO, .* has ELU in"),
+        (action_bounds, "action space other than", None),
+        (several_observations, "standard policy|observation space other", "CombinedExtractor"),
+        (more_tensors, "lstm_actor", None),
     ],
 )
-def test_networks_that_are_more_than_dense_layers_are_refused_by_name(make, said):
-    with pytest.raises(UserError, match=said):
-        actor_of(make())
+def test_networks_that_are_more_than_dense_layers_are_refused_by_name(tmp_path, make, foreign, own):
+    """In files of Stable-Baselines3 alone, and by what writes policy files."""
+    network = make()
+    with pytest.raises(UserError, match=f"{foreign}.*save_policy"):
+        load_policy(saved(tmp_path / "mine.zip", network))
+    if own is not None:
+        with pytest.raises(UserError, match=own):
+            actor_of(network)
 
 
 def hooked(policy):
@@ -391,3 +439,6 @@ def test_predict_is_sb3s_whatever_the_algorithm(tmp_path, kind, options):
     save_policy(network, tmp_path / "p.zip")
     wanted = assert_same_actions(network, tmp_path / "p.zip")
     assert not beyond or np.abs(wanted).max() == 1.0
+    if kind is PPO:  # its own file alone says the same
+        network.save(tmp_path / "p.zip")
+        assert_same_actions(network, tmp_path / "p.zip", "landing")
