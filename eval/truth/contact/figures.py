@@ -16,10 +16,13 @@ _DASHED: dict[str, Any] = {"color": MUTED, "lw": 1.2, "ls": (0, (5, 2))}
 
 
 def _curves(axes: Axes, x: Sequence[float], curves: Mapping[str, Sequence[float]], **labels: Any) -> None:
-    """Draw curves by name over x; labels: labels and limits of the axes."""
+    """Draw curves by name over x; labels: labels, limits and scales of the axes."""
     for (name, values), colour in zip(curves.items(), _COLOURS):
         axes.plot(x, values, "o-", color=colour, ms=3.5, lw=1.2, label=name)
     axes.set(**labels)
+    if "xscale" in labels:
+        axes.set_xticks(x, [f"{tick:g}" for tick in x])
+        axes.minorticks_off()
 
 
 @panels(2, 3.8)
@@ -61,4 +64,57 @@ def restitution(data: dict, times: Axes, speeds: Axes) -> None:
         legend_below(axes, ncols=4)
 
 
-DRAW = {draw.__name__: draw for draw in (rest, slip, restitution)}
+@panels(1, 5.0)
+def impulse(data: dict, axes: Axes) -> None:
+    """Draw the error of the impulse from sampled forces over the time step."""
+    rows = {k: [row for row in data["rows"] if row["setting"] == k] for k in ("default", "0.6")}
+    steps = [1e3 * row["step"] for row in rows["default"]]
+    names = {"default": "default", "0.6": "restitution 0.6"}
+    curves = {
+        f"{names[k]}, {key}": [100 * max(abs(row[key]), 1e-4) for row in found]
+        for k, found in rows.items()
+        for key in ("worst", "mean")
+    }
+    _curves(axes, steps, curves, xlabel="step [ms]", ylabel="error of the impulse [%]",
+            xscale="log", yscale="log", ylim=(0.01, 40))  # fmt: skip
+    axes.axhline(2, **_DASHED, label="2 %")
+    legend_below(axes)
+
+
+@panels(1, 6.2)
+def penetration(data: dict, axes: Axes) -> None:
+    """Draw the deepest penetration of the feet over the normal velocity."""
+    by_time = zip(data["contact_time"], data["depth"].T)
+    curves = {f"contact time {1e3 * t:g} ms": 1e3 * values for t, values in by_time}
+    _curves(axes, data["speeds"], {"default": 1e3 * data["default"]} | curves,
+            xlabel="normal speed [m/s]", ylabel="deepest penetration [mm]", ylim=(0, 12))  # fmt: skip
+    axes.plot([1.0], [5.0], "x", color=MUTED, ms=7, mew=1.8, label="required: below 5 mm at 1 m/s")
+    legend_below(axes, ncols=3)
+
+
+@panels(2, 3.8)
+def convergence(data: dict, scatter: Axes, depth: Axes) -> None:
+    """Draw the scatter of rebounds and the error of penetration over the time step."""
+    steps = 1e3 * np.array(data["steps"])
+    error = 1e3 * np.abs(data["depth"][:-1] - data["depth"][-1])
+    curves = dict(zip(("restitution 0.3", "restitution 0.6"), data["scatter"].T))
+    scales = {"xlabel": "step [ms]", "xscale": "log", "yscale": "log"}
+    _curves(scatter, steps, curves, ylabel="scatter of the rebound", **scales)
+    _curves(depth, steps[:-1], {"against 0.25 ms": error}, ylabel="error of the penetration [mm]", **scales)
+    for axes, first in ((scatter, data["scatter"][0, 0]), (depth, error[0])):
+        axes.plot(steps, first * steps / steps[0], **_DASHED, label="first order")
+        legend_below(axes, ncols=3)
+
+
+@panels(1, 5.0)
+def tumbling(data: dict, axes: Axes) -> None:
+    """Draw the share of drops that gain energy over their speed."""
+    names = [s if s == "default" else f"restitution {s:g}" for s in data["settings"]]
+    _curves(axes, data["speeds"], dict(zip(names, 100 * data["share"])),
+            xlabel="speed [m/s]", ylabel="drops that gain over 1 % [%]", ylim=(-1, None))  # fmt: skip
+    legend_below(axes, ncols=3)
+
+
+DRAW = {
+    draw.__name__: draw for draw in (rest, slip, restitution, impulse, penetration, convergence, tumbling)
+}

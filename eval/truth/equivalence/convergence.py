@@ -5,10 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Claim, Section, Table
+from inclined_landing.eval.base.style import BLUE, GREEN, MUTED, ORANGE, legend_below
 from inclined_landing.eval.truth.equivalence import flying
 from inclined_landing.eval.truth.equivalence.flying import ATTITUDES, WORDS, engine, equations
+from inclined_landing.eval.truth.report import panels
 from inclined_landing.models.plants import Attitude, Plant
 from inclined_landing.models.vehicle import Vehicle
 
@@ -59,12 +63,28 @@ def measure(vehicle: Vehicle, commands: np.ndarray) -> list[Convergence]:
     return result
 
 
-def section(vehicle: Vehicle, commands: np.ndarray) -> Section:
-    """Return the section of the report."""
+@panels(2, 4.6, 4.0)
+def draw(found: list[Convergence], *axes: Axes) -> None:
+    """Plot the error against the step size for every integrator and both modes."""
+    looks = {"RK4": (BLUE, "o", "-"), "implicitfast": (ORANGE, "s", "-"), "Euler": (GREEN, "^", "--")}
+    looks["equations, RK4"] = MUTED, "x", "-"
+    for axis, attitude in zip(axes, ATTITUDES):
+        for c in (c for c in found if c.attitude == attitude):
+            look = dict(zip(("color", "marker", "ls"), looks[c.integrator]), ms=5, lw=1.4)
+            axis.loglog(STEPS_MS, c.errors, label=f"{c.integrator}: order {c.order:.2f}", **look)
+        axis.set_xticks(STEPS_MS, [f"{h:g}" for h in STEPS_MS])
+        axis.minorticks_off()
+        title = attitude.replace("_", " ").capitalize()
+        axis.set(title=title, xlabel="step [ms]", ylabel="position error after 1 s [m]", ylim=(3e-11, 0.3))
+        legend_below(axis)
+
+
+def section(vehicle: Vehicle, commands: np.ndarray) -> tuple[Section, Figure]:
+    """Return the section and its figure."""
     found = measure(vehicle, commands)
     rows = [(c.attitude.replace("_", " "), c.integrator, *c.errors, c.order) for c in found]
     heads = ("mode", "integrator", *(f"{h:g} ms [m]" for h in STEPS_MS), "order")
     default = next(c for c in found if c.integrator == "implicitfast" and c.attitude == "rate_loop")
     filling = {"count": commands.shape[1], "centimetres": 100 * default.errors[STEPS_MS.index(5.0)]}
     tables = [Table("Position error", heads, rows)]
-    return WORDS.section("convergence", [c.claim() for c in found], filling, tables=tables)
+    return WORDS.section("convergence", [c.claim() for c in found], filling, tables=tables), draw(found)

@@ -14,6 +14,7 @@ from inclined_landing.eval.truth.equivalence import (
     closed_loop,
     convergence,
     flying,
+    inconsistencies,
     isolated,
     levels,
     motor,
@@ -41,6 +42,7 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
         "convergence": lambda: convergence.section(v, full.commands),
         "bandwidth": lambda: bandwidth.section(v, full),
         "closed loop": lambda: closed_loop.section(policy, starts),
+        "inconsistencies": lambda: inconsistencies.section(v, recorded),
     }
     sections, figures = [], {}
     for what, measured in work.items():

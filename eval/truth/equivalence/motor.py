@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tomllib
+from importlib import resources
 
 import mujoco
 import numpy as np
@@ -16,19 +18,21 @@ from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.truth.equivalence.flying import WORDS, engine
 from inclined_landing.models.vehicle import Vehicle
 
-# The paper's function of one motor, force per PWM: GAIN / (1 - POLE z^-1). They do not enter the model.
-GAIN = 7.2345374e-8  # N/PWM
-POLE = 0.9695404
-RATE = 500.0  # 1/s
 SAMPLES = 500  # one second
 HOLD = 5  # samples between new commands
 
 
+def quoted(section: str, name: str) -> float:
+    """Return a number of the paper or its code, from `paper.toml`."""
+    text = resources.files(__package__).joinpath("paper.toml").read_text("utf-8")
+    return float(tomllib.loads(text)[section][name]["value"])
+
+
 def exact(v: Vehicle) -> Vehicle:
     """Return the vehicle with the exact continuous coefficients of the discrete function, not rounded."""
-    gain, pole = v.motor_count * GAIN, POLE
+    gain, pole = v.motor_count * quoted("motor_function", "gain"), quoted("motor_function", "pole")
     # F[k] = p F[k-1] + g u[k]:  a = -ln(p) / T,  direct gain g,  state gain g p a / (1 - p)
-    rate = -math.log(pole) * RATE
+    rate = -math.log(pole) * quoted("motor_function", "rate")
     return dataclasses.replace(
         v,
         thrust_lag_rate=rate,
@@ -45,7 +49,7 @@ def commands(v: Vehicle, seed: int) -> np.ndarray:
 
 def discrete(v: Vehicle, pwm: np.ndarray) -> np.ndarray:
     """Return (k,) thrust [N] of four discrete motors from rest."""
-    gain, pole = v.motor_count * GAIN, POLE
+    gain, pole = v.motor_count * quoted("motor_function", "gain"), quoted("motor_function", "pole")
     thrust, force = np.empty(len(pwm)), 0.0
     for k, u in enumerate(pwm):
         force = pole * force + gain * u
@@ -55,7 +59,8 @@ def discrete(v: Vehicle, pwm: np.ndarray) -> np.ndarray:
 
 def continuous(v: Vehicle, pwm: np.ndarray, integrator: str) -> np.ndarray:
     """Return (k,) thrust [N] of the engine's actuator from rest, one command per time step of 2 ms."""
-    model = engine(1, "kinematic", v, integrator=integrator, timestep=1 / RATE).model
+    period = 1 / quoted("motor_function", "rate")
+    model = engine(1, "kinematic", v, integrator=integrator, timestep=period).model
     data = mujoco.MjData(model)
     data.qpos[2], data.mocap_pos[:, 2] = 50.0, -100.0
     data.act[0] = 0.0

@@ -23,6 +23,7 @@ from inclined_landing.eval.truth.equivalence import (
     closed_loop,
     convergence,
     flying,
+    inconsistencies,
     isolated,
     levels,
     measured,
@@ -127,6 +128,12 @@ def test_a_policy_that_does_not_land_fails_the_claim(policy, monkeypatch):
     assert not part.passed and not part.data["comparisons"]
 
 
+def test_inconsistencies(flights):
+    part = inconsistencies.section(V, flights[0])
+    check(part.claims)
+    assert len(part.tables[0].rows) == 6
+
+
 @pytest.mark.parametrize("measured, low, high, passed", [
     (1.0, -math.inf, 1.0, True), (1.1, -math.inf, 1.0, False), (math.nan, -math.inf, 1.0, False),
     (0.4, 0.5, math.inf, False), (0.5, 0.5, math.inf, True), (math.nan, 0.5, math.inf, False),
@@ -153,11 +160,11 @@ def test_command_writes_page_json_and_figures(tmp_path):
     assert cli.main(["equivalence", "--out", str(out), "--quick", "--seed", "5"]) == 0
     record = json.loads((out / "report.json").read_text())
     assert record["passed"] and not record["failed"], record["failed"]
-    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 80
+    assert record["claims"] == sum(len(s["claims"]) for s in record["sections"].values()) > 90
     page = (out / "report.html").read_text()
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     files = sorted(path.name for path in out.glob("*.png"))
-    assert len(images) == len(files) == 2
+    assert len(images) == len(files) == 3
     assert {base64.b64decode(image) for image in images} == {(out / name).read_bytes() for name in files}
     assert not re.search(r'(src|href)="(?!data:|#)', page)  # self-contained
     for section in record["sections"].values():
