@@ -3,8 +3,6 @@
 An entry of `READERS` is all that a new kind of file needs: good files, what reads them, what then must hold.
 """
 
-import base64
-import contextlib
 import dataclasses
 import functools
 import gzip
@@ -32,7 +30,6 @@ from inclined_landing.eval import cli
 from inclined_landing.eval.landings.design import design
 from inclined_landing.eval.landings.study import read_study
 from inclined_landing.eval.logs import FlightLog, limits, motion, read_log
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import PLANTS, make_plant
 from inclined_landing.train import cli as train
@@ -298,20 +295,6 @@ def test_files_are_used_or_refused(kind, data):
 @pytest.mark.parametrize("kind", READERS)
 def test_good_files_are_used(kind):
     assert judged(READERS[kind], "", None) == ""
-
-
-@pytest.mark.parametrize("key", ["policy_class", "lr_schedule", "policy_kwargs", "anything"])
-def test_objects_that_sb3_would_unpickle_are_left_alone(key, tmp_path, monkeypatch):
-    """Stable-Baselines3 keeps objects as base64 pickles in its header, and unpickles them in `PPO.load`."""
-    monkeypatch.chdir(tmp_path)
-    harm = {":type:": "<class 'a'>", ":serialized:": base64.b64encode(pickle.dumps(Harmful())).decode()}
-    for content in (POLICY, PLAIN):
-        (tmp_path / "p.zip").write_bytes(
-            damage.with_member(content, "data", lambda b: json.dumps(json.loads(b) | {key: harm}).encode())
-        )
-        with contextlib.suppress(UserError):
-            is_flown_by(load_plain(tmp_path))
-    assert not (tmp_path / "harm").exists()
 
 
 @pytest.mark.parametrize("kind", ["policy", "policy of SB3"])

@@ -33,7 +33,7 @@ def command(
 
     loaded = load_policy("landing", vehicle=None if vehicle is None else load_vehicle(vehicle))
     began = time.monotonic()
-    with stages(8) as tick:
+    with stages(9) as tick:
         sections, drawn = measured.measure(loaded, seed, quick, tick)
     seconds = round(time.monotonic() - began, 1)
     claims = [c for s in sections for c in s.claims]

@@ -11,6 +11,7 @@ from inclined_landing.envs.tasks import frozen as landing_starts
 from inclined_landing.eval.base.claims import Section
 from inclined_landing.eval.truth.equivalence import (
     bandwidth,
+    check_cases,
     closed_loop,
     convergence,
     flying,
@@ -42,7 +43,8 @@ def measure(policy: Policy, seed: int, quick: bool, tick) -> tuple[list[Section]
         "convergence": lambda: convergence.section(v, full.commands),
         "bandwidth": lambda: bandwidth.section(v, full),
         "closed loop": lambda: closed_loop.section(policy, starts),
-        "inconsistencies": lambda: inconsistencies.section(v, recorded),
+        "check cases": lambda: check_cases.section(v),
+        "inconsistencies": lambda: inconsistencies.section(v, by_label["recorded, 2-D"]),
     }
     sections, figures = [], {}
     for what, measured in work.items():
