@@ -30,7 +30,7 @@ REFUSED = [
     "replay landing --out a.html --start 0,2 --drawn 2",
     "replay landing --out a.html --seed 3",
     *(f"replay landing --out a.html --{option}"
-      for option in ("restart 2", "mapping a", "unit a=deg", "platform")),
+      for option in ("restart 2", "mapping a", "unit a=deg", "where a=b", "platform")),
     *(f"robustness landing --over moving --{option}" for option in ("plant analytic", "every 3")),
     "robustness landing --over slopes --draws 3",
     "video landing --out a.gif --gif",
