@@ -179,8 +179,6 @@ class TrainConfig:
     """Train as in the paper: one vehicle, no history, actions around hover."""
     plant: Literal["mujoco", "hybrid", "analytic"] = "hybrid"
     """Simulated physics: mujoco, analytic (the equations), or hybrid (the engine only near surfaces)."""
-    keep_out: float | None = None
-    """Width of a contact-free zone around the platform that counts as an obstacle in training [m]."""
     environments: int | None = None
     """Number of vehicles simulated in parallel."""
     threads: Annotated[int, Meta(ge=0, le=1024)] = 0
@@ -292,8 +290,6 @@ def resolve(config: TrainConfig) -> TrainConfig:
     for name in config.task_options():
         if name not in kind.option_names():
             raise UserError(f"{flag_of(name)} does not apply to the task {kind.name}")
-    if config.keep_out and not kind.has_platform:
-        raise UserError(f"--keep-out does not apply to the task {kind.name}, which has no platform")
 
     # In the plane, unless the task draws vehicles in space alone and nothing asks for the plane.
     dimensions, start = config.dimensions, config.start_from
@@ -346,7 +342,6 @@ def resolve(config: TrainConfig) -> TrainConfig:
         raise UserError("--batch-size leaves a last minibatch of one sample; choose another")
     values |= {
         "dimensions": dimensions,
-        "keep_out": values["keep_out"] if kind.has_platform else 0.0,
         "out": Path(config.out or f"runs/{kind.name}-{config.seed}"),
         "vehicle": None if config.vehicle is None else Path(config.vehicle),
         "randomise": None if randomise is None else Path(randomise),

@@ -45,7 +45,8 @@ def check_memory(config: TrainConfig) -> None:
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
     """Return the vehicles on which a run trains, in the configured plant."""
-    task, options = build_task(config), dict[str, Any](keep_out=config.keep_out)
+    task = build_task(config)
+    options: dict[str, Any] = {"keep_out": task.training.keep_out if task.has_platform else 0.0}
     if config.plant != "analytic":
         options |= {"integrator": task.training.integrator, "threads": config.threads}
     nominal = None

@@ -1,7 +1,7 @@
 """Pictures of the landing scene.
 
     renderer = make_renderer(640, 480, camera="arena")
-    frame = renderer.render(data, trail=states, ghosts=[goal], caption="t 1.10 s")
+    frame = renderer.render(state, trail=states, ghosts=[goal], caption="t 1.10 s")
 
 Two backends draw the same scene: "ray" casts rays with MuJoCo and needs no OpenGL, "gl" is MuJoCo's
 own renderer.

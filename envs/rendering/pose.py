@@ -82,28 +82,18 @@ def pose_from_state(state, platform, has_base: bool = True) -> Pose:
 
 
 def as_pose(scene, vehicle: Vehicle, inclination: float | None = None, azimuth: float = 0.0) -> Pose:
-    """Return the pose from an MjData, a qpos (7,), a state (13,) or a Pose; None gives one far from the
-    scene.
+    """Return the pose from a qpos (7,), a state (13,) or a Pose; None gives one far from the scene.
 
     inclination and azimuth [rad] pose the platform if `scene` does not (default: the vehicle file's).
     Raises UserError for anything else.
     """
     if isinstance(scene, Pose):
         return scene
-    if isinstance(scene, mujoco.MjData):
-        body = scene.model.body("platform")
-        qpos = scene.qpos[:7].copy()
-        k = int(body.mocapid[0])
-        if inclination is None and k >= 0:
-            return Pose(qpos, scene.mocap_pos[k].copy(), scene.mocap_quat[k].copy())
-        if inclination is None:  # a moving one
-            return Pose(qpos, scene.xpos[body.id].copy(), scene.xquat[body.id].copy(), has_base=False)
-    else:
-        qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
-        if qpos.shape == (13,):
-            qpos = qpos_of_state(qpos)
-        if qpos.shape != (7,):
-            raise UserError(f"a vehicle pose must be a qpos (7,) or a state (13,), not {qpos.shape}")
+    qpos = np.array([0, 0, -100, 1, 0, 0, 0] if scene is None else scene, float)
+    if qpos.shape == (13,):
+        qpos = qpos_of_state(qpos)
+    if qpos.shape != (7,):
+        raise UserError(f"a vehicle pose must be a qpos (7,) or a state (13,), not {qpos.shape}")
     pitch = vehicle.platform_inclination if inclination is None else inclination
     position = np.array([0.0, 0.0, vehicle.platform_surface_height])
     return Pose(qpos, position, np.array(quaternion(0.0, pitch, azimuth)))

@@ -40,10 +40,6 @@ class SceneRenderer(abc.ABC):
         camera: str | View = "arena",
         scale: float | None = None,
     ):
-        if not (16 <= width <= 4096 and 16 <= height <= 4096):
-            raise UserError(
-                f"width and height of a picture must be 16 to 4096 pixels, not {width} x {height}"
-            )
         self.vehicle = vehicle or load_vehicle()
         self.width, self.height, self.camera = int(width), int(height), camera
         self.scale = scenery.default_vehicle_scale(camera) if scale is None else float(scale)
@@ -64,8 +60,8 @@ class SceneRenderer(abc.ABC):
     ) -> np.ndarray:
         """Return one frame (height, width, 3) uint8.
 
-        scene: MjData of the landing scene, a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the
-        platform if `scene` does not define it. trail: states (k, 13), drawn through the centre of the drawn
+        scene: a qpos (7,), a state (13,) or a `Pose`; inclination [rad] of the platform if `scene` does not
+        define it. trail: states (k, 13), drawn through the centre of the drawn
         vehicle, or points (k, 3) [m]; trail_colour (3,) or (k, 3). ghosts: `Ghost`s or qpos (7,).
         """
         pose = self._pose(scene, inclination)
@@ -107,10 +103,6 @@ class SceneRenderer(abc.ABC):
             aspect=self.width / self.height,
             far=self.camera == "arena",
         )
-        if isinstance(self.camera, str):
-            names = [model.camera(k).name for k in range(model.ncam)]
-            if self.camera not in names:
-                raise UserError(f"unknown camera {self.camera!r}; choose from {', '.join(names)}")
         self._prepare(model)
         self._platform = pose.platform_key
 

@@ -610,7 +610,6 @@ WRONG = {
     "setpoint --curriculum adaptive": "unknown curriculum 'adaptive' for task setpoint",
     "--pwm-centre static": "pwm-centre",
     "setpoint --inclination 10": "--inclination does not apply to the task setpoint",
-    "setpoint --keep-out 0.1": "--keep-out does not apply to the task setpoint",
     "--net-arch": "--net-arch needs a value; is a shell variable unset?",
     "--random-yaw": "random_yaw needs dimensions=3",
     "--steepest 60": "steepest must be an angle above 0 and up to 0.873 rad",
