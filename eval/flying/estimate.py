@@ -199,13 +199,15 @@ class StateEstimate:
 class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
-    The attitude is unknown until a pose shows the arena's heading.
+    heading [rad]: direction of the nose when the first attitude arrives; used while no pose has an attitude.
     """
 
-    def __init__(self, noise: FilterNoise):
+    def __init__(self, noise: FilterNoise, heading: float = 0.0):
         self.filter = KalmanFilter(noise)
         self.last_pose: MeasuredPose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
+        self.heading_measured = False  # does motion capture show it
+        self._heading = heading
         self._offset: float | None = None  # of the arena's heading over the vehicle's own, rad
         self._mocap_attitude: tuple[float, np.ndarray] | None = None  # time, rotation (3, 3)
 
@@ -219,7 +221,7 @@ class Estimator:
             pose.time == before.time or np.array_equal(pose.position, before.position)
         ):
             return False
-        if np.isfinite(pose.attitude).all() and np.any(pose.attitude):
+        if pose.attitude is not None and np.isfinite(pose.attitude).all() and np.any(pose.attitude):
             self._align(pose, 0.0 if before is None else pose.time - before.time)
         return self.filter.update(pose.time, pose.position, impact)
 
@@ -230,6 +232,8 @@ class Estimator:
         ):
             return
         self.attitude = attitude
+        if self._offset is None and not self.heading_measured:
+            self._offset = self._heading - frames.heading_of(attitude.rotation)
 
     def predict(self, time: float) -> StateEstimate:
         """Return the state estimate for `time` [s]."""
@@ -268,14 +272,16 @@ class Estimator:
         rotation = frames.quaternion_rotation(pose.attitude)
         self._mocap_attitude = pose.time, rotation
         if self.attitude is None:
+            self.heading_measured = True
             return
         offset = frames.heading_of(rotation) - frames.heading_of(self.attitude.rotation)
-        if self._offset is None:
+        if self._offset is None or not self.heading_measured:
             self._offset = offset
         else:
             # First-order low-pass: o <- o + (1 - exp(-dt / T)) (o_measured - o)
             share = -math.expm1(-max(0.0, dt) / HEADING_TIME)
             self._offset += share * frames.wrapped(offset - self._offset)
+        self.heading_measured = True
 
 
 class ConsistencyMonitor:

@@ -108,6 +108,7 @@ class VehicleOptions:
         mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body.
         mocap_latency: latency of that system from exposure to arrival, in seconds.
         stand: height of the vehicle's stand in metres.
+        heading: direction of the nose in degrees from x, if motion capture shows no attitude.
         yes: skip the confirmation; only for a simulator, at --uri udp://...
     """
 
@@ -115,6 +116,7 @@ class VehicleOptions:
     mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY"), _REAL] = None
     mocap_latency: Annotated[float, Meta(ge=0, le=0.1), tyro.conf.arg(metavar="S"), _REAL] = 0.0
     stand: Annotated[float, Meta(ge=0.0, le=2.0), tyro.conf.arg(metavar="M"), _REAL] = 0.0
+    heading: Annotated[float, Meta(ge=-360, le=360), tyro.conf.arg(metavar="DEG"), _REAL] = 0.0
     yes: Flag = False
 
     def connection(self) -> Connection:
@@ -203,7 +205,8 @@ def command(
     reports: list[FlightReport] = []
     with runs.owned(folder):
         for k in range(flights):
-            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand)
+            heading = math.radians(real.heading)
+            plan = FlightPlan(landing, setpoint, starts[k % len(starts)], real.stand, heading)
             what = "landing" if flight.plan is None else "plan"
             print(f"flight {k + 1} of {flights}, {what} from x {plan.start[0]:z.4g}, z {plan.start[1]:.4g} m")
             log = None if dry_run else FlightLogWriter(folder / f"flight_{k + 1:02d}.csv")

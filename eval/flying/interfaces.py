@@ -48,7 +48,7 @@ class MeasuredPose:
 
     time: float  # s of the clock at which it was taken: arrival less the system's known latency
     position: np.ndarray  # (3,) m
-    attitude: np.ndarray  # (4,) unit quaternion w, x, y, z; NaN or 0 where only a point is seen
+    attitude: np.ndarray | None = None  # (4,) unit quaternion w, x, y, z; None where only a point is seen
 
 
 class MotionCapture(Protocol):

@@ -78,7 +78,7 @@ class Pilot:
         self.home: np.ndarray | None = None
         self._print, self._hang_limit, self._guarded = say, hang_limit, guarded
         self._log: FlightLogWriter | None = None
-        self._estimator = Estimator(FilterNoise.of(self.vehicle))
+        self._estimator = Estimator(FilterNoise.of(self.vehicle), plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)

@@ -44,6 +44,7 @@ class FlightPlan:
     setpoint: Policy
     start: tuple[float, float]  # x, z where the landing begins, m
     stand: float = 0.0  # height of what the vehicle stands on, m
+    heading: float = 0.0  # of the standing vehicle where motion capture does not show it, rad
 
     @property
     def vehicle(self) -> Vehicle:

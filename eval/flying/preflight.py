@@ -57,9 +57,9 @@ def preflight_checks(
     clearance = float(surroundings.distances(state[None])[0, 0]) if known else math.nan
     tilt = estimate.tilt if known else math.nan
     degrees, mismatch = math.degrees(tilt), math.degrees(estimate.attitude_mismatch)
-    level = "position or attitude is unknown: motion capture must show a rigid body"
-    if known:
-        level = f"tilted by {degrees:.1f} deg, {mismatch:.1f} deg from what motion capture shows"
+    # Only motion capture shows an attitude that the vehicle's own can be held against.
+    seen = any(pose.attitude is not None for pose in poses)
+    other = f", {mismatch:.1f} deg from what motion capture shows" if seen else ""
     frozen = "" if moved or len(times) < 2 else ", all identical: frozen"
     checks = {
         "battery": (
@@ -85,7 +85,7 @@ def preflight_checks(
         ),
         "level": (
             tilt <= LEVEL and estimate.attitude_mismatch <= LEVEL,
-            f"{level}; at most {math.degrees(LEVEL):.0f} deg",
+            f"tilted by {degrees:.1f} deg{other}; at most {math.degrees(LEVEL):.0f} deg",
         ),
         "inside the arena": (inside, f"x {x:z.2f}, y {y:z.2f} m; at least {ROOM:g} m from the walls"),
         "height": (

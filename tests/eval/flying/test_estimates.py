@@ -25,7 +25,7 @@ from inclined_landing.eval.flying.estimate import (
     transition,
 )
 from inclined_landing.eval.flying.interfaces import MeasuredPose
-from inclined_landing.models.attitude import PITCH, ROLL, YAW, quaternion, rotation
+from inclined_landing.models.attitude import quaternion, rotation
 from inclined_landing.models.parameters import load_vehicle
 
 NOISE = FilterNoise.of(load_vehicle())
@@ -138,18 +138,10 @@ def test_heading_comes_from_motion_capture():
 
 
 def test_frozen_cameras_are_no_measurement():
-    estimator, still = Estimator(NOISE), (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    assert estimator.add_pose(MeasuredPose(0.0, *still))
-    assert not any(estimator.add_pose(MeasuredPose(k * STEP, *still)) for k in range(1, 60))
-    assert estimator.predict(0.5).pose_age == 0.5
-
-
-@pytest.mark.parametrize("attitude", [0.0, np.nan])
-def test_a_point_without_attitude_leaves_the_attitude_unknown(attitude):
     estimator = Estimator(NOISE)
-    estimator.add_attitude(Attitude(0.0, np.eye(3)))
-    assert estimator.add_pose(MeasuredPose(0.0, np.zeros(3), np.full(4, attitude)))
-    assert np.isnan(estimator.predict(0.0).state[[ROLL, PITCH, YAW]]).all()
+    assert estimator.add_pose(MeasuredPose(0.0, np.zeros(3)))
+    assert not any(estimator.add_pose(MeasuredPose(k * STEP, np.zeros(3))) for k in range(1, 60))
+    assert estimator.predict(0.5).pose_age == 0.5
 
 
 def test_the_log_is_dated_by_its_earliest_packet():

@@ -162,3 +162,10 @@ def positioned(monkeypatch):
 def test_a_link_that_fails_is_one_sentence_without_tracebacks(uri, sentence, tmp_path, capfd, positioned):
     """By cflib's own drivers, which log tracebacks."""
     assert re.search(sentence, refused([f"--uri={uri}"], tmp_path, capfd))
+
+
+def test_a_heading_may_be_given_to_either_side(tmp_path, capfd, positioned):
+    for heading in ("-90", "-360", "270"):
+        assert "no connection" in refused([f"--uri={RADIO}", f"--heading={heading}"], tmp_path, capfd)
+    for heading in ("-361", "nan"):
+        assert "--heading" in refused([f"--uri={RADIO}", f"--heading={heading}"], tmp_path, capfd)
