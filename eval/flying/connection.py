@@ -37,34 +37,35 @@ class SimulatedConnection:
     confirms: bool = False  # must somebody type a word before the motors turn
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and motion capture of a new vehicle."""
+        """Return radio, clock and positions of a new vehicle."""
         seed = int(np.random.SeedSequence((self.seed, k)).generate_state(1)[0])
         flight = fly_simulated(self.setting, seed=seed, faults=self.faults)
         radio = Radio(flight.link, flight.clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(flight.uri)
-        return radio, flight.clock, flight.motion_capture
+        capture = None if self.setting.lighthouse else flight.motion_capture
+        return radio, flight.clock, _positions(radio, capture)
 
     def dead_man_switch(self) -> None:
         """Return None: the vehicle ends with this process."""
 
 
 class RealConnection:
-    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]."""
+    """The vehicle at `uri`. mocap: TYPE:HOST:BODY with its latency [s]; None uses the vehicle's own deck."""
 
     hang_limit = safety.HANG_LIMIT
 
-    def __init__(self, uri: str, mocap: str, latency: float, confirms: bool):
+    def __init__(self, uri: str, mocap: str | None, latency: float, confirms: bool):
         try:
             import cflib.crtp
         except ModuleNotFoundError as error:
             raise UserError(not_installed(error)) from error
         self.uri, self.confirms = uri, confirms
         self._clock = RealClock()
-        self._capture = positions.open_capture(mocap, self._clock, latency)
+        self._capture = None if mocap is None else positions.open_capture(mocap, self._clock, latency)
         cflib.crtp.init_drivers()
 
     def connect(self, k: int, plan: FlightPlan, dry: bool) -> Connected:
-        """Return radio, clock and motion capture; the user puts the vehicle back before every flight."""
+        """Return radio, clock and positions of the vehicle, which the user puts back before every flight."""
         from cflib.crazyflie import Crazyflie
 
         if k > 0:
@@ -73,7 +74,7 @@ class RealConnection:
                 raise UserError("standard input is closed, so no one can confirm the vehicle's position")
         radio = Radio(CflibLink(Crazyflie()), self._clock, plan.vehicle.command_angle_limit, dry=dry)
         radio.connect(self.uri)
-        return radio, self._clock, self._capture
+        return radio, self._clock, _positions(radio, self._capture)
 
     def dead_man_switch(self) -> DeadManSwitch:
         """Return the context in which another process stops the motors if this one dies."""
@@ -81,6 +82,17 @@ class RealConnection:
 
 
 Connection = SimulatedConnection | RealConnection
+
+
+def _positions(radio: Radio, capture: MotionCapture | None) -> MotionCapture:
+    """Return the motion capture or the vehicle's own position; if there is none, close the link."""
+    if capture is not None:
+        return capture
+    try:
+        return radio.onboard_position()
+    except UserError:
+        radio.close()
+        raise
 
 
 @contextlib.contextmanager

@@ -48,10 +48,10 @@ class FilterNoise:
     gate: float = 30.7  # largest normalised innovation squared: one of a million, chi-square with 3 degrees
 
     @classmethod
-    def of(cls, vehicle: Vehicle) -> FilterNoise:
+    def of(cls, vehicle: Vehicle, position: float = 1e-3) -> FilterNoise:
         """Return the noise model of a vehicle: accelerations uniform up to what its tilt limit allows."""
         largest = vehicle.environment_gravity * math.tan(vehicle.command_angle_limit)
-        return cls(acceleration=largest / math.sqrt(3.0), correlation=vehicle.attitude_time_constant)
+        return cls(position, largest / math.sqrt(3.0), vehicle.attitude_time_constant)
 
 
 class KalmanFilter:
@@ -200,9 +200,10 @@ class Estimator:
     """State estimator that fuses motion capture poses and the vehicle's attitude log.
 
     heading [rad]: direction of the nose when the first attitude arrives; used while no pose has an attitude.
+    None: the vehicle's own heading is relative to the arena.
     """
 
-    def __init__(self, noise: FilterNoise, heading: float = 0.0):
+    def __init__(self, noise: FilterNoise, heading: float | None = 0.0):
         self.filter = KalmanFilter(noise)
         self.last_pose: MeasuredPose | None = None  # the last pose, believed or not
         self.attitude: Attitude | None = None
@@ -233,7 +234,8 @@ class Estimator:
             return
         self.attitude = attitude
         if self._offset is None and not self.heading_measured:
-            self._offset = self._heading - frames.heading_of(attitude.rotation)
+            seen = frames.heading_of(attitude.rotation)
+            self._offset = 0.0 if self._heading is None else self._heading - seen
 
     def predict(self, time: float) -> StateEstimate:
         """Return the state estimate for `time` [s]."""

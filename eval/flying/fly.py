@@ -8,7 +8,7 @@ import logging
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from msgspec import Meta
@@ -18,6 +18,7 @@ from inclined_landing.eval.base.options import (
     Flag,
     Flat,
     NewFolder,
+    Only,
     Seed,
     Starts,
     VehicleFile,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 FaultNames = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME[@WHEN]")]
 _REAL = only_without("simulated")
+_BY_CAMERAS = Only(lambda values: values["position"] == "mocap", "with --position onboard")
 _SIMULATED, _PLANNED, _LANDING = only_with("simulated"), only_with("plan"), only_without("plan")
 
 
@@ -101,28 +103,33 @@ class FlightOptions:
 
 @dataclasses.dataclass(frozen=True)
 class VehicleOptions:
-    """The real vehicle and its motion capture.
+    """The real vehicle and the source of its position.
 
     Args:
         uri: URI of the vehicle in cflib's form, such as radio://0/80/2M/E7E7E7E7E7 or udp://127.0.0.1:19850.
         mocap: motion capture as type (vicon, optitrack, qualisys, nokov, vrpn ...), host and rigid body.
         mocap_latency: latency of that system from exposure to arrival, in seconds.
+        position: source of positions, motion capture or the vehicle's own Lighthouse deck.
         stand: height of the vehicle's stand in metres.
         heading: direction of the nose in degrees from x, if motion capture shows no attitude.
         yes: skip the confirmation; only for a simulator, at --uri udp://...
     """
 
     uri: Annotated[str | None, tyro.conf.arg(metavar="URI"), _REAL] = None
-    mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY"), _REAL] = None
-    mocap_latency: Annotated[float, Meta(ge=0, le=0.1), tyro.conf.arg(metavar="S"), _REAL] = 0.0
+    mocap: Annotated[str | None, tyro.conf.arg(metavar="TYPE:HOST:BODY"), _REAL, _BY_CAMERAS] = None
+    mocap_latency: Annotated[float, Meta(ge=0, le=0.1), tyro.conf.arg(metavar="S"), _REAL, _BY_CAMERAS] = 0.0
+    position: Literal["mocap", "onboard"] = "mocap"
     stand: Annotated[float, Meta(ge=0.0, le=2.0), tyro.conf.arg(metavar="M"), _REAL] = 0.0
-    heading: Annotated[float, Meta(ge=-360, le=360), tyro.conf.arg(metavar="DEG"), _REAL] = 0.0
+    heading: Annotated[float, Meta(ge=-360, le=360), tyro.conf.arg(metavar="DEG"), _REAL, _BY_CAMERAS] = 0.0
     yes: Flag = False
 
     def connection(self) -> Connection:
         """Return the connection to the vehicle. Raises UserError if none is stated."""
-        if self.uri is None or self.mocap is None:
-            raise UserError("give --uri and --mocap for a real vehicle, or --simulated for a simulated one")
+        if self.uri is None or (self.mocap is None and self.position == "mocap"):
+            raise UserError(
+                "give --uri and --mocap (or --position onboard) for a real vehicle, or --simulated for a "
+                "simulated one"
+            )
         from inclined_landing.eval.flying.connection import RealConnection
         from inclined_landing.eval.flying.vehicle import check_uri
 
@@ -150,15 +157,26 @@ class SimulationOptions:
     fault: Annotated[FaultNames, _SIMULATED] = ()
     seed: Annotated[Seed, _SIMULATED] = 0
 
-    def connection(self, flight: FlightOptions) -> Connection:
+    def connection(self, flight: FlightOptions, lighthouse: bool) -> Connection:
         """Return the connection to simulated vehicles, each next to the platform of its flight."""
         from inclined_landing.eval.flying.connection import SimulatedConnection
         from inclined_landing.eval.flying.simulated.body import named_vehicle
         from inclined_landing.eval.flying.simulated.faults import Fault
         from inclined_landing.eval.flying.simulated.world import Setting
 
+        for text in self.fault:
+            if lighthouse and text.startswith(("mocap-", "marker-", "attitude-turned")):
+                raise UserError(
+                    f"the fault {shown(text, 40)} concerns motion capture, which --position onboard does not "
+                    "use"
+                )
         angle = None if flight.inclination is None else math.radians(flight.inclination)
-        setting = Setting(named_vehicle(self.vehicle), inclination=angle, platform=not flight.no_platform)
+        setting = Setting(
+            named_vehicle(self.vehicle),
+            inclination=angle,
+            platform=not flight.no_platform,
+            lighthouse=lighthouse,
+        )
         faults = tuple(Fault.parse(text) for text in self.fault)
         return SimulatedConnection(setting, faults, self.seed)
 
@@ -191,13 +209,15 @@ def command(
     if flight.plan is not None and flight.policy is not None:
         raise UserError("--plan is flown instead of a landing; name no policy with --plan")
     landing, setpoint, starts = flight.load()
-    connection = simulation.connection(flight) if simulation.simulated else real.connection()
+    onboard = real.position == "onboard"
+    connection = simulation.connection(flight, onboard) if simulation.simulated else real.connection()
     logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what it logs is said in a sentence
     description = {
         "command": "fly",
         "policy": None if isinstance(landing, PlannedFlight) else str(landing.path),
         "plan": None if flight.plan is None else str(flight.plan),
         "simulated": simulation.simulated,
+        "position": real.position,
         "seed": simulation.seed if simulation.simulated else None,
     }
     folder = out or runs.dated("fly")

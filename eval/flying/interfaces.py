@@ -72,6 +72,10 @@ class Link(Protocol):
         """Begin to connect to a vehicle."""
         ...
 
+    def parameter(self, name: str) -> float:
+        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
+        ...
+
     def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
         """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
         ...

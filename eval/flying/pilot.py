@@ -34,6 +34,7 @@ from inclined_landing.eval.flying.flight_log import FlightLogWriter
 from inclined_landing.eval.flying.interfaces import FlightClock, MeasuredPose, MotionCapture
 from inclined_landing.eval.flying.plan import FlightPlan, PlannedFlight, PlanTracking
 from inclined_landing.eval.flying.policies import InvalidAction, PolicyLanding, SetpointFollower
+from inclined_landing.eval.flying.positions import NOISE, OnboardPosition
 from inclined_landing.eval.flying.preflight import RECORDING_TIME, Check, preflight_checks
 from inclined_landing.eval.flying.report import FlightReport
 from inclined_landing.eval.flying.safety import Cause, FlightStatus, Phase, Reaction
@@ -78,7 +79,10 @@ class Pilot:
         self.home: np.ndarray | None = None
         self._print, self._hang_limit, self._guarded = say, hang_limit, guarded
         self._log: FlightLogWriter | None = None
-        self._estimator = Estimator(FilterNoise.of(self.vehicle), plan.heading)
+        onboard = isinstance(mocap, OnboardPosition)
+        self._source = "onboard position (Lighthouse deck)" if onboard else "motion capture"
+        noise = FilterNoise.of(self.vehicle, NOISE) if onboard else FilterNoise.of(self.vehicle)
+        self._estimator = Estimator(noise, None if onboard else plan.heading)
         self._monitor = safety.SafetyMonitor(self.vehicle)
         self._consistency = ConsistencyMonitor(self.vehicle.environment_gravity)
         self._follower = SetpointFollower(plan.setpoint)
@@ -113,7 +117,7 @@ class Pilot:
             self._receive()
         estimate = self._estimator.predict(self.clock.now())
         status = self._voltage, self._locked
-        measured = (self._poses, self._attitudes, status, estimate)
+        measured = (self._source, self._poses, self._attitudes, status, estimate)
         found = preflight_checks(*measured, self.surroundings, self.plan.stand)
         if all(check.passed for check in found):
             self.home = np.mean([pose.position for pose in self._poses], axis=0)

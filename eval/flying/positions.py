@@ -1,12 +1,17 @@
-"""Motion capture, with the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
+"""Sources of positions: motion capture systems and the Lighthouse deck.
 
+Motion capture is read with the library `motioncapture` of IMRCLab: Vicon, OptiTrack, Qualisys, Nokov, VRPN.
 Set up the axes of the system like the arena's: x along the slope's direction, z up, metres, and the rigid
 body's origin in the vehicle's centre of mass, its axes along the vehicle's.
+
+A vehicle with a Lighthouse deck measures its own position: the firmware's Kalman filter runs on board, and
+its estimate arrives in a log block. It is used while the filter reports a small variance of the velocity.
 """
 
 from __future__ import annotations
 
 import atexit
+import math
 import subprocess
 import sys
 import threading
@@ -20,6 +25,11 @@ from inclined_landing.models.base.errors import UserError, not_installed, shown
 CONNECTING = 10.0  # s that a connection to motion capture may take
 _FIRST = 5.0  # s that its first frame may take
 _PROBE = "import sys, motioncapture; motioncapture.connect(sys.argv[1], {'hostname': sys.argv[2]})"
+LIGHTHOUSE = "deck.bcLighthouse4"  # parameter, 1 where the deck is there
+POSITION = ("stateEstimate.x", "stateEstimate.y", "stateEstimate.z")
+VARIANCE = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")  # of the velocity, m2/s2 (`estimator_kalman.c`)
+NOISE = 0.003  # m, standard deviation that the pilot gives such a position: it wanders by millimetres
+UNSURE = 0.2  # m/s: a filter that knows its velocity no better has lost what its deck sees
 
 
 def open_capture(name: str, clock: FlightClock, latency: float = 0.0) -> MotionCapture:
@@ -109,3 +119,24 @@ class TrackedBody:
                 attitude = np.array([q.w, q.x, q.y, q.z], float)
                 self._pose = MeasuredPose(arrival - self._latency, position, attitude)
                 self._first.set()
+
+
+class OnboardPosition:
+    """A `MotionCapture` from the position that a Lighthouse deck measures, in the frame of the arena."""
+
+    def __init__(self):
+        self._pose: MeasuredPose | None = None
+        self._believed = False
+
+    def latest(self) -> MeasuredPose | None:
+        """Return the newest pose; None before the first one."""
+        return self._pose
+
+    def add_position(self, time: float, position: np.ndarray) -> None:
+        """Add a position (3,) [m] of the vehicle's estimate at `time` [s]."""
+        if self._believed and np.isfinite(position).all():
+            self._pose = MeasuredPose(time, position)
+
+    def add_variance(self, variance: np.ndarray) -> None:
+        """Add the variance (3,) [m2/s2] of the velocity in the vehicle's filter."""
+        self._believed = bool(np.isfinite(variance).all() and math.sqrt(max(variance)) < UNSURE)

@@ -31,6 +31,7 @@ class Check:
 
 
 def preflight_checks(
+    source: str,
     poses: list[MeasuredPose],
     attitudes: int,
     status: tuple[float, bool],
@@ -40,8 +41,8 @@ def preflight_checks(
 ) -> list[Check]:
     """Return all preflight checks from RECORDING_TIME seconds of measurements at rest.
 
-    attitudes: number received; status: voltage [V], NaN if none was received, and whether the vehicle is
-    locked; stand: height of its stand [m].
+    source: name of the source of the poses; attitudes: number received; status: voltage [V], NaN if none was
+    received, and whether the vehicle is locked; stand: height of its stand [m].
     """
     (voltage, locked), v = status, surroundings.vehicle
     positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
@@ -70,7 +71,7 @@ def preflight_checks(
             not locked,
             "locked, crashed or tumbled: switch it off and on" if locked else "not locked",
         ),
-        "motion capture": (
+        source: (
             len(times) >= POSE_RATE * RECORDING_TIME and gap <= LONGEST_GAP and moved,
             f"{len(times) / RECORDING_TIME:.0f} poses per second, longest gap {1e3 * gap:.0f} ms{frozen}"
             f"; at least {POSE_RATE:g}, at most {1e3 * LONGEST_GAP:g} ms",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.flying import frames
+from inclined_landing.eval.flying import frames, positions
 from inclined_landing.eval.flying.estimate import Attitude, ClockOffset
 from inclined_landing.eval.flying.interfaces import Arrived, FlightClock, Link
 from inclined_landing.models.base.errors import UserError, shown
@@ -20,6 +20,7 @@ from inclined_landing.models.base.errors import UserError, shown
 CONNECTING = 30.0  # s that a connection may take: tables of contents come over the radio
 ATTITUDE_PERIOD = 10  # ms: 100 Hz. cflib asks in steps of 10 ms; the paper's 80 Hz lie between two of them
 STATUS_PERIOD = 100  # ms
+VARIANCE_PERIOD = 50  # ms
 REPEATS = 5  # of a command that is sent once, one after the other: any of them may get lost
 _LOCKED = 1 << 5 | 1 << 6 | 1 << 7  # tumbled, locked, crashed in supervisor.info, see cflib's Supervisor
 UDEV = "https://www.bitcraze.io/documentation/repository/crazyflie-lib-python/master/installation/usb_permissions/"
@@ -91,6 +92,10 @@ class CflibLink:
     def open(self, uri: str) -> None:
         """Begin to connect to a vehicle."""
         self.crazyflie.open_link(uri)
+
+    def parameter(self, name: str) -> float:
+        """Return a parameter of the firmware. Raises KeyError for firmware without it."""
+        return float(self.crazyflie.param.get_value(name))
 
     def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
         """Log variables every `period` [ms]. Raises KeyError for firmware without one of them."""
@@ -179,6 +184,30 @@ class Radio:
             self.link.log("status", STATUS_PERIOD, ("pm.vbat", "supervisor.info"), self._status)
         except KeyError:  # older firmware
             self.link.log("status", STATUS_PERIOD, ("pm.vbat",), self._status)
+
+    def onboard_position(self) -> positions.OnboardPosition:
+        """Return the position that the vehicle logs. Raises UserError without a Lighthouse deck."""
+        try:
+            found = bool(self.link.parameter(positions.LIGHTHOUSE))
+        except KeyError:  # older firmware
+            found = False
+        if not found:
+            raise UserError(
+                "the vehicle has no deck that measures its position: no Lighthouse deck was found "
+                f"({positions.LIGHTHOUSE})"
+            )
+        to = positions.OnboardPosition()
+
+        def position(stamp: int, data: Mapping[str, float]) -> None:
+            time = self._dates.date(stamp, self.clock.now())
+            to.add_position(time, np.array([data[name] for name in positions.POSITION]))
+
+        def variance(stamp: int, data: Mapping[str, float]) -> None:
+            to.add_variance(np.array([data[name] for name in positions.VARIANCE]))
+
+        self.link.log("variance", VARIANCE_PERIOD, positions.VARIANCE, variance)
+        self.link.log("position", ATTITUDE_PERIOD, positions.POSITION, position)
+        return to
 
     def received(self) -> list[Attitude | Status]:
         """Return the data received since the last call, in order."""

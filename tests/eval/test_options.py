@@ -19,6 +19,7 @@ REFUSED = [
     "fly --no-platform",
     *(f"fly --simulated --{option}"
       for option in ("uri a", "mocap a", "mocap-latency 0", "stand 0", "heading 3")),
+    *(f"fly --position onboard --{option}" for option in ("mocap a", "mocap-latency 0", "heading 3")),
     *(f"fly --{option}" for option in ("vehicle hidden", "fault a", "seed 3")),
     "mission --start 0,0,2 --missions 5",
     "mission --start 0,0,2 --seed 3",

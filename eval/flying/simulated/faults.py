@@ -25,6 +25,7 @@ FAULTS = {  # what goes wrong; `World.begin` lets it
     "mocap-stuck": "a marker left behind: the pose stays where it was",
     "marker-swap": f"the pose jumps by {SWAP:g} m in a random direction",
     "attitude-turned": "the pose shows the vehicle turned by half a turn",
+    "deck-blind": "the Lighthouse deck sees nothing any more; the onboard position is dead reckoning",
     "attitude-wrong": "the onboard roll and pitch have the wrong sign",
     "low-battery": f"the voltage falls by {SAG_RATE:g} V/s, and the thrust with it",
     "reboot": "the vehicle restarts: motors off, link lost",

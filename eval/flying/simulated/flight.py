@@ -40,6 +40,10 @@ class SimulatedLink:
         else:
             self._is_lost("Too many packets lost")
 
+    def parameter(self, name: str) -> float:
+        """Return a parameter of the vehicle. Raises KeyError for one that it has not."""
+        return self._world.parameters[name]
+
     def log(self, name: str, period: int, variables: Sequence[str], arrived: Arrived) -> None:
         """Log variables every `period` [ms]. Raises KeyError for a variable that the vehicle has not."""
         self._world.log(variables, 1e-3 * period, arrived)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from inclined_landing.eval.flying.interfaces import Arrived
+from inclined_landing.eval.flying.positions import LIGHTHOUSE
 from inclined_landing.eval.flying.simulated.body import FLOOR, Body
 from inclined_landing.eval.flying.simulated.faults import (
     BURST_LENGTH,
@@ -25,7 +26,7 @@ from inclined_landing.eval.flying.simulated.faults import (
     Fault,
 )
 from inclined_landing.eval.flying.simulated.firmware import PERIOD, Firmware
-from inclined_landing.eval.flying.simulated.sensors import LOGGED, OnboardSensors
+from inclined_landing.eval.flying.simulated.sensors import LOGGED, Lighthouse, OnboardSensors
 from inclined_landing.eval.flying.simulated.transport import (
     CameraQuality,
     LinkDirection,
@@ -48,6 +49,7 @@ class Setting:
     heading: float | None = None  # rad; None: drawn with a standard deviation of 2 deg
     inclination: float | None = None  # of the platform, rad; None: the vehicle file's
     platform: bool = True  # does it stand there
+    lighthouse: bool = False  # does it position itself by a Lighthouse deck
     link: LinkQuality = dataclasses.field(default_factory=LinkQuality)
     cameras: CameraQuality = dataclasses.field(default_factory=CameraQuality)
 
@@ -82,9 +84,11 @@ class World:
     """
 
     def __init__(self, setting: Setting, seed: int, faults: Sequence[Fault] = ()):
-        seeds = np.random.SeedSequence(seed).spawn(6)
+        seeds = np.random.SeedSequence(seed).spawn(7)
         generators = (np.random.default_rng(s) for s in seeds)
-        up, down, seen, measured, self.random, start = generators
+        up, down, seen, specific_force, self.random, start, positions = generators
+        if not setting.lighthouse and any(fault.name == "deck-blind" for fault in faults):
+            raise UserError("the fault deck-blind needs --position onboard")
         heading = math.radians(2.0) * start.normal() if setting.heading is None else setting.heading
         self.setting = setting
         self.body = Body(
@@ -97,9 +101,11 @@ class World:
         )
         self.up, self.down = LinkDirection(setting.link, up), LinkDirection(setting.link, down)
         self.view = SimulatedMotionCapture(setting.cameras, seen)
+        self.parameters = {LIGHTHOUSE: float(setting.lighthouse)}
         self.logs: list[LogBlock] = []
         self.firmware = Firmware()
-        self.sensors = OnboardSensors(self.body, lambda: self.firmware, measured)
+        self.deck = Lighthouse(self.body, positions) if setting.lighthouse else None
+        self.sensors = OnboardSensors(self.body, lambda: self.firmware, specific_force, self.deck)
         self.time = 0.0
         self.on_link_lost: Callable[[str], None] = lambda reason: None
         self.thrust = 0.0  # that the motors are given
@@ -194,6 +200,8 @@ class World:
                 self.view.shift = SWAP * direction / math.sqrt(direction @ direction)
             case "attitude-turned":
                 self.view.turned = True
+            case "deck-blind" if self.deck is not None:
+                self.deck.blind = True
             case "attitude-wrong":
                 self.sensors.sign = -1.0
             case "low-battery":
