@@ -34,6 +34,7 @@ from inclined_landing.eval.flying.simulated.transport import (
     SimulatedMotionCapture,
 )
 from inclined_landing.models.attitude import Z
+from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
