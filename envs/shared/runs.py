@@ -8,7 +8,7 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from inclined_landing.models.base import storage
@@ -37,27 +37,6 @@ def check_new_run(path: str | Path) -> None:
     except OSError as error:
         raise UserError(f"the run folder {path} cannot be used: {storage.reason(error)}") from error
     storage.check_folder(path)
-
-
-def hand_over(
-    report: dict,
-    show: Callable[[dict], None],
-    json: bool,
-    out: Path | None,
-    files: Mapping[str, str] | None = None,
-) -> None:
-    """Write the report of a command, and texts by name, to the new folder `out`, if there is one. Print the
-    report as JSON, or with `show`.
-    """
-    if out is not None:
-        with staged_run(out) as folder:
-            for name, text in (files or {}).items():
-                storage.write_text(folder / name, text)
-            storage.write_json(folder / f"{report['command'].split()[0]}.json", report)
-    if json:
-        print(storage.to_json(report))
-    else:
-        show(report)
 
 
 @contextlib.contextmanager
