@@ -18,7 +18,7 @@ from scipy.signal import detrend
 
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, simulate
 from inclined_landing.eval.gap.flights.windows import prepare
-from inclined_landing.eval.gap.model.prediction import predict, predictions
+from inclined_landing.eval.gap.model.prediction import predict, predictor
 from inclined_landing.eval.logs import FlightLog
 from inclined_landing.eval.truth.equivalence.flying import full_steps, largest_gaps, start_states
 from inclined_landing.eval.truth.equivalence.levels import FLIGHT_LIMITS
@@ -527,7 +527,7 @@ def test_vehicles_are_predicted_together_as_one_by_one(first):
     flight, vehicle = flight_of(V), changed(first)
     vehicles = [vehicle, *(e.apply(vehicle, e.plausible) for e in LIBRARY.values())]
     alone = np.stack([predict(flight, v) for v in vehicles])
-    together = predictions(flight, vehicles)
+    together = predictor(flight, vehicles)(flight)
     atol = 2e-4 * np.ptp(alone) if first == "slung_load" else 0.0  # one step of Newton to a swing's start
     np.testing.assert_allclose(together, alone, rtol=0.0, atol=atol)
 

@@ -31,6 +31,7 @@ from inclined_landing.eval.gap.model.reference import (
     ReferenceResidual,
 )
 from inclined_landing.eval.gap.result import Dependence, ResidualAnalysis
+from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
 # Of `equivalent_sizes`.
@@ -205,10 +206,14 @@ def _functions(
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
-        for target in (LINEAR[name],) if name in LINEAR else TARGETS:
-            if problem.logged[:, _channels(target)].any():
-                known = repeating.weights.get((target, name)) if repeating else None
-                result.append(_fit(problem, residual, target, name, features, block_of, known))
+        targets = (LINEAR[name],) if name in LINEAR else TARGETS
+        targets = tuple(t for t in targets if problem.logged[:, _channels(t)].any())
+        weights = [repeating.weights.get((t, name)) if repeating else None for t in targets]
+
+        def fit(target: str, known, name=name, features=features) -> _RidgeRegression:
+            return _fit(problem, residual, target, name, features, block_of, known)
+
+        result += two_at_a_time(fit, targets, weights)
     return result
 
 

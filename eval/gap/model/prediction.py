@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -48,19 +48,15 @@ UNITS_OF = {
 }
 ROLL_CHANNEL, YAW_CHANNEL = 3, 5
 _NEUTRAL = np.array(NEUTRAL)
-_NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 # Constants that act in the attitude loops alone, beside those of the table `attitude`.
 _OF_THE_LOOPS = {
     *(f"effects_attitude_{n}" for n in ("delay", "hold", "integral", "saturation", "trim")),
     *("effects_estimator_lean", "effects_yaw_drift"),
 }
-_translation = attrgetter(  # of a vehicle: all constants that its translation may depend on
-    *(
-        f.name
-        for f in dataclasses.fields(Vehicle)
-        if f.name not in _OF_THE_LOOPS and not f.name.startswith("attitude_")
-    )
-)
+_fields = [f.name for f in dataclasses.fields(Vehicle)]
+_of_loops = [n for n in _fields if n in _OF_THE_LOOPS or n.startswith("attitude_")]
+_translation = attrgetter(*(n for n in _fields if n not in _of_loops))  # of a vehicle: all that it depends on
+_loops = attrgetter(*_of_loops, "effects_mocap_delay")  # with the attitude and the moments
 
 
 def channels_of(flights) -> tuple[str, ...]:
@@ -77,24 +73,34 @@ def predict(flight, vehicle: Vehicle) -> np.ndarray:
     (estimator_delay) of the measured attitude are taken off the attitude that drives the translation, and
     put on that of the loops.
     """
-    return predictions(flight, [vehicle])[0]
+    return predictor(flight, [vehicle])(flight)[0]
 
 
-def predictions(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
-    """Return what is predicted (n, m, C) of vehicles along a flight; in memory one channel after another."""
-    out = np.empty((len(vehicles), flight.channels, flight.samples))
-    packed = _packed(flight, vehicles)
+def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
+    """Return the predictions (n, m, C) of vehicles as a function of a flight logged as the flight `like` is.
+
+    In memory they lie one channel after another.
+    """
+    packed = _packed(like, vehicles)
     seen = [(v.effects_mocap_tilt, v.effects_estimator_delay) for v in vehicles]  # the same attitude
+    groups = []
     for alike in dict.fromkeys(seen):
-        own = [k for k, one in enumerate(seen) if one == alike]
-        first = vehicles[own[0]]
-        same = [_translation(vehicles[k]) == _translation(first) for k in own]
-        begun, other = (Starts.none(flight.starts, flight.rows, flight.dt) for _ in range(2))
-        _predict(_Measured.of(flight, first), packed, np.array(own), np.array(same), begun, other, out)
-    if flight.requests is not None:
-        for vehicle, one in zip(vehicles, out):
-            one[YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle).T
-    return out.transpose(0, 2, 1)
+        own = np.array([k for k, one in enumerate(seen) if one == alike])
+        of_first = vehicles[own[0]]
+        same = [[of(vehicles[k]) == of(of_first) for k in own] for of in (_translation, _loops)]
+        groups.append((of_first, own, np.array(same)))
+
+    def along(flight) -> np.ndarray:
+        out = np.empty((len(vehicles), flight.channels, flight.samples))
+        begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
+        for of_first, own, same in groups:
+            _predict(_Measured.of(flight, of_first), packed, own, same, begun, out)
+        if flight.requests is not None:
+            for vehicle, one in zip(vehicles, out):
+                one[YAW_CHANNEL + 1 :] = requested_differences(flight, vehicle).T
+        return out.transpose(0, 2, 1)
+
+    return along
 
 
 def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
@@ -219,46 +225,49 @@ class _Measured(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True)
-def _predict(measured, vehicles, own, as_first, begun, other, out):
+def _predict(measured, vehicles, own, same, begun, out):
     """Write the predicted pose (6, m) of every vehicle `own` (k,) into out (n, C, m).
 
-    as_first (k,): whether its translation is that of the first of these. begun, other: `Starts` of loads.
+    same (2, k): whether its translation, and its loops, are those of the first of these. begun: `Starts` of
+    loads.
     """
-    m, dt, pose = len(measured.command), measured.dt, slice(0, YAW_CHANNEL + 1)
-    angles_of = slice(ROLL_CHANNEL, YAW_CHANNEL + 1)
-    twist, first_twist, first_angles = np.zeros((m - 1, 3)), np.zeros((m - 1, 3)), np.empty((m, 3))
-    near, turning = np.zeros((m - 1, 3)), _turning(measured.attitude)
-    known, loaded = 0, -1  # the vehicles that `near` and `begun` are of
-    free = measured.velocity  # then: the acceleration of that one without its load
+    dt, steps, pose = measured.dt, measured.velocity.shape, slice(0, YAW_CHANNEL + 1)
+    twist, first_twist, near = np.zeros(steps), np.zeros(steps), np.zeros(steps)
+    turning, first_commands, first_yaw = _turning(measured.attitude), np.empty((2, 0)), np.empty(0)
+    known = 0  # the vehicle that `near` is of
     for k in range(len(own)):
         vehicle, predicted, first = vehicles[own[k] : own[k] + 1], out[own[k], pose], out[own[0], pose]
-        if k == 0 or not as_first[k]:
-            if k == 0 or not _same_ground(vehicle[0], vehicles[own[known]]):
-                _ground(measured, vehicle[0], near)
+        v = vehicle[0]
+        if k == 0 or not same[0, k]:
+            if k == 0 or not _same_ground(v, vehicles[own[known]]):
+                _ground(measured, v, near)
                 known = k
-            acceleration = _accelerations(measured, vehicle[0], near, turning, twist)
-            if vehicle[0].effects.load_mass != 0.0:
-                again = loaded >= 0 and _same_load(vehicle[0], vehicles[own[loaded]])
-                if loaded < 0:
-                    loaded, free = k, acceleration
-                else:
-                    again = again and ((acceleration - free) ** 2).mean() < _NEARLY**2
-                written = begun if again or loaded == k else other
+            acceleration = _accelerations(measured, v, near, turning, twist)
+            if v.effects.load_mass != 0.0:
                 seen, starts, rows = measured.position, measured.starts, measured.rows
-                acceleration = pulled(acceleration, seen, starts, rows, dt, vehicle, written, again)
-            _translate(acceleration, vehicle[0].environment.gravity, dt, predicted)
+                acceleration = pulled(acceleration, seen, starts, rows, dt, vehicle, begun)
+            _translate(acceleration, v.environment.gravity, dt, predicted)
         else:
             predicted[:ROLL_CHANNEL], twist[:] = first[:ROLL_CHANNEL], first_twist
-        angles = _angles(measured, twist, vehicle)
-        if k == 0:
-            first_twist[:], first_angles[:] = twist, angles
-        elif np.array_equal(angles, first_angles):
-            predicted[angles_of] = first[angles_of]
+        alike = k > 0 and same[1, k]
+        if alike and np.array_equal(twist, first_twist):
+            predicted[ROLL_CHANNEL:] = first[ROLL_CHANNEL:]
             continue
-        tilt = vehicle[0].effects.mocap_tilt
+        if not alike:
+            commands, yaw = _loop_commands(measured, v), _yaw(measured, vehicle)
+        else:
+            commands, yaw = first_commands, first_yaw
+        angles = np.empty((len(yaw), 3))
+        for axis in range(2):
+            turned, start = twist[:, axis], measured.first_attitude[axis]
+            angles[:, axis] = angle_steps(axis, commands[axis], turned, start, dt, vehicle)
+        angles[:, 2] = yaw
+        if k == 0:
+            first_twist[:], first_commands, first_yaw = twist, commands, yaw
+        tilt = v.effects.mocap_tilt
         if tilt[0] != 0.0 or tilt[1] != 0.0:
             tilted(angles.copy(), tilt[0], tilt[1], angles)
-        predicted[angles_of] = angles.T
+        predicted[ROLL_CHANNEL:] = angles.T
 
 
 @numba.njit(cache=True, nogil=True)
@@ -282,13 +291,6 @@ def _same_ground(v, w):
         and v.platform.depth == w.platform.depth
         and v.platform.surface_height == w.platform.surface_height
     )
-
-
-@numba.njit(cache=True, inline="always")
-def _same_load(v, w):
-    """Return whether two vehicles carry the same load: of the same mass too, which the swing depends on."""
-    same = v.effects.load_mass == w.effects.load_mass and v.effects.load_length == w.effects.load_length
-    return same and v.body.mass == w.body.mass
 
 
 @numba.njit(cache=True, nogil=True)
@@ -342,41 +344,40 @@ def _translate(acceleration, gravity, dt, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def _angles(measured, twist, vehicle):
-    """Return roll, pitch and yaw (m, 3) by the loops, under the angular accelerations twist (m - 1, 3)."""
-    v, dt, out = vehicle[0], measured.dt, np.empty((len(measured.command), 3))
-    for axis in range(2):
-        command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
-        out[:, axis] = angle_steps(axis, command, twist[:, axis], start, dt, vehicle)
-    delay = v.effects.attitude_delay + v.effects.mocap_delay
-    out[:, 2] = yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], dt, delay), dt, vehicle)
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
 def _integrals(measured, vehicle):
     """Return the integrals (m, 2) [rad s] of the errors of roll and pitch."""
     v, twist, out = vehicle[0], np.empty_like(measured.velocity), np.empty((len(measured.command), 2))
-    near = np.empty_like(twist)
+    near, commands = np.empty_like(twist), _loop_commands(measured, v)
     _ground(measured, v, near)
     _accelerations(measured, v, near, _turning(measured.attitude), twist)
     for axis in range(2):
-        command, start = _loop_command(measured, axis, v), measured.first_attitude[axis]
-        steps = integrated_steps(axis, command, twist[:, axis], start, measured.dt, vehicle)
-        out[:, axis] = steps[:, 1]
+        start, turned = measured.first_attitude[axis], twist[:, axis]
+        out[:, axis] = integrated_steps(axis, commands[axis], turned, start, measured.dt, vehicle)[:, 1]
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _loop_command(measured, axis, v):
-    """Return what the loop of roll (axis 0) or pitch (1) follows (m - 1,) [rad]."""
+def _yaw(measured, vehicle):
+    """Return the yaw (m,) by its loop."""
+    effects = vehicle[0].effects
+    delay = effects.attitude_delay + effects.mocap_delay
+    return yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], measured.dt, delay), measured.dt, vehicle)
+
+
+@numba.njit(cache=True, nogil=True)
+def _loop_commands(measured, v):
+    """Return what the loops of roll and pitch follow (2, m - 1) [rad]."""
     lean, late = v.effects.estimator_lean, v.effects.mocap_delay + v.effects.estimator_delay
     delay = max(0.0, v.effects.attitude_delay + late)
-    command = averages(measured.command[:, ROLL_COMMAND + axis], measured.dt, delay)
-    if lean != 0.0:  # the angle at which the loops come to rest moves with the speed: as by a command
+    out = np.empty((2, len(measured.velocity)))
+    for axis in range(2):
+        out[axis] = averages(measured.command[:, ROLL_COMMAND + axis], measured.dt, delay)
+        if lean == 0.0:
+            continue
+        # The angle at which the loops come to rest moves with the speed: as by a command.
         aside, share = 1 - axis, (2 * axis - 1) * lean / v.attitude.gain
-        for k in range(len(command)):
+        for k in range(out.shape[1]):
             r, velocity = measured.rotation[k], measured.velocity[k]
             speed = r[0, aside] * velocity[0] + r[1, aside] * velocity[1] + r[2, aside] * velocity[2]
-            command[k] += share * speed
-    return command
+            out[axis, k] += share * speed
+    return out

@@ -7,6 +7,7 @@ works on the Gram matrices of every flight (normal equations):  a = J'J,  b = J'
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -28,7 +29,7 @@ from inclined_landing.eval.gap.model.columns import (
     Values,
 )
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
-from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictions, thrust_elasticity
+from inclined_landing.eval.gap.model.prediction import CHANNELS, predict, predictor, thrust_elasticity
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.model.swing import stretches
 from inclined_landing.models.effects import Effect
@@ -217,8 +218,8 @@ class Problem(Candidates):
 
     def _prediction(self, values: Values) -> Callable[[MeasuredFlight, np.ndarray], np.ndarray]:
         """Return the prediction (m, C) as a function of a flight and its Jacobian in model errors."""
-        vehicle = self.corrected(values)
-        return lambda flight, jacobian: _with_model_errors(predict(flight, vehicle), jacobian, values)
+        predicted = predictor(self.flights[0], [self.corrected(values)])
+        return lambda flight, jacobian: _with_model_errors(predicted(flight)[0], jacobian, values)
 
     def squares(self, values: Values) -> float:
         """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
@@ -256,9 +257,10 @@ class Problem(Candidates):
         without = {c.effect: without[c.effect] for c in columns if isinstance(c, FormColumn)}
         vehicles = [self.corrected(v) for v in (values, *without.values())]
         vehicles += [moved for moved, _ in differences.values()]
+        predicted = predictor(self.flights[0], vehicles)
 
         def of(flight: MeasuredFlight, form_jacobian: np.ndarray) -> np.ndarray:
-            here, *others = predictions(flight, vehicles)
+            here, *others = predicted(flight)
             rest, moved = dict(zip(without, others)), dict(zip(differences, others[len(without) :]))
             # As in memory: one channel after another
             result = np.empty((1 + len(columns), *here.T.shape)).transpose(0, 2, 1)
@@ -286,6 +288,7 @@ class Problem(Candidates):
             stack = jacobian_of(flight, self.form_jacobians[k])
             stack[0] = flight.measured - stack[0]  # [e, J]
             of_windows, groups = flight.starts[:, None] + np.arange(flight.rows), self.group_of[own]
+            ends = [0, *(np.flatnonzero(np.diff(groups)) + 1), len(groups)]  # of the groups' windows
             for channel, matrix in enumerate(flight.whitening.matrices):
                 series = stack[:, :, channel]
                 # A constant of the pose goes with the start state; of the requests it is a moment.
@@ -294,9 +297,9 @@ class Problem(Candidates):
                 windows = np.take(series[live], of_windows, axis=1)  # (live, w, rows)
                 white = (windows.reshape(-1, flight.rows) @ matrix.T).reshape(*windows.shape[:2], -1)
                 white *= share[own, channel, None]
-                for g in np.unique(groups):
-                    part = white[:, groups == g].reshape(len(live), -1)
-                    grams[np.ix_([g], live, live)] += part @ part.T
+                for first, last in itertools.pairwise(ends):
+                    part = white[:, first:last].reshape(len(live), -1)
+                    grams[np.ix_([groups[first]], live, live)] += part @ part.T
 
         two_at_a_time(of, range(len(self.flights)))
         at = [1 + unique.index(c) for c in columns]

@@ -16,6 +16,7 @@ import numpy as np
 
 from inclined_landing.models.load import LOAD_SIZE, advance
 
+NEARLY = 0.05  # m/s2, accelerations so near lead to a load's start by a single linear step
 STRETCH = 10.0  # s, the longest with one start: air and string damp what is older
 ANGLE = 0.3  # rad, standard deviation of the start's angle; of its rate, times the swing's frequency
 _NUMBERS = 2.0  # independent errors in one channel of a window: they are smooth
@@ -29,22 +30,25 @@ class Starts(NamedTuple):
     z: np.ndarray  # (s, 4) angles and rates along x and y
     gain: np.ndarray  # (4, 2 w rows) of the errors in all windows
     inverse: np.ndarray  # (s, 4, 4) of the prior
+    of: np.ndarray  # (3,) what they are of: masses of load and vehicle, length of the string; NaN: nothing yet
+    acceleration: np.ndarray  # (m - 1, 3) m/s2, of the vehicle without the load
 
     @staticmethod
-    def none(starts: np.ndarray, rows: int, dt: float) -> Starts:
-        """Return those before the first fit. Arguments: see `pulled`."""
-        s = len(stretches(starts, rows, dt)) - 1
-        return Starts(np.zeros((s, 4)), np.zeros((4, 2 * len(starts) * rows)), np.zeros((s, 4, 4)))
+    def none(samples: int, starts: np.ndarray, rows: int, dt: float) -> Starts:
+        """Return those before the first fit to a flight of m samples. Other arguments: see `pulled`."""
+        s, numbers = len(stretches(starts, rows, dt)) - 1, 2 * len(starts) * rows
+        fitted = np.zeros((s, 4)), np.zeros((4, numbers)), np.zeros((s, 4, 4))
+        return Starts(*fitted, np.full(3, np.nan), np.zeros((samples - 1, 3)))
 
 
 @numba.njit(cache=True, nogil=True)
-def pulled(acceleration, position, starts, rows, dt, vehicle, begun, again):
+def pulled(acceleration, position, starts, rows, dt, vehicle, begun):
     """Return the mean accelerations (m - 1, 3) [m/s2] of a vehicle whose load swings, over a flight's steps.
 
     acceleration (m - 1, 3): without the load. Both without gravity's. position (m, 3) [m] measured; starts
     (w,): first rows of the windows, of `rows` rows `dt` [s] apart. vehicle: see `forces.pack`. begun:
-    `Starts`, written unless `again`: they are those of nearly the same accelerations with the same load, from
-    which a single linear step leads to these.
+    `Starts`, written where they are of nothing yet. From those of nearly the same accelerations with the same
+    load a single linear step leads to these.
     """
     v = vehicle[0]
     mass, length = v.effects.load_mass, v.effects.load_length
@@ -54,13 +58,24 @@ def pulled(acceleration, position, starts, rows, dt, vehicle, begun, again):
     spread = np.array([ANGLE, ANGLE, ANGLE * frequency, ANGLE * frequency])
     string = share, length, dt
     out = (1.0 - share) * acceleration  # as one body, outside the windows
+    of = np.array([mass, v.body.mass, length])
+    same = np.array_equal(begun.of, of)
+    again = same and ((acceleration - begun.acceleration) ** 2).mean() < NEARLY**2
+    if np.isnan(begun.of[0]):
+        begun.of[:], begun.acceleration[:] = of, acceleration
+        z_of, gain_of, inverse_of = begun.z, begun.gain, begun.inverse
+    elif again:
+        z_of, gain_of, inverse_of = begun.z, begun.gain, begun.inverse
+    else:
+        z_of = np.empty_like(begun.z)
+        gain_of, inverse_of = np.empty_like(begun.gain), np.empty_like(begun.inverse)
     ends = stretches(starts, rows, dt)
     for i in range(len(ends) - 1):
         own = starts[ends[i] : ends[i + 1]]
         first, last = own[0], own[-1] + rows - 1
         free, seen = acceleration[first:last], position[first : last + 1]
-        z, inverse = begun.z[i], begun.inverse[i]
-        gain = begun.gain[:, 2 * rows * ends[i] : 2 * rows * ends[i + 1]]
+        z, inverse = z_of[i], inverse_of[i]
+        gain = gain_of[:, 2 * rows * ends[i] : 2 * rows * ends[i + 1]]
         if not again:
             _start(seen, free, own - first, rows, spread, string, z, gain, inverse)
         loads = _state(z, spread).reshape(1, LOAD_SIZE)
