@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
@@ -258,7 +258,7 @@ def worse_axes(
     flown = [starts.flight_of == k for k in np.unique(starts.flight_of)]
     squares = np.array([[(e[own] ** 2).mean(axis=0) for own in flown] for e in error])  # (2, flights, 3)
     growth, n = squares[1] - squares[0], len(flown)
-    sure = stats.t.ppf(1.0 - thresholds.WORSE_BY_CHANCE, n - 1) if n > 1 else 0.0
+    sure = stdtrit(n - 1, 1.0 - thresholds.WORSE_BY_CHANCE) if n > 1 else 0.0
     scatter = growth.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.zeros(3)
     least = thresholds.MATERIAL * squares[1].mean(axis=0).sum()
     grown = growth.mean(axis=0)
@@ -347,7 +347,7 @@ def _fits(
 
 def _half_width(problem: Problem, known: ParameterEstimate) -> float:
     """Return the half-width of a 95 % interval."""
-    return float(stats.t.ppf(0.975, max(1, problem.groups - 1))) * known.error
+    return float(stdtrit(max(1, problem.groups - 1), 0.975)) * known.error
 
 
 def _is_there(problem: Problem, name: str, values: Values, sized) -> bool:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
@@ -322,7 +322,7 @@ def thrust_of_names(found: SetPosterior, values: Values) -> tuple[float, tuple[f
     value, (low, high) = jointly(found, values, names, lambda at: _thrust_ratio(problem, at))
     # Var = Var within the named set + sum_s p_s (r_s - r)^2 over the sets s
     apart = sum(one.probability * (_thrust_ratio(problem, one.values) - value) ** 2 for one in found.sets)
-    half = math.hypot(0.5 * (high - low), stats.norm.ppf(0.975) * math.sqrt(apart))
+    half = math.hypot(0.5 * (high - low), ndtri(0.975) * math.sqrt(apart))
     return value, (value - half, value + half)
 
 
@@ -344,7 +344,7 @@ def _reference_half_width(problem: Problem) -> float:
     moved = [problem.one_sided_difference({}, c) for c in columns]
     slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])
     variance = slope @ problem.vehicle_prior(columns)[1] @ slope
-    return float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(variance))
+    return float(stdtrit(max(1, problem.groups - 1), 0.975) * np.sqrt(variance))
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:

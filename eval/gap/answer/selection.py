@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.rollout import RolloutWindows, errors_by_flight, pose_errors
@@ -265,7 +265,7 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     problem = found.problem
     sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
-    quantile = stats.t.ppf(0.975, max(1, problem.groups - 1))
+    quantile = stdtrit(max(1, problem.groups - 1), 0.975)
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
@@ -305,7 +305,7 @@ def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]
     for end in ends:
         ratio = end / size
         if ratio > 0.0:
-            distance = math.hypot(math.log(ratio), stats.norm.ppf(0.975) * share)
+            distance = math.hypot(math.log(ratio), ndtri(0.975) * share)
             end = size * math.exp(math.copysign(distance, ratio - 1.0))
         result.append(end)
     return result[0], result[1]
@@ -395,5 +395,5 @@ def propagated(
 
     here = of(values)
     slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
-    half = float(stats.t.ppf(0.975, max(1, problem.groups - 1)) * np.sqrt(slope @ covariance @ slope))
+    half = float(stdtrit(max(1, problem.groups - 1), 0.975) * np.sqrt(slope @ covariance @ slope))
     return here, (here - half, here + half)

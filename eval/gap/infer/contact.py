@@ -18,8 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import stats
-from scipy.special import logsumexp
+from scipy.special import chdtrc, logsumexp
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.flights.landings import Landing, LandingReference
@@ -276,10 +275,14 @@ class _ContactModel:
 
     def _log_prior(self, sizes: np.ndarray, j: int, width: float) -> np.ndarray:
         """Return the log prior (m,) of effect j at sizes (m,): its spike, or its slab with a wide tail."""
-        normal = stats.norm.logpdf(sizes, scale=width)
+
+        def normal_log_density(scale: float) -> np.ndarray:
+            return -0.5 * (sizes / scale) ** 2 - math.log(scale * math.sqrt(2.0 * math.pi))
+
+        normal = normal_log_density(width)
         if width != self.slab[j]:
             return normal
-        wide = stats.norm.logpdf(sizes, scale=TAIL[1] * width)
+        wide = normal_log_density(TAIL[1] * width)
         return np.logaddexp(math.log1p(-TAIL[0]) + normal, math.log(TAIL[0]) + wide)
 
     def _nonlocal_log_prior(self, sizes: np.ndarray, own: Sequence[int]) -> np.ndarray:
@@ -450,7 +453,7 @@ def common_residual_p_value(landings: Sequence[Landing], residual: np.ndarray, i
         a = np.einsum("ic,icqp,icqs->cps", weight[own], slopes, slopes)
         h = np.einsum("ic,icqp,icq->cp", weight[own], slopes, residual[own])
         squares = (h * np.linalg.solve(a + a @ a, h[..., None])[..., 0]).sum(axis=1)
-        values.append(stats.chi2.sf(squares, COMMON_MODES))
+        values.append(chdtrc(COMMON_MODES, squares))
     return float(min(1.0, np.min(values) * np.size(values)))
 
 

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc, stdtrit
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.infer.gaussian import BETWEEN, confounding
@@ -132,9 +132,7 @@ class _GroupContrast:
     def p_value(self, members: np.ndarray) -> np.ndarray:
         """Return the p-values (s,) of groups (s, n) by an F test: F = (gain / d) / mean square."""
         d = len(self.known)
-        return stats.f.sf(
-            self.difference(members)[0] / d / self.mean_square(members), d, self.degrees_of_freedom
-        )
+        return fdtrc(d, self.degrees_of_freedom, self.difference(members)[0] / d / self.mean_square(members))
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -235,7 +233,7 @@ def _described_split(
     differences, at = [], 0
     for name in chosen:
         one, own = _conditional_test(table, split, [], name), slice(at, at := at + len(table.own[name]))
-        times = stats.t.ppf(0.975, one.degrees_of_freedom) * math.sqrt(one.mean_square)
+        times = stdtrit(one.degrees_of_freedom, 0.975) * math.sqrt(one.mean_square)
         differences.append(_difference(problem, name, confounded[name], size[own], times * half[own], values))
     names = [f.name for f in problem.flights]
     return InconsistentFlights(
@@ -277,7 +275,7 @@ def _conditional_test(
         gain = max(0.0, float(more - less))
         share = float(np.trace(np.linalg.pinv(a[k:, k:]) @ schur) / len(own))
     mean_square, d = float(part.mean_square(members)[0]), len(own)
-    p_value = float(stats.f.sf(gain / d / mean_square, d, part.degrees_of_freedom))
+    p_value = float(fdtrc(d, part.degrees_of_freedom, gain / d / mean_square))
     # Variance unknown (Student t):  log L = (nu + d) / 2 log(1 + gain / (nu s^2))
     nu = part.degrees_of_freedom
     likelihood = 0.5 * (nu + d) * math.log1p(gain / mean_square / nu)

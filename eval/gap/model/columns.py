@@ -15,10 +15,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
+from inclined_landing.eval.logs.smoothing import low_passed
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
@@ -313,8 +313,7 @@ def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
     if what == "load":
         pwm = flight.command[:, 0]
         share = np.exp(-flight.dt / _MOTOR)
-        lagged = lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
-        return (lagged / _HOVER - 1.0) / _LOAD
+        return (low_passed(pwm, share) / _HOVER - 1.0) / _LOAD
     if what == "speed":
         return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED
     if what == "climb":

@@ -359,9 +359,9 @@ def _integrals(measured, vehicle):
 @numba.njit(cache=True, nogil=True)
 def _yaw(measured, vehicle):
     """Return the yaw (m,) by its loop."""
-    effects = vehicle[0].effects
+    effects, dt = vehicle[0].effects, measured.dt
     delay = effects.attitude_delay + effects.mocap_delay
-    return yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], measured.dt, delay), measured.dt, vehicle)
+    return yaw_steps(averages(measured.command[:, YAW_RATE_COMMAND], dt, delay), dt, vehicle)
 
 
 @numba.njit(cache=True, nogil=True)

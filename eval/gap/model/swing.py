@@ -30,7 +30,7 @@ class Starts(NamedTuple):
     z: np.ndarray  # (s, 4) angles and rates along x and y
     gain: np.ndarray  # (4, 2 w rows) of the errors in all windows
     inverse: np.ndarray  # (s, 4, 4) of the prior
-    of: np.ndarray  # (3,) what they are of: masses of load and vehicle, length of the string; NaN: nothing yet
+    of: np.ndarray  # (3,) masses of load and vehicle, length of the string; NaN: not fitted yet
     acceleration: np.ndarray  # (m - 1, 3) m/s2, of the vehicle without the load
 
     @staticmethod

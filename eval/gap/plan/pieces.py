@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 
+from inclined_landing.eval.logs.smoothing import low_passed
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
@@ -260,7 +260,7 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     steps = gaussian_filter1d(steps, SMOOTHING * RATE, mode="nearest")
     for lag in lags:
         keep = math.exp(-1.0 / (lag * RATE))
-        steps = lfilter([1.0 - keep], [1.0, -keep], steps)
+        steps = low_passed(steps, keep)
     return steps
 
 
