@@ -92,8 +92,8 @@ def predictor(like, vehicles: Sequence[Vehicle]) -> Callable[[Any], np.ndarray]:
 
     def along(flight) -> np.ndarray:
         out = np.empty((len(vehicles), flight.channels, flight.samples))
-        begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
         for of_first, own, same in groups:
+            begun = Starts.none(flight.samples, flight.starts, flight.rows, flight.dt)
             _predict(_Measured.of(flight, of_first), packed, own, same, begun, out)
         if flight.requests is not None:
             for vehicle, one in zip(vehicles, out):
