@@ -30,6 +30,11 @@ from inclined_landing.eval.gap.result import (
 from inclined_landing.models.effects import Effect
 from inclined_landing.models.vehicle import Vehicle
 
+LAWS_DIFFER = (
+    "In doubt, because laws of contact differ: by another law than MuJoCo's, these landings may show another "
+    "effect of its class, and more landings do not help."
+)
+
 
 @dataclasses.dataclass(frozen=True)
 class ContactAnswer:
@@ -108,24 +113,10 @@ def contact_effects(problem: TouchdownProblem, found: ContactPosterior) -> tuple
                 {p.name: estimate},
                 found.gains[name],
                 problem.library[name].remedy,
-                doubt=_doubt(found, members, alike),
+                doubt=LAWS_DIFFER if alike else "",
             )
         )
     return tuple(sorted(effects, key=lambda e: -e.gain))
-
-
-def _doubt(found: ContactPosterior, members: Sequence[str], alike: Sequence[str]) -> str:
-    """Return a sentence on why an effect of contact is not sure, and what would make it so; else empty."""
-    if alike:
-        return (
-            "In doubt, because laws of contact differ: by another law than MuJoCo's, these landings may show "
-            "another effect of its class, and more landings do not help."
-        )
-    if found.probability(*members) >= thresholds.SURE:
-        return ""
-    needed = found.landings_needed(*members)
-    enough = needed and needed > found.count
-    return f"About {needed} landings like these would make it sure." if enough else ""
 
 
 def _look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str, ...]:
@@ -138,18 +129,15 @@ def _look_alike(problem: TouchdownProblem, name: str, value: float) -> tuple[str
 def _undecided(
     problem: TouchdownProblem, found: ContactPosterior, named: Sequence[NamedEffect]
 ) -> tuple[str, ...]:
-    """Return a note on the likeliest effect that is not named, and how many landings would show it."""
+    """Return a note on the likeliest effect that is not named."""
     among = {name for one in named for name in one.members}
     others = {n: found.probability(n) for s in found.sets for n in s.effects if n not in among}
     likely = max(others, key=lambda n: others[n], default="")
     if not likely or others[likely] < thresholds.POSSIBLE:
         return ()
     ((_, size),) = next(s.values[likely] for s in found.sets if likely in s.effects).items()
-    alike = _look_alike(problem, likely, size)
-    what = " or ".join(n.replace("_", " ") for n in (likely, *alike))
-    needed = None if alike else found.landings_needed(likely)
-    more = f": about {needed} would show it" if needed and needed > found.count else ""
-    return (f"{found.count} landings leave open whether {what} is missing{more}",)
+    what = " or ".join(n.replace("_", " ") for n in (likely, *_look_alike(problem, likely, size)))
+    return (f"{found.count} landings leave open whether {what} is missing",)
 
 
 def joint_sets(flown: tuple[ScoredSet, ...], found: ContactPosterior) -> tuple[ScoredSet, ...]:

@@ -39,7 +39,6 @@ RESCANS = 3  # sets of two that are simulated jointly
 FINE_GRID = np.linspace(-6.0, 6.0, 25)  # posterior standard deviations about the mode, of the sum's terms
 NEWTON_STEPS = 2  # of the marginalised parameters
 CREDIBLE = 0.95  # probability of an interval
-MOST_LANDINGS = 200  # that are asked for
 COMMON_MODES = 4  # eigenvectors of the contact model error that are tested for a common residual
 
 
@@ -53,7 +52,6 @@ class ContactPosterior:
     unexplained: bool  # whether a common residual is significant
     p_value: float  # of the most significant common residual
     count: int  # landings
-    scores: Mapping[EffectSet, tuple[float, float]]  # of every set: log prior, log evidence of all landings
 
     @property
     def names(self) -> EffectSet:
@@ -63,24 +61,6 @@ class ContactPosterior:
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
         return marginal(self.sets, names)
-
-    def landings_needed(self, *names: str) -> int | None:
-        """Return how many landings like these would make sure that one of some effects is missing.
-
-        None if their evidence does not grow that way, or by too little.
-        """
-        # log odds = prior + (log Bayes factor),  of which the latter grows as the number of landings
-        prior, now = (
-            logsumexp([x for s, x in scores if s & set(names)])
-            - logsumexp([x for s, x in scores if not s & set(names)])
-            for scores in (
-                [(s, prior) for s, (prior, _) in self.scores.items()],
-                [(s, prior + log) for s, (prior, log) in self.scores.items()],
-            )
-        )
-        wanted = math.log(thresholds.SURE / (1.0 - thresholds.SURE)) - prior
-        needed = self.count * wanted / (now - prior) if now > prior else math.inf
-        return math.ceil(needed) if needed <= MOST_LANDINGS else None
 
 
 def contact_posterior(
@@ -97,12 +77,12 @@ def contact_posterior(
     # The mean of m landings subtracted from each of n: its error is theirs in common.
     inflated = 1.0 + len(landings) / sum(reference.count) if reference else 1.0
     engine = _ContactModel(problem, inflated, reference is not None)
-    sets, chosen, scores = engine.distribution()
+    sets, chosen = engine.distribution()
     values = sets[0].values
     p_value = common_residual_p_value(problem.landings, engine.residual(values), engine.inflation)
     unexplained = p_value < thresholds.LANDING_RESIDUAL
     sizes, gains = engine.estimates(chosen), engine.gains(values)
-    return problem, ContactPosterior(sets, sizes, gains, unexplained, p_value, len(landings), scores)
+    return problem, ContactPosterior(sets, sizes, gains, unexplained, p_value, len(landings))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -313,10 +293,8 @@ class _ContactModel:
             rest = names - {self.names[j]}
             table[rest].append(self.profile(rest, j, scan, others))
 
-    def distribution(
-        self,
-    ) -> tuple[tuple[ScoredSet, ...], list[_Profile], dict[EffectSet, tuple[float, float]]]:
-        """Return the bagged posterior, most probable set first, the profiles of that set, and all scores."""
+    def distribution(self) -> tuple[tuple[ScoredSet, ...], list[_Profile]]:
+        """Return the bagged posterior, most probable set first, and the profiles of that set."""
         share = 1.0 - thresholds.PRIOR_EMPTY ** (1.0 / max(1, len(self.names)))
         odds = math.log(share / (1.0 - share))
         table: dict[EffectSet, list[_Profile]] = {}
@@ -342,8 +320,7 @@ class _ContactModel:
         own = {n: [x for x in table[n] if x.name in n] for n in kept}
         values = {n: self._values(self._best(own[n])) for n in kept}
         scored = (ScoredSet(self.problem.ordered(n), float(probability[n]), values[n]) for n in kept)
-        scores = {n: (len(n) * odds, float(log[0]) - len(n) * odds) for n, log in logs.items()}
-        return tuple(scored), own[kept[0]], scores
+        return tuple(scored), own[kept[0]]
 
     def _best(self, profiles: Sequence[_Profile]) -> dict[int, float]:
         """Return the posterior mode of a set, by index of the effect."""

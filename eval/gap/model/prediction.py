@@ -12,7 +12,6 @@ held between rows and averaged exactly over each step, which makes delays differ
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -112,13 +111,8 @@ def angle_integrals(flight, vehicle: Vehicle) -> np.ndarray:
 
 def _packed(flight, vehicles: Sequence[Vehicle]) -> np.ndarray:
     """Return vehicles (n,) as the kernels take them, without what a flight's log shows otherwise."""
-    packed = [_packed_one(v, flight.thrust_is_measured, flight.requests is not None) for v in vehicles]
+    packed = [pack(as_flown(flight, v)) for v in vehicles]
     return np.stack([one.view(float) for one in packed]).view(packed[0].dtype)[:, 0]
-
-
-@functools.lru_cache(maxsize=512)  # the same for all flights
-def _packed_one(vehicle: Vehicle, thrust_is_measured: bool, requested: bool) -> np.ndarray:
-    return pack(_without_logged(vehicle, thrust_is_measured, requested))
 
 
 def as_flown(flight, vehicle: Vehicle) -> Vehicle:
@@ -128,13 +122,9 @@ def as_flown(flight, vehicle: Vehicle) -> Vehicle:
     thrust that acts off the centre of mass: a controller that asks for them leaves nothing of it in the
     attitude.
     """
-    return _without_logged(vehicle, flight.thrust_is_measured, flight.requests is not None)
-
-
-def _without_logged(vehicle: Vehicle, thrust_is_measured: bool, requested: bool) -> Vehicle:
-    if thrust_is_measured:
+    if flight.thrust_is_measured:
         vehicle = vehicle.without_thrust_lag()
-    if requested:
+    if flight.requests is not None:
         vehicle = vehicle.changed(effects_com_offset=vehicle.thrust_centre)
     return vehicle
 

@@ -223,15 +223,12 @@ class Problem(Candidates):
 
     def squares(self, values: Values) -> float:
         """Return the weighted sum of squared white errors with effects at `values` (least-squares cost)."""
-        return float(self._weighted_squares(values).sum())
+        return float(self.squares_by_channel(values).sum())
 
     def squares_by_channel(self, values: Values) -> np.ndarray:
         """Return the weighted sum of squared white errors (C,) of every channel with effects at `values`."""
-        return self._weighted_squares(values).sum(axis=0)
-
-    def _weighted_squares(self, values: Values) -> np.ndarray:
         squares = [np.einsum("wcq,wcq->wc", x, x) for x in self.white_errors_at(values)]
-        return self.weight / self.inflation * np.concatenate(squares)
+        return (self.weight / self.inflation * np.concatenate(squares)).sum(axis=0)
 
     def form_columns(self, values: Values) -> list[Column]:
         """Return the model error columns of the effects that are not neutral in `values`."""
@@ -277,11 +274,21 @@ class Problem(Candidates):
         return of
 
     def linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
-        """Return the Gram matrices of white errors and Jacobian at `values`."""
+        """Return the Gram matrices of white errors and Jacobian at `values`; known ones are kept."""
+        at = tuple((name, tuple(sorted(values[name].items()))) for name in sorted(values))
+        known = self._linearised.get(at)
+        if known is None or not set(columns) <= set(known.columns):
+            known = self._linearised[at] = self._linearise(values, list(dict.fromkeys(columns)))
+        return known.along(columns)
+
+    @cached_property
+    def _linearised(self) -> dict[tuple, Linearisation]:
+        return {}
+
+    def _linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
         share = np.sqrt(self.weight / self.inflation)  # (w, C) weighted least squares
-        unique = list(dict.fromkeys(columns))
-        grams = np.zeros((self.groups, 1 + len(unique), 1 + len(unique)))  # [e, J]' [e, J]
-        jacobian_of = self.jacobian(values, unique)
+        grams = np.zeros((self.groups, 1 + len(columns), 1 + len(columns)))  # [e, J]' [e, J]
+        jacobian_of = self.jacobian(values, columns)
 
         def of(k: int) -> None:
             flight, own = self.flights[k], self.flight_of == k
@@ -302,8 +309,7 @@ class Problem(Candidates):
                     grams[np.ix_([groups[first]], live, live)] += part @ part.T
 
         two_at_a_time(of, range(len(self.flights)))
-        at = [1 + unique.index(c) for c in columns]
-        a, b, c = grams[np.ix_(range(self.groups), at, at)], grams[:, at, 0], grams[:, 0, 0]
+        a, b, c = grams[:, 1:, 1:], grams[:, 1:, 0], grams[:, 0, 0]
         flight_of = np.array([self.flight_of[self.group_of == g][0] for g in range(self.groups)])
         return Linearisation(values, tuple(columns), a, b, c, flight_of)
 
@@ -384,6 +390,13 @@ class Linearisation:
     b: np.ndarray  # (g, P)
     c: np.ndarray  # (g,) squared errors
     flight_of: np.ndarray  # (g,) flight of every group
+
+    def along(self, columns: Sequence[Column]) -> Linearisation:
+        """Return the linearisation along some of its columns."""
+        place = {column: k for k, column in enumerate(self.columns)}
+        k = [place[column] for column in columns]
+        a = self.a[np.ix_(range(len(self.a)), k, k)]
+        return dataclasses.replace(self, columns=tuple(columns), a=a, b=self.b[:, k])
 
     def by_flight(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a (f, P, P) and b (f, P) summed over the groups of every flight."""
