@@ -65,8 +65,11 @@ def reference_residual(problem: Problem, residual: Sequence[np.ndarray]) -> Refe
     inputs = regressors(problem.flights)
     bases = {name: _basis(problem, *of) for name, of in inputs.items()}
     functions = _functions(problem, residual, inputs, bases, None)
-    weights = {(f.target, f.on): f.shrinkage() * f.weights() for f in functions}
-    return ReferenceResidual(bases, {key: w for key, w in weights.items() if np.any(w)})
+    result: dict[str, dict[str, np.ndarray]] = {}
+    for f in functions:
+        if np.any(weights := f.shrinkage() * f.weights()):
+            result.setdefault(f.on, {})[f.target] = weights
+    return ReferenceResidual(bases, result)
 
 
 def equivalent_sizes(problem: Problem, white: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -208,12 +211,12 @@ def _functions(
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
         targets = (LINEAR[name],) if name in LINEAR else TARGETS
         targets = tuple(t for t in targets if problem.logged[:, _channels(t)].any())
-        weights = [repeating.weights.get((t, name)) if repeating else None for t in targets]
+        known = repeating.weights.get(name, {}) if repeating else {}
 
         def fit(target: str, known, name=name, features=features) -> _RidgeRegression:
             return _fit(problem, residual, target, name, features, block_of, known)
 
-        result += two_at_a_time(fit, targets, weights)
+        result += two_at_a_time(fit, targets, map(known.get, targets))
     return result
 
 

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
+from msgspec import Struct
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
@@ -51,8 +52,7 @@ ALONE = 0.05  # share of these that is free where no flights of a reference have
 _CHANNELS = {"translation": slice(0, 3), "attitude": slice(3, 5), "yaw": slice(5, 6)}
 
 
-@dataclasses.dataclass(frozen=True)
-class ParameterColumn:
+class ParameterColumn(Struct, frozen=True, tag="parameter"):
     """A column of the Jacobian: a parameter of an effect."""
 
     effect: str
@@ -65,8 +65,7 @@ class ParameterColumn:
         return self.effect, self.parameter
 
 
-@dataclasses.dataclass(frozen=True)
-class FormColumn:
+class FormColumn(Struct, frozen=True, tag="form"):
     """A column of the Jacobian: a model (form) error of an effect, see `Fitting.forms`."""
 
     effect: str
@@ -82,8 +81,7 @@ class FormColumn:
         return _form_column(self.form, contribution, flight)
 
 
-@dataclasses.dataclass(frozen=True)
-class BaseColumn:
+class BaseColumn(Struct, frozen=True, tag="base"):
     """A column of the Jacobian: a model (form) error of the base model, see BASE_DEVIATIONS."""
 
     form: str

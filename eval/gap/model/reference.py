@@ -19,10 +19,8 @@ from scipy.linalg import block_diag
 from inclined_landing.eval.gap.flights.landings import LandingReference
 from inclined_landing.eval.gap.model.columns import (
     ALONE,
-    BaseColumn,
     Candidates,
     Column,
-    FormColumn,
     ParameterColumn,
     slab_covariance,
 )
@@ -35,7 +33,7 @@ from inclined_landing.models.parameters import Constant, constants, load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
 SUFFIX = ".posterior.json"
-VERSION: Literal[4] = 4
+VERSION: Literal[5] = 5
 _NORMAL = 1.96  # half-width of a 95 % interval in standard deviations
 TARGETS = (*CHANNELS, "forward", "left")
 FEATURES = 24  # random Fourier features of a function
@@ -99,7 +97,7 @@ class ReferenceResidual:
     """Functions fitted to the residual of the reference flights."""
 
     bases: Mapping[str, Basis]  # of quantities
-    weights: Mapping[tuple[str, str], np.ndarray]  # (target, quantity) -> (D,)
+    weights: Mapping[str, Mapping[str, np.ndarray]]  # quantity -> target -> (D,)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,61 +158,32 @@ class VehiclePosterior:
 
     def to_json(self, vehicle: Vehicle) -> dict:
         """Return the posterior as plain lists and numbers; `vehicle`: the one identified."""
-        file = _File(
-            version=VERSION,
-            vehicle=digest(vehicle),
-            columns=tuple(map(_row, self.columns)),
-            mean=self.mean,
-            covariance=self.covariance,
-            quantities=self.repeating.bases,
-            functions=tuple((*key, weights) for key, weights in self.repeating.weights.items()),
-            errors=self.errors,
-            landings=self.landings,
-            library=tuple(sorted(self.library)),
-            flights=self.flights,
-        )
-        return plain(file)
+        return plain(_Stamp(VERSION, digest(vehicle))) | plain(self) | {"library": sorted(self.library)}
 
     @staticmethod
     def from_json(table: object) -> VehiclePosterior:
         """Return the posterior of `to_json`. Raises ValidationError or ValueError for a damaged one."""
-        file = from_plain(table, _File)
-        columns = tuple(_column(*row) for row in file.columns)
-        if file.mean.shape != (len(columns),) or file.covariance.shape != (len(columns),) * 2:
+        from_plain(table, _Stamp)
+        found = from_plain(table, VehiclePosterior)
+        if found.mean.shape != (n := len(found.columns),) or found.covariance.shape != (n, n):
             raise ValueError("as many numbers as columns")
-        wide = np.sqrt(np.maximum(file.covariance.diagonal(), 1e-300))
-        scaled = file.covariance / np.outer(wide, wide)
+        wide = np.sqrt(np.maximum(found.covariance.diagonal(), 1e-300))
+        scaled = found.covariance / np.outer(wide, wide)
         if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled).min() < -1e-6:
             raise ValueError("a covariance")
-        weights = {(target, on): w for target, on, w in file.functions}
-        for (target, on), w in weights.items():
-            basis = file.quantities.get(on)
-            if basis is None or target not in TARGETS or w.shape != (basis.count,):
-                raise ValueError(f"weights of {target} with {on}")
-        return VehiclePosterior(
-            *(columns, file.mean, file.covariance, ReferenceResidual(file.quantities, weights)),
-            frozenset(file.library or (c.effect for c in columns)),
-            errors=file.errors,
-            landings=file.landings,
-            flights=file.flights,
-        )
+        for on, functions in found.repeating.weights.items():
+            basis = found.repeating.bases.get(on)
+            for target, w in functions.items():
+                if basis is None or target not in TARGETS or w.shape != (basis.count,):
+                    raise ValueError(f"weights of {target} with {on}")
+        return found
 
 
-class _File(Struct, frozen=True):
-    """The layout of a posterior's file; files of version 2 end with the functions."""
+class _Stamp(Struct, frozen=True):
+    """What a posterior's file begins with."""
 
-    version: Literal[2, 4]
+    version: Literal[5]
     vehicle: str  # its digest
-    # Effect, parameter, fixed parameters and model error of every column; see `_row`.
-    columns: tuple[tuple[str, str, tuple[tuple[str, float], ...], str], ...]
-    mean: np.ndarray
-    covariance: np.ndarray
-    quantities: Mapping[str, Basis]
-    functions: tuple[tuple[str, str, np.ndarray], ...]  # target, quantity, weights
-    errors: ReferenceErrors | None = None
-    landings: LandingReference | None = None
-    library: tuple[str, ...] = ()
-    flights: Mapping[str, tuple[int, ...]] = {}
 
 
 def free_effects() -> dict[str, Effect]:
@@ -265,24 +234,6 @@ def read_reference(path: Path | None, vehicle: Vehicle) -> tuple[VehiclePosterio
         VehiclePosterior.of_file(path, vehicle),
         f"{file.name} belongs to a different vehicle than {path.name} and was ignored",
     )
-
-
-def _row(column: Column) -> tuple[str, str, tuple[tuple[str, float], ...], str]:
-    """Return effect, parameter, fixed parameters and model error of a column."""
-    if isinstance(column, ParameterColumn):
-        return column.effect, column.parameter, column.fixed, ""
-    return (
-        ("", column.form, (), column.form)
-        if isinstance(column, BaseColumn)
-        else (column.effect, "", (), column.form)
-    )
-
-
-def _column(effect: str, parameter: str, fixed: tuple[tuple[str, float], ...], error: str) -> Column:
-    """Return the column of `_row`."""
-    if not error:
-        return ParameterColumn(effect, parameter, fixed)
-    return FormColumn(effect, error) if effect else BaseColumn(error)
 
 
 def _deviation(problem: Candidates, column: Column, vehicle_file: dict[str, Constant]) -> float:
