@@ -16,8 +16,8 @@ SHARE = V.effects_load_mass / (V.body_mass + V.effects_load_mass)
 
 def pull(flight, vehicle, force):
     """Accelerations (m - 1, 3) with the load, from those without it; flight: positions and windows."""
-    begun = Starts.none(flight[1], ROWS, DT)
-    return pulled(force, *flight, ROWS, DT, forces.pack(vehicle), begun, False)
+    begun = Starts.none(len(flight[0]), flight[1], ROWS, DT)
+    return pulled(force, *flight, ROWS, DT, forces.pack(vehicle), begun)
 
 
 def flown(seconds=6.0, angle=0.3, noise=0.0, seed=0, vehicle=V):
