@@ -209,8 +209,8 @@ def _functions(
     block_of, result = _blocks(problem), []
     for name, (_, arrays) in inputs.items():
         features = [f.cut(bases[name](x)) for f, x in zip(problem.flights, arrays)]
-        targets = (LINEAR[name],) if name in LINEAR else TARGETS
-        targets = tuple(t for t in targets if problem.logged[:, _channels(t)].any())
+        on = (LINEAR[name],) if name in LINEAR else TARGETS
+        targets = [t for t in on if problem.logged[:, _channels(t)].any()]
         known = repeating.weights.get(name, {}) if repeating else {}
 
         def fit(target: str, known, name=name, features=features) -> _RidgeRegression:
