@@ -264,6 +264,19 @@ def test_on_a_tilting_platform_it_slips_where_the_tangent_is_the_friction(mode):
     assert math.atan(friction) < angle < math.atan(friction) + 1.5 * late
 
 
+def test_standing_on_a_swell_it_rides_along():
+    """On a platform that moves in all ways the vehicle stays where it stands, to 0.1 mm/s of creep."""
+    plant = standing(MujocoPlant(1, moving=True, threads=1), motion(travel=(0.5, 0.2, 0.0), **{
+        mode: (0.3 * size, turn, phase) for mode, (size, turn, phase) in SWELL.items()}))  # fmt: skip
+    platform, state = plant.platform[0].copy(), plant.state[0].copy()
+    place = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
+    for _ in range(150):
+        plant.step(OFF)
+    platform, state = plant.platform[0], plant.state[0]
+    now = rotation(*platform[6:9]).T @ (state[:3] - platform[:3])
+    assert np.abs(now - place)[:2].max() < 3e-4 and plant.contacts.touch[0, 0, 0]
+
+
 def test_a_platform_set_anew_stands_still():
     plant = standing(MujocoPlant(2, moving=True, threads=1), motion(2, travel=(1.0, 0, 0)))
     plant.step(np.zeros((2, 4)))

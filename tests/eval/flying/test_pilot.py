@@ -223,6 +223,26 @@ def test_a_policy_of_any_slope_flies_over_that_of_the_arena(tmp_path, capsys):
     assert "; at rest on the slope" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_a_landing_policy_that_gives_nan_is_landed_by_the_other(policies, tmp_path):
+    nan = broken(policies[0], policies[0].predict)
+
+    def before(pilot):
+        enter = pilot._enter
+
+        def entered(phase):
+            enter(phase)
+            object.__setattr__(nan, "predict", lambda o: np.full((len(o), 2), np.nan))
+
+        pilot._enter = entered
+
+    _, report, world = flown((nan, policies[1]), tmp_path, before=before)
+    assert report.outcome == "bad action" and report.retreat.name == "bad action"
+    assert world.thrust == 0.0 and world.trace.touching[-1, 2], "on the floor"
+    assert np.abs(world.trace.state[-1, 3:6]).max() < 0.1
+    assert not read_log(tmp_path / "flight.csv").missing
+
+
 @pytest.mark.parametrize(
     "where",
     ["interrupt", *(pytest.param(where, marks=pytest.mark.slow) for where in ("say", "log", "setpoint"))],
