@@ -23,9 +23,9 @@ FOREIGN = {
     *"kalman_core.c estimator_complementary.c crtp_supervisor.c crtp_localization_service.c".split(),
     *"crtp_commander_generic.c supervisor_state_machine.c platform_defaults.h thrustLocked Commander".split(),
     *"CONFIG_ENABLE_THRUST_BAT_COMPENSATED send_setpoint _nr_of_retries clampctrl viscosity".split(),
-    *"release.yml vVERSION ADDRESS stock.toml inclined-landing-UID data_20250421_211350 rep1".split(),
-    *"a_b x_mm m4 -pitch _utils _rebuild_tensor_v2 InclinedTouchdown-v0 mocap_attitude".split(),
-    *"arm-none-eabi-size NormalizeObservation FrameStackObservation TimeAwareObservation".split(),
+    *"release.yml vVERSION ADDRESS stock.toml a_b x_mm m4 -pitch mocap_attitude".split(),
+    *"ulog2csv blackbox_decode arm-none-eabi-size NormalizeObservation".split(),
+    *"FrameStackObservation TimeAwareObservation".split(),
     *("trajectory_1", "trajectory_2", *(f"touched_{part}" for part in ("slab", "base", "floor"))),
     *(f"platform_{part}" for part in ("x", "y", "z", "roll", "pitch", "yaw")),
 }
