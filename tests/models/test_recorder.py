@@ -77,6 +77,8 @@ def test_at_rest_on_the_feet_and_not_otherwise():
     for _ in range(100):
         recorder.step(np.zeros((4, 4)))
     assert recorder.at_rest().tolist() == [True, False, False, False]
+    plant.contacts.touch[0, 0, 1] = True  # a part beside the feet
+    assert not recorder.at_rest().any()
     away, along = surface.split(present_forces(plant, 0)[1].sum(axis=0), ALPHA)
     # Creep below 0.2 mm/s leaves the balance of forces to 1 %.
     assert [away, along] == pytest.approx([WEIGHT * math.cos(ALPHA), -WEIGHT * math.sin(ALPHA)], rel=0.01)
