@@ -160,17 +160,15 @@ class BatchEnv:
     def observe(self, ids=slice(None)) -> np.ndarray:
         """Return observations (k, o) of the vehicles `ids` as measured now, with their history."""
         ids = ids if isinstance(ids, slice) else self._numbers(ids)
-        return self._with_past(self._present(ids), ids)
+        return self._with_past(self._present(self.plant.measurement, ids), ids)
 
     def _with_past(self, observation: np.ndarray, ids) -> np.ndarray:
         parameters = None if self._privileged is None else self._privileged[self.plant.choice[ids]]
         return self.past.stack(observation, ids, parameters)
 
-    def _present(self, ids=slice(None)) -> np.ndarray:
-        plant = self.plant
-        return self.task.observe(
-            StepContext(plant.measurement[ids], plant.contacts[ids], platform=plant.platform[ids])
-        )
+    def _present(self, measurement: np.ndarray, ids=slice(None)) -> np.ndarray:
+        contacts, platform = self.plant.contacts, self.plant.platform
+        return self.task.observe(StepContext(measurement[ids], contacts[ids], platform=platform[ids]))
 
     def reset(self, ids=None, state: np.ndarray | None = None, start: Start | None = None) -> np.ndarray:
         """Begin new episodes for the vehicles `ids` (all by default); return their observations.
@@ -220,7 +218,7 @@ class BatchEnv:
         self.contact_steps[ids] = 0
         self.touched[ids] = False
         self.held_steps[ids] = 0
-        observation = self._present(ids)
+        observation = self._present(self.plant.measurement, ids)
         self.past.reset(ids, observation)
         return self._with_past(observation, ids)
 
@@ -289,10 +287,11 @@ class BatchEnv:
             raise UserError("an action is NaN or infinite")
         self.actions = np.clip(actions, -1.0, 1.0)
         centres = None if self._hover_pwm is None else self._hover_pwm[self.plant.choice]
+        measurement = self.plant.measurement
         self.commands = self.task.commands(self.actions, *(() if centres is None else (centres,)))
-        self.commands = self.task.body_commands(self.commands, self.plant.measurement, self.plant.platform)
+        self.commands = self.task.body_commands(self.commands, measurement, self.plant.platform)
         if self.task.history:
-            self.past.record(self._present(), self.actions)
+            self.past.record(self._present(measurement), self.actions)
 
     def outcome(self) -> Step:
         """Return rewards and episode ends after the plant's step, the second half of `step`."""

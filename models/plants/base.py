@@ -35,7 +35,8 @@ _SHARED = (
 
 def _differ(field: str, member: Vehicle, other: Vehicle) -> bool:
     """Return whether a field of two vehicles differs by more than rounding."""
-    return not np.allclose(getattr(member, field), getattr(other, field), rtol=1e-9, atol=0.0)
+    one, another = getattr(member, field), getattr(other, field)
+    return one != another and not np.allclose(one, another, rtol=1e-9, atol=0.0)
 
 
 @dataclasses.dataclass

@@ -56,7 +56,7 @@ from inclined_landing.models.attitude import (
 from inclined_landing.models.compiled import inlined, inner, unlocked
 from inclined_landing.models.plants.engine import Columns
 from inclined_landing.models.plants.mujoco import MujocoPlant
-from inclined_landing.models.plants.platforms import MOST, STILL, Moving, follow, strays
+from inclined_landing.models.plants.platforms import MOST, STILL, Moving, strays
 
 # Beyond what the vehicle moves: 0.03 mm by which the plants' paths differ, and the change of acceleration
 # within a time step, of 4 ms, where speeds at both ends are equal: at 25 m/s2 turned by _TURN 0.04 mm; in a
@@ -128,7 +128,6 @@ class _Results(NamedTuple):
     force: np.ndarray  # (n, 3, 3) N
     load: np.ndarray  # (n, 6) or UNLOADED, see `Plant.load`
     in_engine: np.ndarray  # (n,) bool
-    for_engine: np.ndarray  # (n,) numbers of those that the engine has to fly, first ones
 
 
 class HybridPlant(MujocoPlant):
@@ -144,8 +143,7 @@ class HybridPlant(MujocoPlant):
         super().__init__(*arguments, **options)
         self.in_engine = np.ones(self.n, bool)
         c, model = self.contacts, self.model
-        for_engine = np.empty(self.n, int)
-        self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine, for_engine)
+        self._results = _Results(self.state, c.near, c.touch, c.force, self.load, self.in_engine)
         self._kernel_vehicles = _Vehicles(
             *(self._constants, self.perturbation, self.size, self.fleet, self._contact),
             self.foot_height - self.vehicle.effects_foot_height,
@@ -173,22 +171,23 @@ class HybridPlant(MujocoPlant):
         near = self._fly(chosen, _Period(self.acting_commands(), push, self.torque_needs_motors, moving))
         if len(near):
             self._roll(None if len(near) == self.n else near)
-            if self.platforms:
-                self.platforms.follow(near)
+        if self.platforms:
+            threads.in_threads(lambda part: self.platforms.follow(chosen[slice(*part)]), self._parts(chosen))
         self.delays.push_state(self.state, chosen)
         return {}
 
     def _fly(self, ids: np.ndarray, period: _Period) -> np.ndarray:
         """Fly the vehicles `ids` (k,) by the equations if possible, in threads; return the other ones."""
-        parts = threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
         numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
         of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
-        counts = threads.in_threads(lambda part: _fly(ids, *part, *of_all), parts)
+        threads.in_threads(lambda part: _fly(ids, *part, *of_all), self._parts(ids))
         if len(self.load):
             self._write_loads(ids[~self.in_engine[ids]])
-        return np.concatenate(
-            [self._results.for_engine[first : first + count] for (first, _), count in zip(parts, counts)]
-        )
+        return ids[self.in_engine[ids]]
+
+    def _parts(self, ids: np.ndarray) -> list[tuple[int, int]]:
+        """Return the first index and the end index of the part of `ids` (k,) that each thread flies."""
+        return threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
 
     def _roll(self, ids, record=()):
         if self.platforms:  # in the engine they are still where its last step of a vehicle left them
@@ -212,18 +211,15 @@ functools.update_wrapper(HybridPlant.__init__, MujocoPlant.__init__)  # with its
 def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results):
     """Fly the vehicles among `ids[first:last]` that stay out of reach by the equations.
 
-    numbers: from `vehicles.constants`, see `forces.numbers`. Returns the number of vehicles that the engine
-    has to fly; their indices are in `results.for_engine` from `first` on. The engine's arrays of the others
-    are set to the values that it would have computed, without a warm start of its solver, which had no
-    contact.
+    numbers: from `vehicles.constants`, see `forces.numbers`. The engine has to fly the other vehicles; they
+    are marked in `results.in_engine`. Its arrays of those that flew are set to the values that it would have
+    computed, without a warm start of its solver, which had no contact.
     """
     dt, substeps, constant = vehicles.timestep, vehicles.substeps, len(period.commands) == 1
     motions, steps, length = period.moving, np.zeros(1, equations.STEP), substeps * dt
-    at, moving, rates, now = engine.at, len(motions.courses) > 0, np.empty(6), np.empty((3, 6))
-    parts = np.empty((2, motions.courses.shape[1]))
+    at, moving, rates = engine.at, len(motions.courses) > 0, np.empty(6)
     integral = engine.state[:, at.act + 1 : at.act + 3]
     poses, platform, state = np.empty((len(platforms.bodies), 3)), platforms.platform, results.state
-    count = 0
     for row in range(first, last):
         i = ids[row]
         present, flown = platforms.present[i], engine.state[i]
@@ -321,8 +317,6 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
             step += 1
         if step < substeps or not _as_exact(y, dt):
             results.in_engine[i] = True
-            results.for_engine[first + count] = i
-            count += 1
             continue
         if abs(y[YAW]) > math.pi:
             y[YAW] -= 2.0 * math.pi * round(y[YAW] / (2.0 * math.pi))
@@ -334,9 +328,6 @@ def _fly(ids, first, last, numbers, period, vehicles, platforms, engine, results
                 results.near[i, surface, part] = results.touch[i, surface, part] = False
                 results.force[i, surface, part] = 0.0
         _write(flown, state[i], substeps, dt, engine)
-        if moving:
-            follow(motions.courses[i], flown[at.time], now, parts, platform[i])
-    return count
 
 
 @inlined

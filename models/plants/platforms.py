@@ -22,7 +22,7 @@ import numpy as np
 from inclined_landing.models import motion
 from inclined_landing.models.attitude import ROLL, Z, sine_cosine
 from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.compiled import inlined, inner, kernel
+from inclined_landing.models.compiled import inlined, inner, kernel, unlocked
 from inclined_landing.models.geometry import PARKED, platform_reach
 from inclined_landing.models.motion import Motion
 from inclined_landing.models.vehicle import Vehicle
@@ -61,9 +61,9 @@ class Moving(NamedTuple):
 
 
 # Columns of a course: time of the motion at the vehicle's reset [s], bound of `strays` for all times [m/s],
-# number of waves, place at rest (6,), velocity (3,); then the modes of all waves, amplitudes, frequencies and
-# phases, each contiguous, for SIMD.
+# number of waves, place at rest (6,), velocity (3,); then mode, amplitude, frequency and phase of each wave.
 BEGUN, MOST = 0, 1
+_TOGETHER = 64  # platforms whose sines are computed together: they fit into the first-level cache
 _COUNT, _PLACE, _VELOCITY, _WAVES = 2, 3, 9, 12
 # So that one compiled kernel serves both.
 STILL = Moving(np.empty((0, _WAVES)), Motion.still(0).arrays, 0.0, 0.0, 0.0)
@@ -221,14 +221,13 @@ def _write_course(i, rest, begun, moving):
     The bound of `strays` for all times assumes that all waves have their largest rates at once.
     """
     course, waves, count, rates = moving.courses[i], moving.waves, 0, np.zeros(6)
-    most = 6 * waves.amplitude.shape[2]
     for mode in range(6):
         for k in range(waves.amplitude.shape[2]):
             size, omega = waves.amplitude[i, mode, k], waves.frequency[i, mode, k]
             if size != 0.0:
-                at = _WAVES + count
-                course[at], course[at + most], course[at + 2 * most] = mode, size, omega
-                course[at + 3 * most] = waves.phase[i, mode, k]
+                at = _WAVES + 4 * count
+                course[at], course[at + 1], course[at + 2] = mode, size, omega
+                course[at + 3] = waves.phase[i, mode, k]
                 count += 1
                 rates[mode] += abs(size * omega)
     course[BEGUN], course[MOST], course[_COUNT] = begun[i], _bound(i, moving, rates) * (1.0 + 1e-9), count
@@ -237,32 +236,33 @@ def _write_course(i, rest, begun, moving):
         course[_VELOCITY + k] = waves.velocity[i, k]
 
 
-@kernel
+@unlocked
 def _follow(ids, time, moving, platform):
-    now, parts = np.empty((3, 6)), np.empty((2, moving.courses.shape[1]))
-    for i in ids:
-        follow(moving.courses[i], time[i], now, parts, platform[i])
-
-
-@inlined
-def follow(course, time, now, parts, out):
-    """Write the state of a platform `time` [s] after its vehicle's reset into `out` (12,), as `displacement`.
-
-    now (3, 6), parts (2, c): for intermediate results.
-    """
-    t, count, most = course[BEGUN] + time, int(course[_COUNT]), (len(course) - _WAVES) // 4
-    mode, amplitude = course[_WAVES : _WAVES + most], course[_WAVES + most : _WAVES + 2 * most]
-    frequency, phase = course[_WAVES + 2 * most : _WAVES + 3 * most], course[_WAVES + 3 * most :]
-    for k in range(count):
-        sine, cosine = sine_cosine(frequency[k] * t + phase[k])
-        parts[0, k], parts[1, k] = amplitude[k] * sine, amplitude[k] * frequency[k] * cosine
-    for k in range(3):
-        v = course[_VELOCITY + k]
-        now[0, k], now[1, k], now[0, 3 + k], now[1, 3 + k] = v * t, v, 0.0, 0.0
-    for k in range(count):
-        now[0, int(mode[k])] += parts[0, k]
-        now[1, int(mode[k])] += parts[1, k]
-    motion.write_state(now, course[_PLACE : _PLACE + 6], out)
+    """Write the states of the platforms `ids` at a time (n,) [s] after the vehicles' reset to `platform`."""
+    courses, now, most = moving.courses, np.empty((3, 6)), _TOGETHER * moving.courses.shape[1]
+    # Three arrays, because only of these SIMD knows that they do not overlap.
+    angle, sine, cosine = np.empty(most), np.empty(most), np.empty(most)
+    for first in range(0, len(ids), _TOGETHER):
+        some, count = ids[first : first + _TOGETHER], 0
+        for i in some:
+            course, t = courses[i], courses[i, BEGUN] + time[i]
+            for wave in range(_WAVES, _WAVES + 4 * int(course[_COUNT]), 4):
+                angle[count] = course[wave + 2] * t + course[wave + 3]
+                count += 1
+        for k in range(count):
+            sine[k], cosine[k] = sine_cosine(angle[k])
+        count = 0
+        for i in some:
+            course, t = courses[i], courses[i, BEGUN] + time[i]
+            for k in range(3):
+                v = course[_VELOCITY + k]
+                now[0, k], now[1, k], now[0, 3 + k], now[1, 3 + k] = v * t, v, 0.0, 0.0
+            for wave in range(_WAVES, _WAVES + 4 * int(course[_COUNT]), 4):
+                mode, amplitude, frequency = int(course[wave]), course[wave + 1], course[wave + 2]
+                now[0, mode] += amplitude * sine[count]
+                now[1, mode] += amplitude * frequency * cosine[count]
+                count += 1
+            motion.write_state(now, course[_PLACE : _PLACE + 6], platform[i])
 
 
 @kernel

@@ -218,7 +218,7 @@ class FastPPO(PPO):
             kernels.act(network, scaling, buffer.observations[t], noise[t], bounds, drawn)
             new_obs, rewards, dones, infos = env.step(clipped_actions)
             self.num_timesteps += n
-            callback.update_locals(locals())
+            callback.update_locals({"infos": infos, "dones": dones, "rewards": rewards, "new_obs": new_obs})
             if not callback.on_step():
                 return False
             ended = np.flatnonzero(dones)
