@@ -171,8 +171,8 @@ class HybridPlant(MujocoPlant):
         near = self._fly(chosen, _Period(self.acting_commands(), push, self.torque_needs_motors, moving))
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        if self.platforms:
-            threads.in_threads(lambda part: self.platforms.follow(chosen[slice(*part)]), self._parts(chosen))
+        if platforms := self.platforms:
+            threads.in_threads(lambda part: platforms.follow(chosen[slice(*part)]), self._parts(chosen))
         self.delays.push_state(self.state, chosen)
         return {}
 
