@@ -48,30 +48,21 @@ LOOP = "attitude_time_constant"  # whose remedy stands for all lags of the attit
 WEIGHT = ("thrust_scale", "thrust_bias", "thrust_curve", "battery_sag", "mass", "slung_load")
 
 
-@dataclasses.dataclass(frozen=True)
-class Correction(Refit):
-    """Values of the effects that correct the vehicle: the named ones, or all of an identified vehicle."""
-
-    again: bool = False  # whether the errors of the identified vehicle were estimated again
-    # Fields of the vehicle that change with these, and half-widths of their 95 % intervals.
-    half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
-
-
-def corrected(found: SetPosterior, values: FittedValues) -> Correction:
+def corrected(found: SetPosterior, values: FittedValues) -> Refit:
     """Return the correction by the named effects at `values`.
 
     All effects of an identified vehicle are estimated again where that predicts flights left out better.
     """
     problem, names = found.problem, frozenset(values)
     local = found.local.with_wide_slabs(names)
-    named = Correction(problem, values, leave_one_out(problem, local, names, values))
+    named = Refit(problem, values, leave_one_out(problem, local, names, values))
     if not (problem.identified and values):
         return named
     again, local = fit_vehicle(problem, found.spread, values, names)
     moved = vehicles_a_half_width_away(problem, local, names, again)
     widths = field_half_widths(problem.vehicle, problem.corrected(again), moved)
-    whole = Correction(problem, again, leave_one_out_modes(problem, local, names), True, widths)
-    return min(named, whole, key=Correction.error_ahead)
+    whole = Refit(problem, again, leave_one_out_modes(problem, local, names), widths)
+    return min(named, whole, key=Refit.error_ahead)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +73,7 @@ class Evaluation:
     vehicles: list[Vehicle]
 
     @staticmethod
-    def of(found: SetPosterior, correction: Correction, heldout: Sequence[MeasuredFlight]) -> Evaluation:
+    def of(found: SetPosterior, correction: Refit, heldout: Sequence[MeasuredFlight]) -> Evaluation:
         """Return the evaluation on held-out flights; without any, on those fitted."""
         problem, (_, vehicles) = found.problem, correction.judged(heldout)
         if heldout:
@@ -131,7 +122,7 @@ class OpenLoopErrors:
 
 def open_loop_errors(
     found: SetPosterior,
-    correction: Correction,
+    correction: Refit,
     evaluation: Evaluation,
     values: Values,
     plants: Sequence[str],

@@ -50,6 +50,8 @@ class Refit:
     problem: Problem
     values: FittedValues
     left_out: Sequence[FittedValues]  # for every flight, fitted to the others
+    # Where the constants of an identified vehicle were estimated again: half-widths of their 95 % intervals.
+    half_widths: Mapping[str, float | tuple[float, ...]] | None = None
 
     @cached_property
     def vehicle(self) -> Vehicle:
@@ -72,11 +74,8 @@ class Refit:
 
     def error_ahead(self) -> float:
         """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
-        try:
-            starts = RolloutWindows.of(self.problem.flights)
-        except UserError:
-            return math.inf
-        return float(errors_by_flight(starts, self.vehicles)[-1])
+        starts = windows_ahead(self.problem)
+        return float(errors_by_flight(starts, self.vehicles)[-1]) if starts else math.inf
 
 
 def relevant_values(found: SetPosterior) -> FittedValues:

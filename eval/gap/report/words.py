@@ -259,7 +259,7 @@ class Answer:
     sizes: tuple[tuple[str, str, str], ...]  # parameter ("" for one alone), value, 95 % interval
     cost: str  # position error one second ahead; "" where it was not measured
     remedy: str
-    says: str = ""  # the physical meaning, a sentence
+    says: str  # the physical meaning, a sentence
     notes: tuple[str, ...] = ()  # sentences on what limits the name
 
 
@@ -276,7 +276,8 @@ def answers(d: Diagnosis) -> list[Answer]:
             moved = ("displacement in 1 s", size, ends)
             name, how = f"unknown, {axis(one)}: depends on {one.on}", "repeats on held-out flights"
             cost, then = centimetres(one.displacement), f"More flights that vary {one.on} would show it."
-            found.append(Answer(name, how, (moved,), cost, then))
+            says = f"An error {axis(one)} depends on {one.on}."
+            found.append(Answer(name, how, (moved,), cost, then, says))
     return found
 
 
@@ -359,7 +360,7 @@ def centimetres(metres: float) -> str:
 
 def causes(d: Diagnosis) -> list[str]:
     """Return a paragraph for each answer, then one on what is possible."""
-    lines = [" ".join([one.says or f"{one.title}.", *one.notes, one.remedy]) for one in answers(d)]
+    lines = [" ".join([one.says, *one.notes, one.remedy]) for one in answers(d)]
     return [*lines, *filter(None, [possible_sentence(d)])]
 
 
