@@ -18,7 +18,7 @@ RECORDS = [kind.options_type for kind in TASKS.values()]
 def test_landing_train_has_an_option_for_each():
     names = {field.name for record in (Training, *RECORDS) for field in dataclasses.fields(record)}
     found = {field.name: field.default for field in dataclasses.fields(TrainConfig)}
-    assert names - set(found) == {"azimuth", "observe_contact"}
+    assert names - set(found) == {"azimuth", "observe_contact", "integrator", "keep_out"}
     assert all(found.get(name) in (None, False) for name in names)
 
 
