@@ -42,7 +42,7 @@ from inclined_landing.envs.tasks import (
     hover_states,
 )
 from inclined_landing.envs.tasks.setpoint import START_BOX
-from inclined_landing.models.attitude import ROLL_COMMAND, VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
+from inclined_landing.models.attitude import VX, VZ, YAW, YAW_RATE_COMMAND, X, Y, Z
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.plants import MujocoPlant
@@ -61,7 +61,7 @@ _STEP = 0.05  # m between the points at which a way is checked
 
 @dataclasses.dataclass(frozen=True)
 class MissionPlan:
-    """Policies of a mission, and the conditions of the hand-over to the landing policy.
+    """Policies of a mission, and the point of the hand-over to the landing policy.
 
     Raises UserError for incompatible policies and for a point too close to the platform.
     """
@@ -70,10 +70,6 @@ class MissionPlan:
     landing: Policy
     touchdown: Policy
     hand_over: tuple[float, float] = HAND_OVER  # x, z of the point [m], in the plane y = 0
-    near: float = TOLERANCE  # m from it
-    slow: float = HAND_OVER_SPEED  # m/s
-    dwell: float = HAND_OVER_TIME  # s that the vehicle is both
-    hold: bool = True  # does the set-point policy's roll hold y where none is commanded
 
     def __post_init__(self):
         required = ("setpoint", Setpoint), ("landing", InclinedLanding), ("touchdown", InclinedTouchdown)
@@ -126,7 +122,7 @@ class MissionPlan:
     def in_box(self, state: np.ndarray) -> np.ndarray:
         """Return a mask (n,) of states near the hand-over point and slow."""
         away = np.linalg.norm(state[:, X : Z + 1] - self.point, axis=1)
-        return (away < self.near) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < self.slow)
+        return (away < TOLERANCE) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < HAND_OVER_SPEED)
 
     def admissible(self, starts: np.ndarray) -> np.ndarray:
         """Return a mask (k,) of the starts (k, 3) [m] from which a mission may begin.
@@ -288,8 +284,6 @@ class _MissionBatch:
         commands = self.hover.commands(actions)
         limit = plan.vehicle.command_yaw_rate_limit
         commands[:, YAW_RATE_COMMAND] = np.clip(-YAW_GAIN * self.plant.measurement[:, YAW], -limit, limit)
-        if not plan.hold:
-            commands[self.leg > APPROACH, ROLL_COMMAND] = 0.0
         for leg, (policy, env) in self.runners.items():
             ids = self._ids_in_leg(leg)
             if len(ids):
@@ -320,7 +314,7 @@ class _MissionBatch:
         settling = (self.leg <= APPROACH) & (np.linalg.norm(state[:, VX : VZ + 1], axis=1) < HAND_OVER_SPEED)
         self.trim.integrate(self.target - state[:, X : Z + 1], period, settling)
         self.near = np.where(plan.in_box(state), self.near + 1, 0)
-        arrived = (self.leg == APPROACH) & (self.near * period >= max(plan.dwell, period) - 1e-9)
+        arrived = (self.leg == APPROACH) & (self.near * period >= HAND_OVER_TIME - 1e-9)
         self._stop(OUTSIDE, self._outside())
         self._stop(FLOOR, contacts.touch[:, SURFACES.index("floor")].any(axis=1))
         late = (self.leg <= APPROACH) & ~arrived

@@ -9,6 +9,7 @@ import numpy as np
 import tyro
 from msgspec import Meta
 
+from inclined_landing.envs.hover import HAND_OVER
 from inclined_landing.eval.base.options import (
     Degrees,
     Flag,
@@ -21,7 +22,6 @@ from inclined_landing.eval.base.options import (
     only_with,
     only_without,
 )
-from inclined_landing.eval.study.options import HandOver
 from inclined_landing.models.base.errors import UserError
 
 DRAWN = 100  # missions without --missions
@@ -36,7 +36,7 @@ def command(
     start: Starts = (),
     missions: Annotated[Annotated[int, Meta(ge=1, le=2000)] | None, only_without("start")] = None,
     seed: Annotated[Seed, only_without("start")] = 0,
-    hand_overs: Flat[HandOver] = HandOver(),
+    hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = ",".join(f"{value:g}" for value in HAND_OVER),
     inclination: Degrees = None,
     vehicle: VehicleFile = None,
     look: Annotated[Flat[Look], only_with("out"), only_without("no_film")] = Look(
@@ -59,6 +59,8 @@ def command(
         start: start of a mission in metres; repeatable (default: random starts).
         missions: number of random starts (default: 100).
         seed: seed for the random starts.
+        hand_over: point that the set-point policy flies to, in metres; y is 0. The landing policy takes over
+            once the vehicle hovers there.
         inclination: platform inclination in degrees (default: that of the training).
         vehicle: vehicle file (TOML) or name of a shipped vehicle (default: Crazyflie 2.1).
         no_film: omit the video and picture of the first mission.
@@ -70,12 +72,12 @@ def command(
         raise UserError(f"width and height of a video must be even, not {look.width} x {look.height}")
     from inclined_landing.envs.rendering import check_picture_options
     from inclined_landing.eval.base.starts import read_point
+    from inclined_landing.eval.study import show
     from inclined_landing.eval.study.engine import fact
     from inclined_landing.eval.study.missions import fly, make_plan, study
-    from inclined_landing.eval.study.show import hand_over
 
     check_picture_options(**dataclasses.asdict(look))
-    plan = make_plan((setpoint, landing, touchdown), hand_overs, inclination, vehicle)
+    plan = make_plan((setpoint, landing, touchdown), hand_over, inclination, vehicle)
     if start:
         starts = np.array([read_point(text, "start", "xyz") for text in start])
         plan.check_starts(starts)
@@ -84,4 +86,4 @@ def command(
     facts = [fact("mission", "vehicle", str(vehicle or "crazyflie.toml"))]
     facts += [] if start else [fact("mission", "seed", seed)]
     found = study(fly(plan, starts), facts, None if no_film else look)
-    hand_over("mission", [found], json=json, out=out)
+    show.hand_over("mission", [found], json=json, out=out)

@@ -32,7 +32,6 @@ from inclined_landing.eval.pictures.figures.mission import mission_figure
 from inclined_landing.eval.pictures.frames import FPS, strobe, write_picture
 from inclined_landing.eval.study.engine import Results, Study, View, count, fact
 from inclined_landing.eval.study.flights import policy_facts
-from inclined_landing.eval.study.options import HandOver
 from inclined_landing.models.attitude import VX, VY, VZ, X, Y, Z
 from inclined_landing.models.geometry import SURFACES
 from inclined_landing.models.parameters import load_vehicle
@@ -61,9 +60,9 @@ def fly(plan: MissionPlan, starts: np.ndarray) -> list[Mission]:
 def study(missions: Sequence[Mission], facts: Sequence[Row] = (), look: Look | None = None) -> Results:
     """Return the study of missions of one plan; look: that of the film of the first one, None for no film."""
     plan = missions[0].plan
-    about = {"inclination": math.degrees(plan.task.inclination), "dwell": plan.dwell, "hold": plan.hold}
-    about |= {"x": plan.hand_over[0], "z": plan.hand_over[1], "near": plan.near, "slow": plan.slow}
-    units = {"inclination": "deg", "dwell": "s", "slow": "m/s", "x": "m", "z": "m", "near": "m"}
+    x, z = plan.hand_over
+    about = {"inclination": math.degrees(plan.task.inclination), "x": x, "z": z}
+    units = {"inclination": "deg", "x": "m", "z": "m"}
     described = Study(
         name="mission",
         title=f"{len(missions)} mission{'s' * (len(missions) != 1)}",
@@ -75,7 +74,7 @@ def study(missions: Sequence[Mission], facts: Sequence[Row] = (), look: Look | N
         remarks=_remarks,
         facts=[
             *policy_facts(dict(zip(ROLES, plan.policies))),
-            *(fact("hand-over", name, value, units.get(name, "")) for name, value in about.items()),
+            *(fact("hand-over", name, value, units[name]) for name, value in about.items()),
             *facts,
         ],
         draw=partial(_draw, missions, look),
@@ -149,7 +148,7 @@ def _draw(missions: Sequence[Mission], look: Look | None, folder: Path) -> Mappi
 
 
 def make_plan(
-    policies: tuple[str, str, str], hand_overs: HandOver, inclination: float | None, vehicle: Path | None
+    policies: tuple[str, str, str], hand_over: str, inclination: float | None, vehicle: Path | None
 ) -> MissionPlan:
     """Return the plan of the options. Raises UserError for invalid ones."""
     loaded = load_vehicle(vehicle) if vehicle is not None else None
@@ -157,11 +156,10 @@ def make_plan(
     if slope is not None:
         (loaded or load_vehicle()).check_inclination(slope)
     setpoint, landing, touchdown = policies
-    x, z = read_point(hand_overs.hand_over, "hand-over", "xz")
+    x, z = read_point(hand_over, "hand-over", "xz")
     return MissionPlan(
         load_policy(setpoint, "setpoint", vehicle=loaded),
         load_policy(landing, vehicle=loaded, inclination=slope),
         load_policy(touchdown, "touchdown", vehicle=loaded, inclination=slope),
         (x, z),
-        *(hand_overs.near, hand_overs.slow, hand_overs.dwell, not hand_overs.drift),
     )

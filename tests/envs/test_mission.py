@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from inclined_landing.envs import hover
-from inclined_landing.envs.hover import Trim
+from inclined_landing.envs.hover import HAND_OVER_SPEED, HAND_OVER_TIME, Trim
 from inclined_landing.envs.mission import APPROACH, CLIMB, LANDING, LEGS, MissionPlan, fly_missions
 from inclined_landing.envs.policy import load_policy
 from inclined_landing.envs.tasks import make_task
@@ -48,9 +48,9 @@ def test_legs_only_go_on_and_fill_the_time(flown):
 def test_landings_begin_in_the_box(flown):
     for mission in flown:
         first = np.argmax(mission.leg >= LANDING)
-        dwell = mission.state[first - round(PLAN.dwell / 0.02) + 1 : first + 1]
+        dwell = mission.state[first - round(HAND_OVER_TIME / 0.02) + 1 : first + 1]
         assert PLAN.in_box(dwell).all() and len(dwell) == 20
-        assert np.linalg.norm(mission.find_leg("approach").state[VX : VZ + 1]) < PLAN.slow
+        assert np.linalg.norm(mission.find_leg("approach").state[VX : VZ + 1]) < HAND_OVER_SPEED
 
 
 def test_a_mission_does_not_depend_on_the_others(flown):
@@ -62,18 +62,11 @@ def test_a_mission_does_not_depend_on_the_others(flown):
         assert mission.end == other.end
 
 
-def test_roll_holds_the_plane_and_drifts_without():
-    """A loose box hands over beside the plane and on the move."""
-    loose = {"near": 0.3, "slow": 1.0, "dwell": 0.0}
-    starts = np.array([[-1.0, 1.2, 1.8], [-1.0, -1.2, 1.8]])
-    held, drifted = (
-        fly_missions(MissionPlan(*POLICIES, **loose, hold=hold), starts) for hold in (True, False)
-    )
-    for one, other in zip(held, drifted):
-        assert one.find_leg("approach").duration == other.find_leg("approach").duration
-        assert abs(one.state[-1, Y]) < 0.05 < abs(other.state[-1, Y])
-        assert not other.commands[other.leg >= LANDING, 1].any()
-    assert np.abs([mission.state[:, YAW] for mission in held[:1]]).max() < 0.1
+def test_roll_holds_the_plane(flown):
+    """The set-point policy's roll and the yaw command, in all legs."""
+    held = fly_missions(PLAN, np.array([[-1.0, 1.2, 1.8], [-1.0, -1.2, 1.8]]))
+    for mission in held:
+        assert abs(mission.state[-1, Y]) < 0.05 and np.abs(mission.state[:, YAW]).max() < 0.1
 
 
 class Leaning:

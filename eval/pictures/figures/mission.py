@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
+from inclined_landing.envs.hover import TOLERANCE
 from inclined_landing.envs.mission import LEGS, Mission
 from inclined_landing.envs.rendering.sprite import SpriteRenderer
 from inclined_landing.eval.base.style import BASE, INK, MUTED, SLAB, halo, legend_below, panel, styled
@@ -82,7 +83,7 @@ def _draw_vehicle_and_box(side_view, above, mission: Mission) -> None:
         )
     x, _, z = mission.plan.point
     for axes, other in ((side_view, z), (above, 0.0)):
-        box = Circle((x, other), mission.plan.near, fill=False, ec=INK, lw=0.9, zorder=5, gid="hand-over box")
+        box = Circle((x, other), TOLERANCE, fill=False, ec=INK, lw=0.9, zorder=5, gid="hand-over box")
         axes.add_patch(box)
     start, end = mission.state[0], mission.state[-1]
     above.plot(*start[[X, Y]], "o", ms=6, color=colours[0], zorder=5, gid="start")
