@@ -25,6 +25,7 @@ from inclined_landing.eval.base.options import (
 from inclined_landing.models.base.errors import UserError
 
 DRAWN = 100  # missions without --missions
+_HAND_OVER = ",".join(f"{value:g}" for value in HAND_OVER)
 Starts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z")]
 
 
@@ -36,7 +37,7 @@ def command(
     start: Starts = (),
     missions: Annotated[Annotated[int, Meta(ge=1, le=2000)] | None, only_without("start")] = None,
     seed: Annotated[Seed, only_without("start")] = 0,
-    hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = ",".join(f"{value:g}" for value in HAND_OVER),
+    hand_over: Annotated[str, tyro.conf.arg(metavar="X,Z")] = _HAND_OVER,
     inclination: Degrees = None,
     vehicle: VehicleFile = None,
     look: Annotated[Flat[Look], only_with("out"), only_without("no_film")] = Look(
