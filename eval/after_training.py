@@ -71,7 +71,7 @@ def _draw(folder: Path, policy: Policy, stages: Stages) -> list[Path]:
     points = usual_starts(task)
     flights = fly_from(policy, points[: figure.FIGURES], "mujoco", task.judged_steps)
     for name, flight in figure.names(flights).items():
-        files += figure.draw(flight, folder, name)
+        files += figure.draw(flight, folder, name, (".png",))  # a PDF embeds its fonts, which takes longer
     filmed = to_rest(fly_from(policy, points[:1], "mujoco")[0])
     view = flight_view([filmed], **_LOOK)
     with make_renderer(**_LOOK, camera=view, vehicle=task.vehicle) as renderer:

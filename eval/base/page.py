@@ -6,13 +6,14 @@ import base64
 import io
 from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
-from matplotlib.figure import Figure
 
 from inclined_landing.eval.base.claims import Section, number
-from inclined_landing.eval.base.style import PNG_DPI, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def render(package: str, template: str, **content) -> str:
@@ -64,6 +65,8 @@ def embedded(image: bytes) -> str:
 
 def png(figure: Figure) -> bytes:
     """Return the figure as the bytes of a PNG file."""
+    from inclined_landing.eval.base.style import PNG_DPI, styled  # here, as most pages have no figures
+
     file = io.BytesIO()
     with styled():
         figure.savefig(file, format="png", dpi=PNG_DPI)

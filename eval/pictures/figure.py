@@ -33,7 +33,7 @@ def command(policy: PolicyFile, /, *, out: Folder, start: Starts = (), flown: Fl
     points = parse_starts(start, task) or usual_starts(task)[:FIGURES]
     named = names(fly_from(loaded, points, flown.plant, task.judged_steps))
     for name, flight in named.items():
-        draw(flight, out, name)
+        draw(flight, out, name, (".png", ".pdf"))
     files = f"{name}.png and {name}.pdf" if len(named) == 1 else f"{', '.join(named)}, each as .png and .pdf"
     say_outcomes(named, f"{out} has {files}")
 
@@ -45,10 +45,10 @@ def names(flights: Sequence[Flight]) -> dict[str, Flight]:
     return {f"trajectory_{k + 1}": flight for k, flight in enumerate(flights)}
 
 
-def draw(flight: Flight, out: Path, name: str) -> list[Path]:
-    """Write the figure of one flight into the folder `out`; return its files."""
+def draw(flight: Flight, out: Path, name: str, suffixes: Sequence[str]) -> list[Path]:
+    """Write the figure of one flight into the folder `out`, once for each suffix; return its files."""
     from inclined_landing.eval.base.style import save_figure
     from inclined_landing.eval.pictures.figures.trajectory import trajectory_figure
 
     drawn = trajectory_figure(flight)
-    return [save_figure(drawn, out / f"{name}{suffix}") for suffix in (".png", ".pdf")]
+    return [save_figure(drawn, out / f"{name}{suffix}") for suffix in suffixes]

@@ -83,9 +83,7 @@ def command(
     from inclined_landing.envs.shared import runs
     from inclined_landing.envs.shared.tables import say
     from inclined_landing.eval.base.starts import parse_starts, start_words, usual_starts
-    from inclined_landing.eval.logs import read_log
     from inclined_landing.eval.pictures.flights import choose_starts
-    from inclined_landing.eval.replay.measured import from_log
     from inclined_landing.eval.replay.page import write
     from inclined_landing.eval.replay.recording import Recording, from_flight
     from inclined_landing.models.plants import check_plant
@@ -94,7 +92,12 @@ def command(
     vehicle, options = _vehicle(flown), reading.options()
     policies = [source for source in sources if _is_policy(source)]
     # Everything is read before anything flies.
-    logs = {s: read_log(s, **options) for s in sources if s not in policies}
+    logs = {}
+    if len(policies) < len(sources):
+        from inclined_landing.eval.logs import read_log
+        from inclined_landing.eval.replay.measured import from_log
+
+        logs = {s: read_log(s, **options) for s in sources if s not in policies}
     ready: dict[str, tuple[Policy, Start]] = {}
     for source in policies:
         policy = flown.load(source)
