@@ -38,7 +38,7 @@ install: $(INSTALLED)
 demo: $(INSTALLED)
 	rm -rf runs/demo
 	$(BIN)/landing-train landing --out runs/demo --seed 0
-	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif \
+	$(BIN)/landing-eval video runs/demo/final.zip --out runs/demo/landing.mp4 --gif --width 640 --height 360 \
 	  --start 1.5,1.8 --start 0,2 --start=-1.5,1.6
 
 # Checks and compiling run side by side.
