@@ -252,8 +252,10 @@ def present_forces(plant: MujocoPlant, vehicle: int) -> tuple[np.ndarray, np.nda
     return contact_forces(model, data)
 
 
-def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
+def impulses(plant: MujocoPlant, commands: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
     """Return the contact impulses (n, 3) [N s] on every vehicle in the engine step under `commands` (n, 4).
+
+    ids: vehicles to compute (default: all); the others' impulses are 0.
 
     A Runge-Kutta step evaluates the contact forces four times, at its beginning, twice in its middle and at
     its end, and moves the vehicle by their average with the weights 1, 2, 2, 1. The force sensors report only
@@ -265,10 +267,10 @@ def impulses(plant: MujocoPlant, commands: np.ndarray) -> np.ndarray:
     Call this before the plant is stepped; the plant is not changed. Vehicles are computed one by one.
     Raises UserError for integrators other than RK4.
     """
-    found = np.empty((plant.n, 3))
+    found, data = np.zeros((plant.n, 3)), mujoco.MjData(plant.model)
     plant.allow_torque(commands)
-    for k in range(plant.n):
-        data = plant.batch.get_data(k)
+    for k in range(plant.n) if ids is None else ids:
+        plant.batch.get_data(k, data)
         data.ctrl[:] = commands[k]
         found[k] = _step_impulse(plant.batch.get_model(k), data)
     return found

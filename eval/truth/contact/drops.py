@@ -93,7 +93,7 @@ def drop(
     impulse = np.full(n, 0.0 if stages else np.nan)
     for _ in range(round(DURATION / step)):
         now = plant.state[:, VZ].copy()
-        pushing = impulses(plant, command)[:, 2] if stages else np.nan
+        pushing = impulses(plant, command, np.flatnonzero(~lifted))[:, 2] if stages else np.nan
         mean = recorder.step(command).force[:, 0, 2]
         touch, force = plant.contacts.touch[:, 0].any(axis=1), plant.contacts.force[:, 0].sum(axis=1)
         leaves = recorder.touched & ~touch & ~lifted
@@ -105,6 +105,8 @@ def drop(
         impulse += np.where(lifted, 0, pushing)
         depth = np.maximum(depth, np.where(lifted, 0, rest - plant.state[:, Z]))
         peak = np.maximum(peak, force)
+        if lifted.all():  # a second touch is weaker
+            break
     up[~lifted], pushed[~lifted] = 0.0, np.nan
     down, _ = recorder.touch_speeds()
     columns = (up / down, pushed, depth, peak, sampled, recorded, impulse)
