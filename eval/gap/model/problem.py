@@ -36,6 +36,7 @@ from inclined_landing.models.effects import Effect
 from inclined_landing.models.threads import two_at_a_time
 from inclined_landing.models.vehicle import Vehicle
 
+KEPT = 12  # linearisations: some megabytes each where flights are many
 LEAST_GROUPS = 8  # of windows: fewer flights are split into this many in all
 _RIDGE = 1e-9  # on the unit diagonal of a scaled Gram matrix
 
@@ -274,10 +275,12 @@ class Problem(Candidates):
         return of
 
     def linearise(self, values: Values, columns: Sequence[Column]) -> Linearisation:
-        """Return the Gram matrices of white errors and Jacobian at `values`; known ones are kept."""
+        """Return the Gram matrices of white errors and Jacobian at `values`; the last KEPT are kept."""
         at = tuple((name, tuple(sorted(values[name].items()))) for name in sorted(values))
         known = self._linearised.get(at)
         if known is None or not set(columns) <= set(known.columns):
+            if len(self._linearised) == KEPT:
+                del self._linearised[next(iter(self._linearised))]
             known = self._linearised[at] = self._linearise(values, list(dict.fromkeys(columns)))
         return known.along(columns)
 
