@@ -190,11 +190,12 @@ class BatchEnv:
                 raise UserError(f"a start state contains NaN or a number beyond {FARTHEST:g}")
         if state is not None:
             start = self.task.start(state)
-        elif start is None:
+        if start is None:
             self._draw_vehicles(ids)
             start = self._draw_starts(ids)
             start.state[:, LAG] *= self.plant.hover_share[ids]
-        self._place(ids, start)
+        else:
+            self._place(ids, start)
         if start.contact is not None:
             self.plant.set_contact(ids, **start.contact)
         self.plant.reset(ids, start.state)
@@ -245,16 +246,16 @@ class BatchEnv:
         )
 
     def _draw_starts(self, ids: np.ndarray) -> Start:
-        """Return random starts of the vehicles `ids`, clear of the platform for vehicles of any size."""
+        """Return random starts of the vehicles `ids`, clear of their platforms, which are set."""
         start = self.task.sample(self.rng, len(ids))
-        todo = np.arange(len(ids) if len(self.plant.fleet.reach) > 1 else 0)
         for _ in range(_TRIES):
+            self._place(ids, start)
+            if len(self.plant.fleet.reach) == 1:
+                return start
+            todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
             if not len(todo):
                 return start
-            self._place(ids, start)
-            todo = np.flatnonzero(self.plant.clearance(ids, start.state) <= self.plant.keep_out)
-            if len(todo):
-                start.put(todo, self.task.sample(self.rng, len(todo)))
+            start.put(todo, self.task.sample(self.rng, len(todo)))
         raise UserError("none of the task's starts has room for the largest vehicle of the plant")
 
     def _draw_vehicles(self, ids: np.ndarray) -> None:

@@ -182,7 +182,7 @@ class TrainConfig:
     environments: int | None = None
     """Number of vehicles simulated in parallel."""
     threads: Annotated[int, Meta(ge=0, le=1024)] = 0
-    """Number of physics threads (0: all cores)."""
+    """Number of physics threads (0: all cores, or one where few vehicles are near a surface)."""
 
     # --- learning
     net_arch: Annotated[Widths | None, tyro.conf.arg(metavar="N [N ...]")] = None

@@ -27,6 +27,7 @@ from inclined_landing.train.fast.ppo import FastPPO
 # Bytes, measured: a sample with its copies; of each past step in it seven numbers, in the buffer and its
 # copies; a vehicle with engine and records.
 _SAMPLE, _PAST, _VEHICLE = 100, 80, 20_000
+_FEW = 256  # environments of which one thread flies those in the engine, 3 of 128 on average
 _EVALUATION_SEED = 1_000_003  # apart from every training seed's stream
 _FROM_TRAINING = ("rollout", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda", "log_std_init")
 
@@ -45,10 +46,13 @@ def check_memory(config: TrainConfig) -> None:
 
 def training_environment(config: TrainConfig) -> BatchVecEnv:
     """Return the vehicles on which a run trains, in the configured plant."""
+    assert config.environments is not None
     task = build_task(config)
     options: dict[str, Any] = {"keep_out": task.training.keep_out if task.has_platform else 0.0}
     if config.plant != "analytic":
-        options |= {"integrator": task.training.integrator, "threads": config.threads}
+        # Where contact ends an episode few vehicles at a time are in the engine, so one thread is enough.
+        few = config.plant == "hybrid" and options["keep_out"] > 0.0 and config.environments <= _FEW
+        options |= {"integrator": task.training.integrator, "threads": config.threads or int(few)}
     nominal = None
     if config.randomise is not None:
         ranges = read_ranges(config.randomise)
@@ -57,7 +61,6 @@ def training_environment(config: TrainConfig) -> BatchVecEnv:
         pool = ranges.draw(task.vehicle, config.seed, to_the_ends=config.dimensions != 3)
         options |= pool_options(pool, config.seed)
     options |= task.plant_options
-    assert config.environments is not None
     plant = make_plant(config.plant, config.environments, task.vehicle, **options)
     return BatchVecEnv(BatchEnv(task, plant, config.seed, nominal), reward_scale=config.reward_scale)
 

@@ -18,7 +18,7 @@ from inclined_landing.envs.tasks import make_task
 from inclined_landing.envs.tasks.landing import LandingConditions
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.plants import make_plant
-from inclined_landing.train.fast import kernels, layers
+from inclined_landing.train.fast import kernels, layers, ppo
 from inclined_landing.train.fast.ppo import FastPPO, both
 
 N, STEPS = 8, 100
@@ -201,9 +201,10 @@ def test_a_callback_stops_a_rollout():
     assert fast.num_timesteps == 5 * N
 
 
-def test_one_thread_or_two_change_no_bit():
+def test_one_thread_or_two_change_no_bit(monkeypatch):
     """Of a rollout whose values are computed in two parts, and of updates."""
     made = []
+    monkeypatch.setattr(ppo, "loaded", lambda: False)
     for threads in (1, 2):
         made.append(model(FastPPO, n=16))
         made[-1].threads = threads

@@ -130,6 +130,11 @@ def both(work: Callable[[int], None], threads: int, let_go: Callable[[], None] |
         raise failures[0]
 
 
+def loaded() -> bool:
+    """Return whether other programs have kept the cores of this machine busy in the last minute."""
+    return hasattr(os, "getloadavg") and os.getloadavg()[0] > 1.0 + (os.cpu_count() or 1)
+
+
 class FastPPO(PPO):
     """PPO for two separate tanh networks, a normal distribution of actions and a CPU.
 
@@ -291,7 +296,8 @@ class FastPPO(PPO):
         )
         counter, norms = np.zeros(1, np.int64), np.zeros((2, 2))
         rest = *learners, rollout, np.array(order, np.uint64), self._scaling(), settings, statistics
-        if self.threads < 2 or numba.config.DISABLE_JIT:  # without which threads cannot meet
+        # On a loaded machine two threads, which meet once per minibatch, mostly wait for each other.
+        if self.threads < 2 or loaded() or numba.config.DISABLE_JIT:  # without which threads cannot meet
             kernels.update(True, True, counter, norms, *rest)
         else:
             both(
