@@ -167,8 +167,6 @@ def test_correction_closes_the_gap_in_both_plants(weak):
     assert a.before > 0.4
     assert a.closed > 0.97
     assert b.after == pytest.approx(a.after, rel=0.1)
-    assert d.horizon[0].label == "nominal"
-    assert d.horizon[-1].error[-1] < 0.1 * d.horizon[0].error[-1]
     corrected = d.apply(VEHICLE)
     assert corrected == d.corrected
     assert measure_gap(corrected, weak)["error"] < 0.1 * measure_gap(VEHICLE, weak)["error"]
