@@ -48,7 +48,6 @@ REFUSED = {
     "mission --start=-1,0,1.5 --missions 5": "--missions has no effect with --start",
     "mission --hand-over 0,1": "the hand-over point must lie above the platform",
     "mission --missions 0": "--missions must be a whole number from 1 to 2000",
-    "mission --near 0": "--near must be a number from 0.005 to 0.5",
     "mission --width 161": "width and height of a video must be even, not",
     "mission --inclination 80": "inclination",
     "touchdown landing": "trained for the task landing, not for touchdown",

@@ -21,7 +21,7 @@ NO_VEHICLE = {
     "export",
     "curves",
     "logs",
-    "effects",
+    "plan",
     "gap-example",
     "doctor",
 }
