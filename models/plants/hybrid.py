@@ -171,8 +171,8 @@ class HybridPlant(MujocoPlant):
         near = self._fly(chosen, _Period(self.acting_commands(), push, self.torque_needs_motors, moving))
         if len(near):
             self._roll(None if len(near) == self.n else near)
-        if platforms := self.platforms:
-            threads.in_threads(lambda part: platforms.follow(chosen[slice(*part)]), self._parts(chosen))
+            if self.platforms:
+                self.platforms.follow(near)
         self.delays.push_state(self.state, chosen)
         return {}
 
@@ -180,14 +180,16 @@ class HybridPlant(MujocoPlant):
         """Fly the vehicles `ids` (k,) by the equations if possible, in threads; return the other ones."""
         numbers = forces.numbers(self._constants)  # here, as copies of a plant share no memory of views
         of_all = numbers, period, self._kernel_vehicles, self._platforms, self._engine, self._results
-        threads.in_threads(lambda part: _fly(ids, *part, *of_all), self._parts(ids))
+
+        def fly(part: tuple[int, int]) -> None:
+            _fly(ids, *part, *of_all)
+            if self.platforms:  # those in the engine follow again, after its steps
+                self.platforms.follow(ids[slice(*part)])
+
+        threads.in_threads(fly, threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE)))
         if len(self.load):
             self._write_loads(ids[~self.in_engine[ids]])
         return ids[self.in_engine[ids]]
-
-    def _parts(self, ids: np.ndarray) -> list[tuple[int, int]]:
-        """Return the first index and the end index of the part of `ids` (k,) that each thread flies."""
-        return threads.shares(len(ids), min(self.batch.nthread, len(ids) // _SHARE))
 
     def _roll(self, ids, record=()):
         if self.platforms:  # in the engine they are still where its last step of a vehicle left them
