@@ -16,7 +16,7 @@ from inclined_landing.envs.tasks.base import FARTHEST, Evaluation, StepContext
 from inclined_landing.envs.tasks.guard import TaskError
 from inclined_landing.envs.tasks.start import Start
 from inclined_landing.envs.vehicle_parameters import vehicle_parameters
-from inclined_landing.models.attitude import LAG
+from inclined_landing.models.attitude import LAG, X
 from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.forces import settled_hover
 from inclined_landing.models.plants import Plant
@@ -141,6 +141,11 @@ class BatchEnv:
         self.rng = rng
         if self.plant.disturbance:
             self.plant.disturbance.seed(rng)
+
+    @property
+    def start_x(self) -> np.ndarray:
+        """x (n,) of the starts of the running episodes [m]."""
+        return self._start.state[:, X]
 
     def episode_state(self) -> dict[str, np.ndarray]:
         """Return copies of the per-vehicle records, for `restore_episodes`."""

@@ -20,8 +20,8 @@ class BatchVecEnv(VecEnv):
     """Stable-Baselines3 vector environment with automatic resets and episode statistics.
 
     `infos[i]` is an empty dictionary except at the end of an episode, where it contains
-    `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched) and
-    `episode` {r, l, t} as SB3's Monitor writes it.
+    `terminal_observation`, `TimeLimit.truncated`, `is_success`, `touched` (was the platform touched),
+    `start_x` (of its start [m]) and `episode` {r, l, t} as SB3's Monitor writes it.
 
     Call `torch.set_num_threads(1)` before training: with small networks PyTorch's threads mostly wait for one
     another, on a shared machine more than ten times as long as the computation takes.
@@ -70,7 +70,7 @@ class BatchVecEnv(VecEnv):
         observation = step.observation
         if done.any():
             ids = np.flatnonzero(done)
-            seconds = round(time.monotonic() - self._began, 6)
+            seconds, starts = round(time.monotonic() - self._began, 6), env.start_x
             for i in ids:
                 infos[i].update(
                     {
@@ -78,6 +78,7 @@ class BatchVecEnv(VecEnv):
                         "TimeLimit.truncated": bool(step.truncated[i]),
                         "is_success": bool(step.success[i]),
                         "touched": bool(env.touched[i]),
+                        "start_x": float(starts[i]),
                         "episode": {"r": float(env.total[i]), "l": int(env.length[i]), "t": seconds},
                     }
                 )

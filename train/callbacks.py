@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
@@ -59,8 +62,16 @@ class CurriculumCallback(BaseCallback):
     def _on_step(self) -> bool:
         infos = self.locals["infos"]
         for i in np.flatnonzero(self.locals["dones"]):
-            self.curriculum.episode(infos[i]["is_success"], infos[i]["episode"]["l"])
+            info = infos[i]
+            self.curriculum.episode(info["is_success"], info["episode"]["l"], info.get("start_x", 0.0))
         return True
+
+    def _on_rollout_start(self) -> None:
+        divergence = self.model.logger.name_to_value.get("train/approx_kl")  # of the update before
+        if divergence is not None:
+            self.curriculum.follow(float(divergence))
+        if self.curriculum.least_noise:
+            self.model.policy.log_std.data.clamp_(min=math.log(self.curriculum.least_noise))
 
     def _on_rollout_end(self) -> None:
         self.curriculum.advance(self.num_timesteps)
@@ -77,7 +88,7 @@ class CurriculumCallback(BaseCallback):
         if isinstance(self.model, OnPolicyAlgorithm):
             self.model.rollout_buffer.gamma = gamma
         share = self.curriculum.learning_rate_share(self.num_timesteps, self.total)
-        rate = max(self.rate * share, 1e-3 * self.rate)
+        rate = max(self.rate * share * self.curriculum.pace, 1e-3 * self.rate)
         self.model.lr_schedule = lambda _: rate
 
 
@@ -118,6 +129,39 @@ class LearningCurve(BaseCallback):
                 **self.curriculum.log(),
             }
         )
+
+
+class Averaging(BaseCallback):
+    """Keeps moving averages of the network's weights over the updates in `averages`; none if `weight` is 0.
+
+    weight: of the averages before in the new ones. They are taken at the end of a rollout, because a resumed
+    run begins with a rollout.
+    """
+
+    def __init__(self, averages: dict[str, torch.Tensor], weight: float):
+        super().__init__()
+        self.averages, self.weight = averages, weight
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        for name, tensor in self.model.policy.named_parameters() if self.weight else ():
+            average = self.averages.setdefault(name, tensor.detach().clone())
+            average.lerp_(tensor.detach(), 1.0 - self.weight)
+
+
+@contextmanager
+def with_weights(policy: torch.nn.Module, weights: dict[str, torch.Tensor]) -> Iterator[None]:
+    """Let a network have other weights, by the names of its parameters, and then its own again."""
+    own = {name: policy.get_parameter(name).detach().clone() for name in weights}
+    try:
+        for name, tensor in weights.items():
+            policy.get_parameter(name).detach().copy_(tensor)
+        yield
+    finally:
+        for name, tensor in own.items():
+            policy.get_parameter(name).detach().copy_(tensor)
 
 
 class CriticFirst(BaseCallback):

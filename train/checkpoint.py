@@ -28,6 +28,7 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.plants import Snapshot
 
 FORMAT = 1
+AVERAGE = "average."  # before the names of averaged weights
 _LARGEST = 2**30  # bytes
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's, of each parameter
 
@@ -160,6 +161,19 @@ def restore(model: PPO, env: BatchVecEnv, saved: Checkpoint) -> TrainingState:
     torch.set_rng_state(torch.as_tensor(arrays["torch_rng"]))
     np.random.set_state(("MT19937", arrays["numpy_rng"], *state.numpy_rng))  # noqa: NPY002
     return state
+
+
+def averages(model: PPO, saved: Checkpoint) -> dict[str, torch.Tensor]:
+    """Return the averaged weights of a checkpoint by name; raises UserError if they do not fit the model."""
+    found = {}
+    for key, array in saved.arrays.items():
+        if key.startswith(AVERAGE):
+            name = key.removeprefix(AVERAGE)
+            like = model.policy.get_parameter(name).detach().numpy()
+            if (array.shape, array.dtype) != (like.shape, like.dtype):
+                raise UserError(f"{key} is {array.dtype} {array.shape}, not {like.dtype} {like.shape}")
+            found[name] = torch.as_tensor(array)
+    return found
 
 
 def _checked_moments(model: PPO, env: BatchVecEnv, arrays: dict) -> dict[int, dict[str, torch.Tensor]]:

@@ -47,6 +47,7 @@ FOR_PLANE = "landing-nominal"  # the policy that replaces it in the plane
 #   law: the task's training starts from the feedback law `descent`
 #   drawn: every episode's vehicle is drawn (the task's `drawn_vehicles`; not with --nominal or --fastest)
 #   one slope: neither --steepest nor --randomise is given
+#   from scratch: --from is not given
 #   fixed: the number of steps is fixed
 # `all_commands` says whether actions reach every PWM, as some vehicles need, or those around hover.
 DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
@@ -57,6 +58,10 @@ DEFAULTS: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
     (
         {"drawn": True, "dimensions": 2, "one slope": True},
         {"environments": 128, "rollout": 32, "gae_lambda": 0.85},
+    ),
+    (
+        {"drawn": True, "dimensions": 2, "one slope": True, "from scratch": True},
+        {"curriculum": "balanced", "evaluate_every": 8},
     ),
     # Vehicles differ in more than in the plane: with its rates one of three seeds learned the landing.
     ({"drawn": True, "dimensions": 3, "law": False}, {"rollout": 128, "learning_rate": 1e-3}),
@@ -188,8 +193,9 @@ class TrainConfig:
     net_arch: Annotated[Widths | None, tyro.conf.arg(metavar="N [N ...]")] = None
     """Widths of the hidden layers of actor and critic (default: 64 64; with --from those of the policy)."""
     curriculum: str | None = None
-    """Curriculum: adaptive, fixed, paper or none for landing; effort or none for setpoint; touchdown for
-    touchdown."""
+    """Curriculum: adaptive, balanced, fixed, paper or none for landing (default: adaptive, or balanced if
+    vehicles are drawn in the plane without --steepest, --randomise and --from); effort or none for setpoint;
+    touchdown for touchdown."""
     without: Annotated[str | None, tyro.conf.arg(metavar="PART[,PART...]")] = None
     """Parts of the landing curriculum to omit. start, tilt, motion, goal and platform then have the task's
     values from the first step. Without departure, leaving the arena truncates the episode."""
@@ -306,6 +312,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
         dimensions=dimensions or 2,
         nominal=config.nominal,
         one_slope=config.randomise is None and config.steepest is None,
+        from_scratch=start is None,
         randomised=is_drawn or config.randomise is not None,
         fixed=config.steps is not None or training.success is None,
     )

@@ -29,6 +29,16 @@ RESTARTS = (0, 2)
 # Success at which the adaptive curriculum goes on, and below which it goes back: usually, and on drawn
 # vehicles in the plane, of which nobody lands all.
 GATE, FLOOR = (0.7, 0.5), (0.4, 0.3)
+# Of `BalancedCurriculum`: share of gate and floor that success from either side of the goal must exceed; the
+# Kullback-Leibler divergence between the policies before and after an update that the learning rate is
+# adapted to, and the factor by which it then changes; steps after the first success from which on policies
+# are evaluated; weight of the past in the average of the weights; least standard deviation of the exploration
+# noise.
+EITHER_SIDE = 0.75
+DIVERGENCE, PACE = 0.015, 1.5
+READY = 100_000
+AVERAGING = 0.8
+LEAST_NOISE = 0.22
 # Parts of a landing's curriculum that `--without` leaves out, and their fields of `LandingConditions`.
 PARTS = {
     "start": ("start_reach", "start_reach_z", "lowest_start"),
@@ -63,6 +73,9 @@ class Curriculum:
 
     name = "none"
     level = 1.0  # 0 easiest, 1 the task itself
+    pace = 1.0  # factor on the learning rate that depends on the updates, see `follow`
+    averaging = 0.0  # weight of the average of past weights in the policy that is evaluated and saved
+    least_noise = 0.0  # standard deviation below which PPO's exploration noise does not fall
     moments: tuple[tuple[str, dict], ...] = (("the task", {}),)  # titles and attributes, for a figure
 
     def __init__(self, gamma: float | str, the_task: Any = None):
@@ -109,8 +122,11 @@ class Curriculum:
         task = type(stage)()
         return dataclasses.replace(stage, **{name: getattr(task, name) for name in self._without})
 
-    def episode(self, success: bool, length: int) -> None:
-        """Record the end of a training episode."""
+    def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
+        """Record the end of a training episode that started at `start_x` [m]."""
+
+    def follow(self, divergence: float) -> None:
+        """Record the Kullback-Leibler divergence between the policies before and after an update."""
 
     def advance(self, steps: int) -> None:
         """Record the end of a rollout, after `steps` environment steps in total."""
@@ -124,6 +140,10 @@ class Curriculum:
     def settled(self, steps: int) -> bool:
         """Return whether the learning rate of a run ended by success has fallen to SETTLED."""
         return self.learning_rate_share(steps, None) <= SETTLED
+
+    def is_ready(self, steps: int) -> bool:
+        """Return whether evaluations on varied vehicles may end a run: before, their success still rises."""
+        return self.settled(steps)
 
     def skip(self) -> None:
         """Go to the end of a curriculum that adapts to success, because the policy has learned the task."""
@@ -212,7 +232,7 @@ class AdaptiveCurriculum(Curriculum):
         """Return the success rate of the window, 0 while it is empty."""
         return float(np.mean(self.recent)) if self.recent else 0.0
 
-    def episode(self, success: bool, length: int) -> None:
+    def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
         if not (success and length <= 2):
             self.recent.append(bool(success))
 
@@ -249,6 +269,62 @@ class AdaptiveCurriculum(Curriculum):
 
     def log(self) -> dict[str, float]:
         return super().log() | {"success": self.success} | _shown(self.conditions())
+
+
+class BalancedCurriculum(AdaptiveCurriculum):
+    """The same levels for drawn vehicles, with success from both sides and a rate that follows the updates.
+
+    A policy may learn to land from one side of the goal only, and to hover on the other for the rest of the
+    run. The level therefore rises only if the success rate from either side exceeds EITHER_SIDE of the gate
+    too, and creeps up only if it exceeds that share of the floor.
+
+    An update at learning rate a moves a policy with exploration noise s by a Kullback-Leibler divergence of
+    about (a / s)^2. At a constant rate updates grow as the noise falls, until success no longer rises. The
+    rate is therefore reduced after an update with more than twice DIVERGENCE and raised again, up to that of
+    the adaptive curriculum, after one with less than half of it. The noise does not fall below LEAST_NOISE,
+    as otherwise such small updates change little. The policy that is evaluated and saved has averaged
+    weights, which fluctuate less.
+    """
+
+    name = "balanced"
+    averaging, least_noise = AVERAGING, LEAST_NOISE
+
+    def __init__(self, gamma: float | str):
+        super().__init__(gamma, gate=GATE[1], floor=FLOOR[1])
+        self.settling, self.most_restarts = SETTLING[1], RESTARTS[1]
+        window = self.recent.maxlen or 0
+        self.left: deque[bool] = deque(maxlen=window // 2)
+        self.right: deque[bool] = deque(maxlen=window // 2)
+        self.pace = 1.0
+
+    @property
+    def worse(self) -> float:
+        """Return the success rate from the worse side of the goal, 0 while there are no episodes from it."""
+        return min(float(np.mean(side)) if side else 0.0 for side in (self.left, self.right))
+
+    def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
+        super().episode(success, length)
+        if not (success and length <= 2):
+            (self.left if start_x < 0 else self.right).append(bool(success))
+
+    def advance(self, steps: int) -> None:
+        full = all(len(side) == side.maxlen for side in (self.left, self.right))
+        if self.success <= self.floor or (full and self.worse > EITHER_SIDE * self.gate):
+            super().advance(steps)
+        elif self.worse > EITHER_SIDE * self.floor:
+            self.level = min(1.0, self.level + self.creep)
+        if not self.recent:  # at another level
+            self.left.clear()
+            self.right.clear()
+
+    def follow(self, divergence: float) -> None:
+        if divergence > 2.0 * DIVERGENCE:
+            self.pace /= PACE
+        elif divergence < 0.5 * DIVERGENCE:
+            self.pace = min(1.0, self.pace * PACE)
+
+    def is_ready(self, steps: int) -> bool:
+        return self.full_at is not None and steps >= self.full_at + READY
 
 
 class FixedCurriculum(AdaptiveCurriculum):
@@ -304,7 +380,7 @@ class PaperCurriculum(Curriculum):
             lowest_start=1.0,
         )
 
-    def episode(self, success: bool, length: int) -> None:
+    def episode(self, success: bool, length: int, start_x: float = 0.0) -> None:
         self.episodes += 1
         self.tilting_episodes += self.steps >= 400_000
 
@@ -383,6 +459,7 @@ class TouchdownCurriculum(Curriculum):
 # Curricula by name, made from gamma; "none" is known besides. Tasks say which of them know them.
 _CURRICULA: dict[str, Callable[[float | str], Curriculum]] = {
     "adaptive": AdaptiveCurriculum,
+    "balanced": BalancedCurriculum,
     "fixed": FixedCurriculum,
     "paper": lambda gamma: PaperCurriculum(),
     "effort": EffortCurriculum,
@@ -403,7 +480,7 @@ def make_curriculum(
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
-    if isinstance(curriculum, AdaptiveCurriculum) and drawn:
+    if drawn and type(curriculum) in (AdaptiveCurriculum, FixedCurriculum):
         curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
         curriculum.settling, curriculum.most_restarts = SETTLING[1], RESTARTS[1]
     if without:

@@ -21,6 +21,7 @@ import shutil
 from collections.abc import Container
 from pathlib import Path
 
+import torch
 from stable_baselines3.common.logger import Logger
 
 from inclined_landing.envs.policy import Policy
@@ -33,12 +34,14 @@ from inclined_landing.models.base.errors import UserError, shown
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.train import checkpoint, ppo, warm_start
 from inclined_landing.train.callbacks import (
+    Averaging,
     CriticFirst,
     CurriculumCallback,
     Every,
     LearningCurve,
     ProgressCallback,
     TimeSpent,
+    with_weights,
 )
 from inclined_landing.train.checkpoint import Checkpoint
 from inclined_landing.train.config import COPIED, ENDING, TrainConfig
@@ -100,6 +103,7 @@ class Run:
         self.evaluations: list[dict] = []
         self.best: bytes | None = None  # the policy file of the best evaluation
         self.clock = TimeSpent()
+        self.averages: dict[str, torch.Tensor] = {}  # of the weights, by name; none without averaging
         self.begun_at: int | None = None  # the iteration of the checkpoint that was resumed
         self.metrics: dict | None = None
         self._stopped = False
@@ -147,6 +151,7 @@ class Run:
                 raise UserError(f"belongs to different ranges than {COPIED['randomise']}")
             self.curriculum.restore(state.curriculum)
             self.curriculum.log()
+            self.averages = checkpoint.averages(self.model, saved)
             if self.config.most_steps() < state.steps:
                 raise UserError(
                     f"has {state.steps} steps, more than the {self.config.most_steps()} requested"
@@ -206,6 +211,7 @@ class Run:
         callbacks = [
             CurriculumCallback(self.curriculum, config.steps, config.learning_rate),
             LearningCurve(self.history, self.curriculum, self.clock),
+            Averaging(self.averages, self.curriculum.averaging),
             progress,
             every(config.evaluate_every, self._evaluate_or_end),
             every(config.checkpoint_every, self.checkpoint, least=0),
@@ -234,7 +240,7 @@ class Run:
         if self.config.success is not None:
             if self.curriculum.level < COMPLETE:
                 return  # policies that have not seen the whole task fail at it, at length
-            if self.config.randomise is not None and not self.curriculum.settled(self.model.num_timesteps):
+            if self.config.randomise is not None and not self.curriculum.is_ready(self.model.num_timesteps):
                 return  # the share of varied vehicles still rises
         self.evaluate()
         if self.ending.reached(self.model.num_timesteps):
@@ -245,7 +251,8 @@ class Run:
     def evaluate(self) -> None:
         """Fly the deterministic policy from the evaluation's starts: hybrid plant, no training aids."""
         self.clock.switch("evaluation")
-        score = self.evaluation.score(self._policy(), len(self.evaluations))
+        with with_weights(self.model.policy, self.averages):
+            score = self.evaluation.score(self._policy(), len(self.evaluations))
         if not self.evaluations or score["score"] >= max(e["score"] for e in self.evaluations):
             self.best = self.policy_file()
             storage.write_bytes(self.folder / "best.zip", self.best)
@@ -262,6 +269,7 @@ class Run:
     def checkpoint(self, iteration: int) -> None:
         """Write everything needed to continue to one file, atomically; then write the curves."""
         numbers, arrays = checkpoint.training_state(self.model, self.env)
+        arrays |= {f"{checkpoint.AVERAGE}{name}": tensor.numpy() for name, tensor in self.averages.items()}
         state = numbers | {
             "config": self._as_recorded(),
             "vehicle": changed_entries(self.task.vehicle),
@@ -345,7 +353,8 @@ class Run:
             **{name: value for name, value in self.record.items() if name != "config"},
         }
         with storage.scratch(self.folder / "policy.zip") as path:
-            write_policy(self.model, path, metadata, actor_of(self.model))
+            with with_weights(self.model.policy, self.averages):
+                write_policy(self.model, path, metadata, actor_of(self.model))
             return path.read_bytes()
 
     def _policy(self) -> Policy:

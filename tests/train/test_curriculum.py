@@ -7,6 +7,7 @@ import math
 from types import SimpleNamespace
 
 import pytest
+import torch
 
 from inclined_landing.envs.tasks import landing, setpoint
 from inclined_landing.models.base.errors import UserError
@@ -14,6 +15,7 @@ from inclined_landing.train import callbacks
 from inclined_landing.train.curriculum import (
     PARTS,
     AdaptiveCurriculum,
+    BalancedCurriculum,
     Curriculum,
     PaperCurriculum,
     make_curriculum,
@@ -149,6 +151,74 @@ def test_in_a_run_that_ends_by_success_the_learning_rate_settles_at_a_tenth():
     assert shares == pytest.approx([1.0, 0.5, 0.1, 0.1])
     assert [c.settled(100_000 + steps) for steps in (0, c.settling // 2, c.settling)] == [False, False, True]
     assert Curriculum(0.97).learning_rate_share(c.settling // 2, None) == pytest.approx(0.5)
+
+
+# --- balanced ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("right, change", [(12, "step"), (11, "creep"), (7, "creep"), (6, None)])
+def test_the_level_rises_with_success_from_both_sides_of_the_goal(right, change):
+    """Of 30 from each side; more than 0.375 for a step, and 0.225 to creep."""
+    c = BalancedCurriculum(0.98)
+    c.level = 0.5
+    for k in range(30):
+        c.episode(k < 25, 50, start_x=-1.0)
+        c.episode(k < right, 50, start_x=1.0)
+    c.advance(0)
+    assert c.level == pytest.approx(0.5 + (getattr(c, change) if change else 0.0))
+    assert [len(x) for x in (c.left, c.right, c.recent)] == ([0, 0, 0] if change == "step" else [30, 30, 60])
+
+
+def test_nothing_succeeding_leads_back_and_one_side_alone_does_not():
+    c = BalancedCurriculum(0.98)
+    c.level = 0.5
+    for k in range(60):
+        c.episode(k % 2 == 0, 50, start_x=-1.0 if k % 2 else 1.0)
+    c.advance(0)
+    assert c.level == 0.5
+    for _ in range(60):
+        c.episode(False, 50, start_x=1.0)
+    c.advance(0)
+    assert c.level == 0.5 - c.back
+
+
+def test_the_learning_rate_follows_the_divergence_of_the_updates():
+    c, model = BalancedCurriculum(0.98), SimpleNamespace(logger=SimpleNamespace(name_to_value={}))
+    callback = callbacks.CurriculumCallback(c, None, 1e-3)
+    callback.model = model
+    model.get_env = lambda: SimpleNamespace(env_method=lambda *_: None)
+    model.policy = SimpleNamespace(log_std=torch.nn.Parameter(torch.tensor([-3.0, 0.0])))
+    for divergence, pace in (
+        (0.05, 1 / 1.5),
+        (0.02, 1 / 1.5),
+        (0.05, 1 / 2.25),
+        (1e-3, 1 / 1.5),
+        (1e-3, 1.0),
+        (1e-3, 1.0),
+    ):
+        model.logger.name_to_value["train/approx_kl"] = divergence
+        callback._on_rollout_start()
+        callback._apply()
+        assert model.lr_schedule(1.0) == pytest.approx(1e-3 * pace)
+    assert model.policy.log_std.exp().tolist() == pytest.approx([c.least_noise, 1.0])
+    other = AdaptiveCurriculum()
+    other.follow(1.0)
+    assert other.pace == 1.0
+
+
+def test_averaged_weights_are_lent_and_taken_back():
+    model = SimpleNamespace(policy=torch.nn.Linear(2, 1), num_timesteps=0)
+    averages: dict[str, torch.Tensor] = {}
+    averaging = callbacks.Averaging(averages, 0.8)
+    averaging.model = model
+    averaging._on_rollout_end()
+    first = model.policy.weight.detach().clone()
+    with torch.no_grad():
+        model.policy.weight += 1.0
+    averaging._on_rollout_end()
+    with callbacks.with_weights(model.policy, averages):
+        torch.testing.assert_close(model.policy.weight.detach(), first + 0.2)
+    torch.testing.assert_close(model.policy.weight.detach(), first + 1.0)
 
 
 # --- paper -------------------------------------------------------------------------------------------

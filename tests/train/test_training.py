@@ -114,6 +114,7 @@ KINDS = {  # the plain landing: test_stopped_by_the_clock_and_resumed_equals_uni
     "touchdown": {"task": "touchdown"},
     "landing analytic paper": {"task": "landing", "plant": "analytic", "curriculum": "paper"},
     "setpoint": {"task": "setpoint"},
+    "averaged weights": {"task": "landing", "curriculum": "balanced"},
     "landing with a history": {"task": "landing", "history": 3},
     "platforms that heave": {"task": "landing", "dimensions": 3, "fastest": 1.0, "swell": 1.0},
 }
@@ -477,6 +478,9 @@ def test_defaults_of_a_landing_training(tmp_path):
     assert said(randomise=Path("vehicles")) == [Path("vehicles"), 3, 35_000.0, 25_000.0]
     assert said(dimensions=3) == said()
     assert said(dimensions=3, fastest=1.0) == said(dimensions=3, nominal=True) == said(nominal=True)
+    curricula = [{}, {"nominal": True}, {"dimensions": 3}, {"steepest": 30.0}, {"start_from": "landing"}]
+    found = [TrainConfig(out=tmp_path / "a", **options).resolved().curriculum for options in curricula]
+    assert found == ["balanced", *["adaptive"] * 4]
     in_space = TrainConfig(out=tmp_path / "a", dimensions=3).resolved()
     assert (in_space.rollout, in_space.learning_rate) == (128, 1e-3)
     assert TrainConfig(out=tmp_path / "a", dimensions=3, rollout=32).resolved().rollout == 32
