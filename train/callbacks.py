@@ -134,8 +134,8 @@ class LearningCurve(BaseCallback):
 class Averaging(BaseCallback):
     """Keeps moving averages of the network's weights over the updates in `averages`; none if `weight` is 0.
 
-    weight: of the averages before in the new ones. They are taken at the end of a rollout, because a resumed
-    run begins with a rollout.
+    weight: weight of the averages before in the new ones. These are taken at the end of a rollout, because
+    a resumed run begins with a rollout.
     """
 
     def __init__(self, averages: dict[str, torch.Tensor], weight: float):
