@@ -480,7 +480,7 @@ def make_curriculum(
         known = " or ".join([", ".join(kind.curricula[:-1]), kind.curricula[-1]][-len(kind.curricula) :])
         raise UserError(f"unknown curriculum {name!r} for task {task}: it must be {known}")
     curriculum = Curriculum(gamma, kind.training_conditions) if name == "none" else _CURRICULA[name](gamma)
-    if drawn and type(curriculum) in (AdaptiveCurriculum, FixedCurriculum):
+    if drawn and isinstance(curriculum, AdaptiveCurriculum) and curriculum.name != BalancedCurriculum.name:
         curriculum.gate, curriculum.floor = GATE[1], FLOOR[1]
         curriculum.settling, curriculum.most_restarts = SETTLING[1], RESTARTS[1]
     if without:
