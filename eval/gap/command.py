@@ -37,7 +37,7 @@ def command(
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import files, identified, page, words
+    from inclined_landing.eval.gap.report import figures, files, identified, page, words
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models.parameters import load_vehicle
 
@@ -66,14 +66,14 @@ def command(
             plants=("analytic", "mujoco"),
         )
         tick("drawing figures")
-        versions, track = runs.versions(), page.shown_flight(d, nominal, flights)
+        versions, track = runs.versions(), figures.shown_flight(d, nominal, flights)
         html = page.page(d, track, versions=versions, notes=notes)
         tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
-            if track:
-                save_figure(page.before_after(track), folder / "gap.png")
+            if d.growth:
+                save_figure(figures.overview(d, track), folder / "gap.png")
             kept = folder / REFERENCE
             if found or source.vehicle:
                 kept.parent.mkdir()

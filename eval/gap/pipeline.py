@@ -111,6 +111,7 @@ def diagnose(
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
         reference=known,
         displacements=ahead.displacements,
+        growth=ahead.growth,
         thrust_over_weight=thrust_over_weight(found, values),
     )
 

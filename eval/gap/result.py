@@ -19,6 +19,7 @@ T = TypeVar("T")
 Verdict = Literal["effects", "nothing", "unknown", "undecided"]
 VERSION = 1  # of report.json
 HORIZON = 1.0  # s, after which the simulation of a log restarts at the measured state
+_NOT_IN_REPORT = {"corrected", "growth"}  # a vehicle file, and the curves of a figure
 REFERENCE = "reference/vehicle.toml"  # in a report's folder: the vehicle diagnosed, if not shipped
 
 
@@ -283,6 +284,19 @@ class PlantGap:
         return float("nan") if closable <= 0 else (self.before - self.after) / closable
 
 
+@dataclasses.dataclass(frozen=True)
+class ErrorGrowth:
+    """How the open-loop position error grows with the horizon on held-out flights, as effects are added.
+
+    Every error is (h,) in m, root mean square over windows. The first is that of the vehicle diagnosed, and
+    the last that of the corrected one.
+    """
+
+    horizon: np.ndarray  # (h,) s
+    errors: dict[str, np.ndarray]  # by what is added: "" for nothing, then effects, then "all others"
+    floor: np.ndarray  # of noise alone
+
+
 def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> float:
     """Return the position error [m] up to which an effect must account for more not to be in doubt.
 
@@ -332,6 +346,7 @@ class Diagnosis:
     displacements: Mapping[str, float] = dataclasses.field(default_factory=dict)
     # Where names change it: thrust over weight at the usual command, over the modelled one, and its interval.
     thrust_over_weight: tuple[float, tuple[float, float]] | None = None
+    growth: ErrorGrowth | None = None  # None: no flight has a usable second
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return the fitted parameter values: effect -> parameter -> value."""
@@ -444,7 +459,7 @@ class Diagnosis:
 
     def to_json(self) -> dict:
         """Return the contents of report.json: VERSION, fields, and properties that follow from them."""
-        record = plain({name: value for name, value in vars(self).items() if name != "corrected"})
+        record = plain({name: value for name, value in vars(self).items() if name not in _NOT_IN_REPORT})
         for entry, effect in zip(record["effects"], self.effects):
             entry["sure"] = effect.sure
         record["residual"]["unexplained"] = self.residual.unexplained

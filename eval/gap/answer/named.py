@@ -37,7 +37,7 @@ from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class
 from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
-from inclined_landing.eval.gap.result import Disturbance, NamedEffect, PlantGap, RegimeError
+from inclined_landing.eval.gap.result import Disturbance, ErrorGrowth, NamedEffect, PlantGap, RegimeError
 from inclined_landing.eval.logs.limits import LEAST_RATE
 from inclined_landing.models.base.errors import UserError, first_of
 from inclined_landing.models.effects import Effect
@@ -117,6 +117,7 @@ class OpenLoopErrors:
     named: dict[str, Displacement] = dataclasses.field(default_factory=dict)  # what each of these does
     gap: dict[str, PlantGap] = dataclasses.field(default_factory=dict)  # by plant, of the equations first
     displacements: dict[str, float] = dataclasses.field(default_factory=dict)  # see Diagnosis
+    growth: ErrorGrowth | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -147,7 +148,24 @@ def open_loop_errors(
             notes.append(f"the gap was not measured in {plant}: {why}")
     classes = {member for name in values for member in equivalence_class(found, name)}
     moved = _displacements(found, starts, classes)
-    return OpenLoopErrors(error, named, gap, moved, tuple(notes))
+    growth = _growth(problem, starts, values, vehicles, floor, correction.half_widths is not None)
+    return OpenLoopErrors(error, named, gap, moved, growth, tuple(notes))
+
+
+def _growth(problem: Problem, starts, values: Values, corrected, floor, others: bool) -> ErrorGrowth:
+    """Return the errors with the effects of `values` added in turn; the last are of the corrected vehicle.
+
+    others: the constants of the identified vehicle change as well.
+    """
+    vehicles, names = {"": problem.vehicle}, list(values)
+    for k, name in enumerate(names, 1):
+        vehicles[name] = problem.corrected({name: values[name] for name in names[:k]})
+    if others:
+        names.append("all others")
+    if names:
+        vehicles[names[-1]] = corrected
+    errors = {name: rollout.errors_by_flight(starts, vehicle) for name, vehicle in vehicles.items()}
+    return ErrorGrowth(np.arange(1, starts.rows + 1) * starts.dt, errors, floor)
 
 
 def _displacement(problem: Problem, starts, values: Values, names: Sequence[str]) -> Displacement:

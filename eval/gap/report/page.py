@@ -1,38 +1,24 @@
 """The answers of `gap` and `identify`: as a page, which is one self-contained HTML file, and in the terminal.
 
-In the terminal stand the limits, the sentences and the table of the page, the headline last. The picture of
-the page shows predictions along a flight, by the vehicle diagnosed and by the corrected one.
+In the terminal stand the limits, the sentences and the table of the page, the headline last.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from inclined_landing.envs.shared.tables import new_table, say, show_table
 from inclined_landing.eval.base.claims import Section, Table
 from inclined_landing.eval.base.page import of_sections, png
-from inclined_landing.eval.base.style import GREEN, INK, ORANGE, panel, styled
-from inclined_landing.eval.gap.answer import rollout
 from inclined_landing.eval.gap.answer.identification import Identification
-from inclined_landing.eval.gap.flights.usable import ReadFlights
-from inclined_landing.eval.gap.flights.windows import NEAR, prepare
 from inclined_landing.eval.gap.report import words
+from inclined_landing.eval.gap.report.figures import Track, caption, overview
 from inclined_landing.eval.gap.report.files import MJCF, VEHICLE
-from inclined_landing.eval.gap.result import HORIZON, Diagnosis, RegimeError
-from inclined_landing.eval.logs import FlightLog
-from inclined_landing.models.base.errors import UserError
-from inclined_landing.models.vehicle import Vehicle
+from inclined_landing.eval.gap.result import Diagnosis, RegimeError
 
-BEFORE, AFTER = ORANGE, GREEN
-WIDTH = 7.4  # inches
-SMALL = 0.1  # of the motion, error of predictions that are drawn as such
 _USE = (
     f"{VEHICLE} is the corrected model for every command of this package; {MJCF} is the same model for "
     f"plain MuJoCo with the plugins. Test a policy on it: landing-eval success landing --vehicle {VEHICLE}. "
@@ -44,9 +30,9 @@ _PLANTS = {"analytic": "equations", "mujoco": "MuJoCo"}
 def page(d: Diagnosis, track: Track | None, *, versions: dict, notes: Sequence[str] = ()) -> str:
     """Return the HTML page of a diagnosis; track: a flight with predictions, notes: sentences on the logs."""
     change = Section("change", "What to change", words.causes(d), [], [effect_table(d)])
-    if track:
-        change.figures["gap.png"] = track.caption
-    drawn = {"gap.png": before_after(track)} if track else {}
+    drawn = {}
+    if d.growth:
+        change.figures["gap.png"], drawn["gap.png"] = caption(track), overview(d, track)
     if d.effects:
         change.remarks = [_USE]
     sections = [
@@ -184,108 +170,3 @@ def print_answer(
     if following:
         print(f"To plan a more informative flight: {following}")  # whole, to be copied
     say(headline, style="bold")
-
-
-@dataclasses.dataclass(frozen=True)
-class Track:
-    """Measured positions of one flight and open-loop predictions along it."""
-
-    flight: str
-    held_out: bool  # of the fit
-    t: np.ndarray  # (m,) s
-    position: np.ndarray  # (m, 3) m, measured
-    times: tuple[np.ndarray, ...]  # of every prediction, (k,) s
-    before: tuple[np.ndarray, ...]  # (k, 3) m, nominal vehicle
-    after: tuple[np.ndarray, ...]  # (k, 3) m, corrected vehicle
-
-    @property
-    def caption(self) -> str:
-        """Return what the predictions are."""
-        part = "left out of" if self.held_out else "part of"
-        return (
-            f"{self.flight}, {part} the fit. Every {rollout.EVERY:g} s a prediction starts from the measured "
-            "state, driven by the commands alone."
-        )
-
-    @property
-    def worst_axis(self) -> int:
-        """Return the coordinate (0, 1, 2) of the largest errors of the nominal vehicle."""
-        missed = np.zeros(3)
-        for t, p in zip(self.times, self.before):
-            end = [np.interp(t[-1], self.t, self.position[:, k]) for k in range(3)]
-            missed += (p[-1] - end) ** 2
-        return int(np.argmax(missed))
-
-
-def shown_flight(d: Diagnosis, before: Vehicle, flights: ReadFlights) -> Track | None:
-    """Return predictions along one of the flights judged on; None where no stretch of it is long enough.
-
-    before: the vehicle diagnosed. The flight has the largest range of heights, of those near the floor if
-    there are any.
-    """
-
-    def key(log: FlightLog) -> tuple[bool, float]:
-        height = log.position[:, 2]
-        return bool(np.nanmin(height) < NEAR), float(np.ptp(height))
-
-    log = max((x for x in flights.heldout or flights.logs if x.name in d.heldout), key=key)
-    flight = prepare(log, before, platform=d.platform)
-    try:
-        starts = rollout.RolloutWindows.of([flight])
-    except UserError:
-        return None
-    poses = [rollout.simulate(starts, vehicle)[..., :3] for vehicle in (before, d.corrected)]
-    part = slice(starts.first[0], starts.first[-1] + starts.rows + 1)
-    return Track(
-        flight=log.name,
-        held_out=bool(flights.heldout),
-        t=flight.t[part],
-        position=flight.position[part],
-        times=tuple(flight.t[a : a + starts.rows + 1] for a in starts.first),
-        before=tuple(poses[0]),
-        after=tuple(poses[1]),
-    )
-
-
-def _draw_predictions(axis: Axes, one: Track, after: bool) -> None:
-    """Draw the coordinate of the largest error before the correction, and predictions before or after it.
-
-    Where these errors are small compared with the motion, they are drawn themselves.
-    """
-    k = one.worst_axis
-    measured = [np.interp(t, one.t, one.position[:, k]) for t in one.times]
-    errors = np.concatenate([p[:, k] - x for x, p in zip(measured, one.before)])
-    span = max(np.ptp(one.position[:, k]), 0.1)
-    small = bool(np.abs(errors).max(initial=0.0) < SMALL * span)
-    position = np.zeros(len(one.t)) if small else one.position[:, k]
-    factor, colour = 100.0 if small else 1.0, AFTER if after else BEFORE
-    predicted = [
-        [p[:, k] - x if small else p[:, k] for x, p in zip(measured, which)]
-        for which in (one.before, one.after)
-    ]
-    axis.plot(one.t, factor * position, color=INK, linewidth=3.0, label="measured")
-    for j, (t, p) in enumerate(zip(one.times, predicted[after])):
-        label = None if j else f"predicted {HORIZON:g} s ahead"
-        axis.plot(t, factor * p, color=colour, linewidth=1.5, label=label)
-        axis.plot(t[-1], factor * p[-1], "o", color=colour, markersize=3)
-    # All of the measurement, and of the predictions what lies within its range once more.
-    reach = np.concatenate([p for which in predicted for p in which])
-    low, high, far = position.min(), position.max(), math.inf if small else 0.8 * span
-    ends = max(low - far, min(low, reach.min())), min(high + far, max(high, reach.max()))
-    margin = 0.04 * (ends[1] - ends[0])
-    axis.set(xlim=(one.t[0], one.t[-1]), ylim=(factor * (ends[0] - margin), factor * (ends[1] + margin)))
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel(f"error in {'xyz'[k]} [cm]" if small else f"{'xyz'[k]} [m]", labelpad=2)
-    axis.grid()
-    axis.set_title("corrected model" if after else "model before", loc="left", pad=22, fontweight="bold")
-    axis.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderpad=0.1, columnspacing=1.2)
-
-
-def before_after(one: Track) -> Figure:
-    """Return the figure of predictions along a flight, before and after the correction."""
-    with styled():
-        figure = Figure(figsize=(WIDTH, 2.9))
-        for k in range(2):
-            left = 0.75 + 0.5 * WIDTH * k
-            _draw_predictions(panel(figure, left, 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
-    return figure

@@ -157,6 +157,10 @@ def test_equal_delays_are_one_late_measurement():
     d = quick(flights(both, seed=4, count=3, seconds=6.0))
     assert [e.name for e in d.effects] == ["mocap_delay"]
     assert d.effects[0].parameters["delay"].value == pytest.approx(0.02, abs=0.003)
+    assert d.growth is not None and list(d.growth.errors) == ["", "mocap_delay"]
+    before, after = (error[-1] for error in d.growth.errors.values())
+    assert (before, after) == (d.gap["analytic"].before, d.gap["analytic"].after)  # of the table
+    assert d.growth.horizon[-1] == d.gap["analytic"].horizon
 
 
 @pytest.mark.slow
