@@ -163,9 +163,10 @@ def overview(d: Diagnosis, one: Track | None) -> Figure:
     with styled():
         figure = Figure(figsize=(WIDTH, below + (2.9 if one else 0.0)))
         draw_growth(panel(figure, 0.75, 0.55, WIDTH - 3.0, 2.4), d)
-        for k in range(2) if one else ():
-            left = 0.75 + 0.5 * WIDTH * k
-            _draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
+        if one:
+            for k in range(2):
+                left = 0.75 + 0.5 * WIDTH * k
+                _draw_predictions(panel(figure, left, below + 0.5, 0.5 * WIDTH - 0.9, 1.8), one, bool(k))
     return figure
 
 

@@ -21,12 +21,14 @@ from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
-from inclined_landing.eval.gap.report.page import Track, page, probability_rows, show
+from inclined_landing.eval.gap.report.figures import Track
+from inclined_landing.eval.gap.report.page import page, probability_rows, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
     Difference,
     Disturbance,
+    ErrorGrowth,
     Estimate,
     InconsistentFlights,
     NamedEffect,
@@ -43,6 +45,7 @@ from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import constants, load_vehicle
 
 FLIGHTS = ("a", "b", "c")
+HORIZON = np.array([0.5, 1.0])  # s
 SCALE, TRIM, WIND = {"scale": 0.88}, {"roll": 0.02, "pitch": -0.01}, {"x": 0.1, "y": 0.0}
 
 
@@ -81,6 +84,7 @@ def example(verdict="effects"):
         ),
     }
     after = {"effects": 0.04, "nothing": 0.487, "unknown": 0.28}[verdict]
+    grown = zip(["", *(e.name for e in said)], (0.487, 0.1, after))
     d = Diagnosis(
         effects=said,
         corrected=effects.apply(load_vehicle(), {n: v for e in said for n, v in e.fitted.items()}),
@@ -103,6 +107,7 @@ def example(verdict="effects"):
         flights=FLIGHTS,
         heldout=("d",),
         notes=("a: yaw_drift cannot be told",),
+        growth=ErrorGrowth(HORIZON, {name: size * HORIZON for name, size in grown}, 0.01 * HORIZON),
     )
     assert d.verdict == verdict
     return d
@@ -445,7 +450,7 @@ def test_the_page_stands_alone(verdict, track):
 
 def test_a_diagnosis_without_anything_to_draw_still_makes_a_page():
     d = dataclasses.replace(
-        example("nothing"), where=(), sets=(), disturbance={}, gap={},
+        example("nothing"), where=(), sets=(), disturbance={}, gap={}, growth=None,
         heldout=FLIGHTS,
         residual=ResidualAnalysis(1.0, {}, ()),
     )  # fmt: skip
