@@ -640,6 +640,19 @@ def test_wrong_input_is_one_sentence_and_writes_nothing(arguments, tmp_path, mon
     assert not list(tmp_path.iterdir())
 
 
+def test_curves_that_cannot_be_written_are_one_sentence(tmp_path, monkeypatch):
+    """On a full disk: from the first byte on, or later."""
+    folder, name = tmp_path / "tensorboard", r"cannot write \S+tensorboard/events\.out\.tfevents\.\S+: "
+    file = EventFile(folder)
+    file._file.close()
+    file._file = file._records._writer = open("/dev/full", "wb")
+    with pytest.raises(UserError, match=name + "no space left on device"):
+        file.write({"a": 1.0}, {"a": None}, 3)
+    file.close()
+    with pytest.raises(UserError, match=name + "not a directory"):
+        EventFile(next(folder.iterdir()) / "tensorboard")
+
+
 def test_curves_after_the_checkpoint_are_hidden(tmp_path):
     """As TensorBoard reads them: two runs of three iterations, the second resumed after two."""
     for resumed_at, first in ((None, 1), (2, 3)):
