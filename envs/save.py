@@ -37,7 +37,7 @@ with optional():
     from torch import nn
 
 # Wrappers that change neither what a policy observes nor what it commands, by exact type: of vector
-# environments, and of single ones by name (the last two where they leave the spaces alone).
+# environments, and of single ones (the last two where they leave the spaces alone).
 _HARMLESS = (VecCheckNan, VecMonitor, VecVideoRecorder)
 _HARMLESS_OF_ONE = (
     *(Monitor, of_gymnasium.TimeLimit, of_gymnasium.OrderEnforcing, of_gymnasium.PassiveEnvChecker),
@@ -218,16 +218,12 @@ def _task_of_single(env) -> Task:
     foreign = UserError("the model was not trained on an environment of this package and has no task")
     if not (type(env) in (DummyVecEnv, SubprocVecEnv) and env.has_attr("task")):
         raise foreign
-    ours = {kind.__name__ for kind in TaskEnv.__subclasses__() if kind.__module__ == TaskEnv.__module__}
-    for stack in set(
-        env.env_method("__str__")
-    ):  # such as <TimeLimit<InclinedLandingEnv<InclinedLanding-v0>>>
-        names = [name.removesuffix(" instance") for name in stack.strip("<>").split("<")]
-        if not ours & set(names[-2:]):
-            raise _not_held(f"in {stack}")
-        wrappers = set(names if names[-1] in ours else names[:-1]) - ours
-        if unusual := wrappers - {kind.__name__ for kind in _HARMLESS_OF_ONE}:
-            raise _not_held(" or ".join(sorted(unusual)))
+    if any(env.env_is_wrapped(_MayChange)):
+        stack = env.env_method("__str__")[0]  # such as <Monitor<TimeLimit<TaskEnv<InclinedLanding-v0>>>>
+        *names, last = stack.strip("<>").split("<")
+        wrappers = set(names if last.endswith(" instance") else names[:-1])
+        unusual = wrappers - {kind.__name__ for kind in _HARMLESS_OF_ONE}
+        raise _not_held(" or ".join(sorted(unusual)) or f"in {stack}")
     task, *others = env.get_attr("task")
     if not isinstance(task, Task):
         raise foreign
@@ -242,6 +238,19 @@ def _task_of_single(env) -> Task:
     if (env.observation_space, env.action_space) != spaces:
         raise _not_held("that changes its spaces (RescaleAction?)")
     return task
+
+
+class _Unknown(type):
+    """The type of `_MayChange`."""
+
+    def __instancecheck__(cls, wrapper) -> bool:
+        """Return whether a wrapper, or the environment in it, is not a known one."""
+        known = type(wrapper.unwrapped).__module__ == TaskEnv.__module__
+        return not (known and type(wrapper) in _HARMLESS_OF_ONE)
+
+
+class _MayChange(metaclass=_Unknown):
+    """Matches every wrapper except the harmless ones, for `env_is_wrapped`, also in other processes."""
 
 
 def _not_held(name: str) -> UserError:

@@ -59,7 +59,7 @@ RECIPE = {
     "answer": "After {a.steps}, {b.share}.",
     "seeds": [5, 6],
     "commands": [
-        "landing-train landing --steps 100 {options} --seed {seed} --out {out} --no-report",
+        "landing-train landing --steps 100 {options} --seed {seed} --out={out} --no-report",
         "landing-eval success {out}/final.zip --seed {seed} --out {out}/s",
     ],
     "variants": {"a": "", "b": "--gamma 0.9"},

@@ -128,7 +128,8 @@ def _prepared(job: Job, line: str, threads: int) -> list[str]:
     unrecorded output below the run's folder is removed.
     """
     words = job.words(line)
-    given = [value for word, value in itertools.pairwise(words) if word == "--out"]
+    given = [word.removeprefix("--out=") for word in words if word.startswith("--out=")]
+    given += [value for word, value in itertools.pairwise(words) if word == "--out"]
     out = storage.real(Path(job.directory, given[-1] if given else os.devnull))
     job.folder.mkdir(parents=True, exist_ok=True)
     if words[0] == "landing-train":
