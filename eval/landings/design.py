@@ -25,7 +25,7 @@ def design(study: Study) -> tuple[dict[str, np.ndarray], np.ndarray]:
     n = study.total
     values = {name: np.full(n, p.default) for name, p in known_parameters(study.vehicle).items()}
     starts = max(1, len(study.starts))
-    if not study.samples:
+    if study.sampling == "factorial":
         axes = [np.array(p.values) for p in study.parameters if isinstance(p, Levels)]
         grid = np.meshgrid(*axes, np.arange(starts), indexing="ij")
         for p, column in zip(study.parameters, grid):
@@ -43,7 +43,7 @@ def _quantile(p: Levels | Range, u: np.ndarray) -> np.ndarray:
     # Inverse distribution: levels equally likely; truncated normal; uniform.
     if isinstance(p, Levels):
         return np.array(p.values)[np.minimum((u * len(p.values)).astype(int), len(p.values) - 1)]
-    if p.mean is not None and p.deviation is not None:
+    if p.distribution == "normal":
         low, high = (p.low - p.mean) / p.deviation, (p.high - p.mean) / p.deviation
         return np.clip(stats.truncnorm.ppf(u, low, high, p.mean, p.deviation), p.low, p.high)
     return p.low + (p.high - p.low) * u
@@ -60,7 +60,10 @@ def run_chunk(study: Study, threads: int, rows: range) -> pa.Table:
         states = np.array(study.starts)[start[rows]].reshape(-1, STATE_SIZE)
     else:
         states = touchdown_states(p, study.vehicle)
-    landings = simulate(states, p, from_start=bool(study.starts), vehicle=study.vehicle, threads=threads)
+    landings = simulate(
+        states, p, from_start=bool(study.starts), duration=study.duration, timestep=study.timestep,
+        vehicle=study.vehicle, threads=threads,
+    )  # fmt: skip
     return _table(study, rows, p, start[rows], landings)
 
 

@@ -35,7 +35,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 OUTCOMES = ("rests", "slides off", "bounces off", "tips over", "misses", "diverges")
 RESTS, SLIDES, BOUNCES, TIPS, MISSES, DIVERGES = range(len(OUTCOMES))
-DURATION, TIMESTEP = 2.0, 0.004  # s
 # At rest: velocity and rate averaged over SMOOTHING stay below the recorder's limits. At restitutions above
 # 0.35 the engine's contact spring chatters at some 30 Hz and 2 cm/s under a vehicle that goes nowhere.
 SMOOTHING = 0.02  # s
@@ -117,8 +116,8 @@ def simulate(
     p: dict[str, np.ndarray],
     *,
     from_start: bool = False,
-    duration: float = DURATION,
-    timestep: float = TIMESTEP,
+    duration: float = 2.0,
+    timestep: float = 0.004,
     vehicle: Vehicle | None = None,
     threads: int = 0,
 ) -> Landings:

@@ -91,13 +91,21 @@ def quasi_static(one: Map, fixed: dict[str, float]) -> tuple[np.ndarray, np.ndar
     fixed: values [SI] of the parameters that do not vary.
     """
     names = one.x.name, one.y.name
-    if names == ("inclination", "friction"):
-        span = np.linspace(*one.x_edges[[0, -1]], 200)
-        return span, np.tan(np.radians(span))
-    if "friction" not in names or "inclination" not in fixed:
-        return None
-    line = np.full(2, math.tan(fixed["inclination"]))
-    return (line, one.y_edges[[0, -1]]) if names[0] == "friction" else (one.x_edges[[0, -1]], line)
+    if set(names) == {"inclination", "friction"}:
+        slope = 0 if names[0] == "inclination" else 1
+        span = np.linspace(*(one.x_edges, one.y_edges)[slope][[0, -1]], 200)
+        line = span, np.tan(np.radians(span))
+        return line if slope == 0 else line[::-1]
+    for axis, name in enumerate(names):
+        if name == "friction" and "inclination" in fixed:
+            value = math.tan(fixed["inclination"])
+        elif name == "inclination" and "friction" in fixed:
+            value = math.degrees(math.atan(fixed["friction"]))
+        else:
+            continue
+        line = np.array([value, value])
+        return (line, one.y_edges[[0, -1]]) if axis == 0 else (one.x_edges[[0, -1]], line)
+    return None
 
 
 def boundary(one: Map, along: str) -> list[dict]:

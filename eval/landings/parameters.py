@@ -13,23 +13,21 @@ import numpy as np
 
 from inclined_landing.models import contact, surface
 from inclined_landing.models.attitude import LAG, PITCH, VX, VZ, WY, X, Z
-from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import reach_below, shapes_of
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.plants import MujocoPlant
 from inclined_landing.models.scene import compile_scene
 from inclined_landing.models.vehicle import Vehicle
 
-# Units of study files and reports: the SI unit, and the factor to it.
-_UNITS = {
-    "1": ("1", 1.0),
-    "deg": ("rad", math.pi / 180.0),
-    "deg/s": ("rad/s", math.pi / 180.0),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "m/s": ("m/s", 1.0),
-    "ms": ("s", 1e-3),
-    "g": ("kg", 1e-3),
+# Units that a study file may use, as factors to SI.
+UNITS = {
+    "1": {"1": 1.0},
+    "rad": {"deg": math.pi / 180.0, "rad": 1.0},
+    "rad/s": {"deg/s": math.pi / 180.0, "rad/s": 1.0},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "m/s": {"m/s": 1.0},
+    "s": {"s": 1.0, "ms": 1e-3},
+    "kg": {"kg": 1.0, "g": 1e-3},
 }
 
 
@@ -39,7 +37,7 @@ class Parameter:
 
     name: str
     label: str
-    unit: str  # in study files and reports
+    unit: str  # in reports and, unless it says otherwise, in study files
     low: float
     high: float
     default: float
@@ -48,24 +46,16 @@ class Parameter:
     @property
     def kind(self) -> str:
         """Return the SI unit."""
-        return _UNITS[self.unit][0]
+        return next(si for si, units in UNITS.items() if self.unit in units)
 
     @property
     def factor(self) -> float:
-        """Return the factor from the parameter's unit to SI."""
-        return _UNITS[self.unit][1]
+        """Return the factor from the report's unit to SI."""
+        return UNITS[self.kind][self.unit]
 
     def title(self) -> str:
         """Return the axis label with unit."""
         return self.label if self.unit == "1" else f"{self.label} [{self.unit}]"
-
-    def in_si(self, value: float) -> float:
-        """Return a value in SI units; raises UserError beyond the bounds."""
-        low, high, factor = self.low, self.high, self.factor
-        if not low - 1e-12 <= factor * value <= high + 1e-12:
-            ends = f"from {low / factor:g} to {high / factor:g} {self.unit}".removesuffix(" 1")
-            raise UserError(f"parameter {self.name} must be {ends}, not {value:g}")
-        return min(max(factor * value, low), high)
 
 
 @functools.cache

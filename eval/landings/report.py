@@ -1,4 +1,4 @@
-"""The evaluation of a study's landings: shares, quantiles, maps and sentences."""
+"""The evaluation of a study's landings: shares, quantiles, sensitivities, maps and sentences."""
 
 from __future__ import annotations
 
@@ -11,21 +11,28 @@ from typing import Any
 
 import pandas as pd
 
-from inclined_landing.envs.shared.measures import Row, median_of, share_of
+from inclined_landing.envs.shared.measures import Measure, Row, median_of, share, share_of, with_ends
 from inclined_landing.eval.base.style import save_figure
-from inclined_landing.eval.landings import maps
-from inclined_landing.eval.landings.landing import DURATION, OUTCOMES, TIMESTEP
+from inclined_landing.eval.landings import maps, sensitivity
+from inclined_landing.eval.landings.landing import OUTCOMES
 from inclined_landing.eval.landings.parameters import known_parameters
 from inclined_landing.eval.landings.study import Levels, Range, Study
 from inclined_landing.eval.study import engine
 from inclined_landing.eval.study.engine import Results, View, fact
 
+_MATTERS = 0.02  # a share of the variance below this is not worth a sentence
 _CM: dict[str, Any] = {"shown_unit": "cm", "factor": 100.0}
 _OUTCOMES = (
     "a landing rests if the vehicle is still and on its feet at the end; it tips over if it tilts by more "
     "than 60 degrees from the normal, or ends on anything but its feet; it slides off if it leaves over the "
     "edge in contact, or still moves in contact at the end; it bounces off if it leaves over the edge "
     "through the air, and misses if the slab is not touched from above"
+)
+_ODDS = "log odds: standardised coefficients of a logistic regression of rest on all parameters"
+_INDEX = (
+    "shares of the variance: from one fit of a sum of functions of a parameter each, so that together they "
+    "are at most 100 %; the rest is interactions and chance; negative where a parameter counteracts another "
+    "that it is correlated with; 95 % jackknife intervals"
 )
 SHARES = tuple(share_of(name, name, note=_OUTCOMES) for name in OUTCOMES)
 QUANTILES = (
@@ -40,6 +47,43 @@ QUANTILES = (
     median_of("largest_tilt", "largest tilt after touchdown", "rad"),
     median_of("bounces", "bounces after touchdown", "1", shown_unit=""),
 )
+
+
+def _index(name: str, title: str) -> Measure:
+    def cell(row: Row, factor: float, digits: int) -> str:
+        return with_ends({**row, "statistic": "share"}, factor, digits)
+
+    return Measure(name=f"index_{name}", title=title, statistic=share, cell=cell, note=_INDEX)
+
+
+SENSITIVITIES = (
+    Measure(
+        name="log_odds",
+        title="log odds per s.d.",
+        statistic=share,
+        cell=lambda row, *_: f"{row['value']:+z.2f}",
+        note=_ODDS,
+    ),
+    _index("rests", "variance of rest"),
+    _index("peak_force", "peak force"),
+    _index("slide_distance", "slide distance"),
+    _index("settling_time", "settling time"),
+)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensitivities(View):
+    """The dependence of the outcomes on each varied parameter."""
+
+    varied: tuple[str, ...]
+
+    def rows(self, landings: pd.DataFrame) -> Iterator[dict[str, Any]]:
+        """Yield a row for each parameter and measure."""
+        parameters = {name: landings[name].to_numpy() for name in self.varied}
+        names = [m.name.removeprefix("index_") for m in SENSITIVITIES[2:]]
+        outputs = {name: landings[name].to_numpy() for name in names}
+        for row in sensitivity.rows(parameters, outputs, landings["rests"].to_numpy()):
+            yield row | {"unit": "1", "flights": len(landings)}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,11 +122,12 @@ def count(study: Study, landings: pd.DataFrame) -> Results:
         cases=(),
         views=[
             View((), SHARES, "outcomes", across=True),
+            Sensitivities(("parameter",), SENSITIVITIES, "sensitivities", varied=study.varied),
             View((), QUANTILES, "forces, distances, times", across=True),
             Boundaries(("x", "y", "along", "place"), (), drawn=drawn),
         ],
         remarks=partial(_remarks, study),
-        series="x",
+        series="parameter",
         facts=facts(study),
         draw=partial(_draw, drawn, fixed),
     )
@@ -101,22 +146,19 @@ def facts(study: Study) -> list[Row]:
     begin = "just above the surface; until the motors are cut, the thrust and the attitude are held"
     if study.policy:
         begin = f"where the policy {study.policy} enters the goal box, from the frozen grid"
-    sampling = "latin-hypercube" if study.samples else "factorial"
-    about = {"landings begin": begin, "sampling": sampling, "seed": study.seed}
+    about = {"landings begin": begin, "sampling": study.sampling, "seed": study.seed}
     about |= {"landings": study.total, "vehicle mass [kg]": study.vehicle.body_mass}
     found += [fact("simulation", name, value) for name, value in about.items()]
     found.append(fact("simulation", "start states", len(study.starts)))
-    return [*found, fact("RK4", "step", TIMESTEP, "s"), fact("RK4", "duration", DURATION, "s")]
+    return [*found, fact("RK4", "step", study.timestep, "s"), fact("RK4", "duration", study.duration, "s")]
 
 
 def _values(p: Levels | Range, factor: float) -> str:
     if isinstance(p, Levels):
         more = f", ... ({len(p.values)} values)" if len(p.values) > 12 else ""
         return ", ".join(f"{x / factor:.4g}" for x in p.values[:12]) + more
-    ends = f"{p.low / factor:.4g} to {p.high / factor:.4g}"
-    if p.mean is None or p.deviation is None:
-        return f"{ends}, uniform"
-    return f"{ends}, normal ({p.mean / factor:.4g} ± {p.deviation / factor:.4g})"
+    ends = f"{p.low / factor:.4g} to {p.high / factor:.4g}, {p.distribution}"
+    return ends + f" ({p.mean / factor:.4g} ± {p.deviation / factor:.4g})" * (p.distribution == "normal")
 
 
 def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], out: Path) -> dict[str, str]:
@@ -129,10 +171,25 @@ def _draw(drawn: Mapping[tuple[str, str], maps.Map], fixed: dict[str, float], ou
 
 
 def _remarks(study: Study, results: Results) -> list[str]:
-    """Return a sentence on the shares of the outcomes."""
+    """Return sentences on the shares of the outcomes and the parameters that determine rest."""
     parts = []
     for measure in SHARES:
         row = results.one(measure)
         if row["count"]:
             parts.append(f"{measure.title} {measure.text(row).replace(' [', ' % [')}")
-    return [f"Of {study.total} landings: {', '.join(parts)} (95 % Wilson intervals)."]
+    said = [f"Of {study.total} landings: {', '.join(parts)} (95 % Wilson intervals)."]
+    known, odds = known_parameters(), {r["parameter"]: r["value"] or 0 for r in results.all("log_odds")}
+    # (index, label, does more of it help) of the parameters, the strongest first
+    rows = [(row["value"] or 0.0, row["parameter"]) for row in results.all("index_rests")]
+    names = [
+        f"{known[name].label} {100 * index:.0f} % ({'more' if odds[name] > 0 else 'less'} of it helps)"
+        for index, name in sorted(rows, key=lambda row: -row[0])
+        if index >= _MATTERS
+    ]
+    if names:
+        total = sum(index for index, _ in rows)
+        said.append(
+            f"Share of the variance of rest by each parameter: {', '.join(names)}. Together the parameters "
+            f"explain {100 * total:.0f} %, the rest are interactions and chance."
+        )
+    return said

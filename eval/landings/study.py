@@ -9,13 +9,13 @@ import math
 import os
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
-from msgspec import Meta, field
+from msgspec import Meta, field, structs
 
-from inclined_landing.eval.landings.parameters import Parameter, known_parameters
+from inclined_landing.eval.landings.parameters import UNITS, Parameter, known_parameters
 from inclined_landing.models.base import schema, storage
 from inclined_landing.models.base.errors import UserError, choices, shown
 from inclined_landing.models.base.schema import Real, Table
@@ -25,48 +25,67 @@ from inclined_landing.models.vehicle import Vehicle
 MOST_LANDINGS = 5_000_000
 
 
-class Spread(Table, frozen=True):
-    """A range of a parameter: levels of a factorial, or a distribution of a Latin hypercube."""
+class Varied(Table, frozen=True):
+    """A table of [parameters]: one of value, values, from and to, or mean and deviation; in `unit`."""
 
-    start: Real = field(name="from")
-    stop: Real = field(name="to")
-    count: Annotated[int, Meta(ge=2, le=MOST_LANDINGS)] | None = None  # of levels
-    mean: Real | None = None  # of a normal distribution that is cut to the range; otherwise it is uniform
+    unit: str
+    value: Real | None = None
+    values: Annotated[tuple[Real, ...], Meta(min_length=1)] | None = None
+    start: Real | None = field(name="from", default=None)
+    stop: Real | None = field(name="to", default=None)
+    count: Annotated[int, Meta(ge=2, le=MOST_LANDINGS)] | None = None
+    distribution: Literal["uniform", "normal"] | None = None
+    mean: Real | None = None
     deviation: Annotated[float, Meta(gt=0, le=1e300)] | None = None
 
 
-Numbers = Annotated[tuple[Real, ...], Meta(min_length=1)]
+class Start(Table, frozen=True):
+    """Table [start]: where landings begin, if not just above the slope."""
+
+    policy: str | None = None
+
+
+class Simulation(Table, frozen=True):
+    """Table [simulation], in s."""
+
+    duration: Annotated[float, Meta(ge=0.2, le=20)] = 2.0
+    timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
 
 
 class StudyFile(Table, frozen=True):
-    """The content of a study file; the parameters are in their units."""
+    """The content of a study file."""
 
-    parameters: Annotated[dict[str, Real | Numbers | Spread], Meta(min_length=1)]
+    sampling: Literal["factorial", "latin-hypercube"]
+    parameters: Annotated[dict[str, Varied], Meta(min_length=1)]
     title: Annotated[str, Meta(max_length=200)] = ""
     question: Annotated[str, Meta(max_length=5000)] = ""
-    samples: Annotated[int, Meta(ge=1, le=MOST_LANDINGS)] | None = None  # of a Latin hypercube
+    samples: Annotated[int, Meta(ge=1, le=MOST_LANDINGS)] | None = None
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     maps: tuple[tuple[str, str], ...] = ()
-    policy: str | None = None
+    start: Start = Start()
+    simulation: Simulation = Simulation()
 
 
 @dataclasses.dataclass(frozen=True)
 class Levels:
-    """The values [SI] of one parameter; a single one is fixed."""
+    """The values [SI] of one parameter: a single fixed value, a list, or a range with a count."""
 
     name: str
     values: tuple[float, ...]
+    unit: str  # as the study file writes it
 
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """A parameter drawn from [low, high] [SI]: uniformly, or from a normal distribution cut to the range."""
+    """A parameter drawn from a distribution on [low, high] [SI]."""
 
     name: str
     low: float
     high: float
-    mean: float | None
-    deviation: float | None
+    distribution: str
+    mean: float  # of the normal distribution before it is cut to the range
+    deviation: float
+    unit: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,10 +94,13 @@ class Study:
 
     title: str
     question: str
+    sampling: str
     samples: int  # of a Latin hypercube; 0 for a factorial
     seed: int
     maps: tuple[tuple[str, str], ...]
     policy: str | None  # whose goal-box entries the landings start from
+    duration: float  # s
+    timestep: float  # s
     parameters: tuple[Levels | Range, ...]  # those that the file names, in its order
     starts: tuple[tuple[float, ...], ...] = ()  # states (13,) of the entries, once they are flown
     vehicle: Vehicle = dataclasses.field(default_factory=load_vehicle)
@@ -127,6 +149,12 @@ def read_study(name: str | Path, vehicle: Vehicle | None = None) -> Study:
 
 def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
     """Return the study of a file in SI units; raises UserError if its entries contradict each other."""
+    hypercube, timestep = file.sampling == "latin-hypercube", file.simulation.timestep
+    if hypercube != (file.samples is not None):
+        raise UserError("a Latin hypercube needs samples; a factorial takes none")
+    period = vehicle.command_control_period
+    if timestep > period or abs(period / timestep - round(period / timestep)) > 1e-9:
+        raise UserError(f"timestep must divide the control period of {period:g} s; {timestep:g} does not")
     if ("restitution" in file.parameters) != ("contact_time" in file.parameters):
         raise UserError("give both restitution and contact_time, or neither")
     known = known_parameters(vehicle)
@@ -134,16 +162,19 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
     for name, entry in file.parameters.items():
         if name not in known:
             raise UserError(f"unknown parameter {shown(repr(name), 40)}; {choices(known, name)}")
-        if file.policy and known[name].at_touchdown:
+        if file.start.policy and known[name].at_touchdown:
             raise UserError(f"{name} cannot be set in a study that starts where a policy hands over")
-        parameters.append(_parameter(known[name], entry, file.samples is not None))
+        parameters.append(_parameter(known[name], entry, hypercube))
     study = Study(
         title=shown(file.title.strip(), 200),
         question=file.question.strip(),
+        sampling=file.sampling,
         samples=file.samples or 0,
         seed=file.seed,
         maps=tuple(dict.fromkeys(file.maps)),
-        policy=file.policy,
+        policy=file.start.policy,
+        duration=file.simulation.duration,
+        timestep=timestep,
         parameters=tuple(parameters),
         vehicle=vehicle,
     )
@@ -157,24 +188,46 @@ def _resolved(file: StudyFile, vehicle: Vehicle) -> Study:
     return study
 
 
-def _parameter(parameter: Parameter, entry: float | Numbers | Spread, hypercube: bool) -> Levels | Range:
-    """Return a parameter in SI units; raises UserError for values that it cannot have."""
-    name = parameter.name
-    if not isinstance(entry, Spread):
-        numbers = entry if isinstance(entry, tuple) else (entry,)
-        return Levels(name, tuple(parameter.in_si(number) for number in numbers))
-    low, high = parameter.in_si(entry.start), parameter.in_si(entry.stop)
+def _parameter(parameter: Parameter, entry: Varied, hypercube: bool) -> Levels | Range:
+    """Return a parameter in SI units; raises UserError if its entry has no valid form."""
+    name, unit = parameter.name, entry.unit
+    units = UNITS[parameter.kind]
+    if unit not in units:
+        raise UserError(f"parameter {name} needs a unit, {' or '.join(units)}, not {shown(repr(unit))}")
+    named = {key for key, value in structs.asdict(entry).items() if value is not None} - {"unit"}
+    needed, kinds = {"start", "stop", "count"}, "or from, to and count"
+    if hypercube:
+        normal = entry.distribution == "normal"
+        needed = {"mean", "deviation"} if normal else {"start", "stop"}
+        kinds = "from and to, or mean and deviation of a normal distribution"
+    allowed = needed | {"start", "stop", "distribution"}
+    if named not in ({"value"}, {"values"}) and not needed <= named <= allowed:
+        raise UserError(f"parameter {name} needs one of value, values, {kinds}")
+    numbers = entry.values if entry.value is None else (entry.value,)
+    if numbers is not None:
+        return Levels(name, tuple(_in_si(parameter, number, unit) for number in numbers), unit)
+    return _range(parameter, entry)
+
+
+def _range(parameter: Parameter, entry: Varied) -> Levels | Range:
+    name, unit, distribution = parameter.name, entry.unit, entry.distribution or "uniform"
+    low = parameter.low if entry.start is None else _in_si(parameter, entry.start, unit)
+    high = parameter.high if entry.stop is None else _in_si(parameter, entry.stop, unit)
     if low >= high:
         raise UserError(f"parameter {name}: the range is empty")
-    if entry.count is not None and not hypercube and entry.mean is entry.deviation is None:
-        return Levels(name, tuple(np.linspace(low, high, entry.count).tolist()))
-    if entry.count is not None or not hypercube or (entry.mean is None) != (entry.deviation is None):
-        raise UserError(
-            f"parameter {name} needs from, to and count; in a study with samples, from and to and optionally "
-            "mean and deviation"
-        )
-    if entry.mean is None or entry.deviation is None:
-        return Range(name, low, high, None, None)
-    if not entry.start <= entry.mean <= entry.stop:
+    factor = UNITS[parameter.kind][unit]
+    mean, deviation = factor * (entry.mean or 0.0), factor * (entry.deviation or 0.0)
+    if distribution == "normal" and not low <= mean <= high:
         raise UserError(f"parameter {name}: the mean must be in the range")
-    return Range(name, low, high, parameter.factor * entry.mean, parameter.factor * entry.deviation)
+    if entry.count is None:
+        return Range(name, low, high, distribution, mean, deviation, unit)
+    return Levels(name, tuple(np.linspace(low, high, entry.count).tolist()), unit)
+
+
+def _in_si(parameter: Parameter, value: float, unit: str) -> float:
+    """Return a value of the file in SI units; raises UserError beyond the parameter's bounds."""
+    low, high, factor = parameter.low, parameter.high, UNITS[parameter.kind][unit]
+    if not low - 1e-12 <= factor * value <= high + 1e-12:
+        ends = f"from {low / factor:g} to {high / factor:g} {unit}".removesuffix(" 1")
+        raise UserError(f"parameter {parameter.name} must be {ends}, not {value:g}")
+    return min(max(factor * value, low), high)

@@ -11,15 +11,20 @@ ROWS = 400
 STUDY = """
 title = "small"
 question = "none"
+sampling = "latin-hypercube"
 samples = 12
 seed = 5
 maps = [["inclination", "mass"]]
 
+[simulation]
+duration = 0.4
+timestep = 0.004
+
 [parameters]
-inclination = { from = 10, to = 40 }
-friction = [0.5, 1.0]
-mass = { mean = 33, deviation = 3, from = 28, to = 42 }
-thrust = { from = 0.1, to = 1 }
+inclination = { from = 10, to = 40, unit = "deg" }
+friction = { values = [0.5, 1.0], unit = "1" }
+mass = { mean = 33, deviation = 3, from = 28, to = 42, unit = "g", distribution = "normal" }
+thrust = { from = 0.1, to = 1, unit = "1" }
 """
 RANGES = """
 nominal = 0.1

@@ -115,7 +115,7 @@ def test_every_command_is_done_once_for_every_run(place, capsys):
     assert sweep("--jobs", "1") == 0
     done = calls()
     assert len(done) == 4 * 2
-    trained = "landing --steps 100 --seed 5 --out runs/pretended/a-5 --no-report"
+    trained = "landing --steps 100 --seed 5 --out=runs/pretended/a-5 --no-report"
     assert done[0] == f"{trained} --threads {cores} {cores}"
     assert done[1] == f"success runs/pretended/a-5/final.zip --seed 5 --out runs/pretended/a-5/s {cores}"
     result = json.loads(Path("runs/pretended/result.json").read_text())

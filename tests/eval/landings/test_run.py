@@ -23,16 +23,19 @@ title = {json.dumps("A small one " + EVIL)}
 question = {json.dumps(EVIL + " question")}
 """
 STUDY += """\
+sampling = "latin-hypercube"
 samples = 24
 seed = 5
 maps = [["inclination", "friction"]]
+[simulation]
+duration = 0.4
 [parameters]
-inclination = { from = 10, to = 50 }
-friction = { from = 0.2, to = 1.4 }
-restitution = { from = 0, to = 0.5 }
-contact_time = 15
-foot_height = [18, 25]
-mass = { from = 30, to = 40, mean = 35, deviation = 3 }
+inclination = { from = 10, to = 50, unit = "deg" }
+friction = { from = 0.2, to = 1.4, unit = "1" }
+restitution = { from = 0, to = 0.5, unit = "1" }
+contact_time = { value = 15, unit = "ms" }
+foot_height = { values = [18, 25], unit = "mm" }
+mass = { from = 30, to = 40, unit = "g" }
 """
 
 
@@ -80,6 +83,9 @@ def test_a_run_leaves_results_summary_figures_and_page(reference):
     assert table.schema.field("mass").metadata[b"unit"] == b"kg"
     rows = json.loads((reference / "landings.json").read_text("utf-8"))["rows"]
     assert sum(row["count"] for row in rows if row["measure"] in landing.OUTCOMES) == 24
+    assert [row["parameter"] for row in rows if row["measure"] == "log_odds"] == [
+        *("inclination", "friction", "restitution", "foot_height", "mass")
+    ]
     text = (reference / "index.html").read_text("utf-8")
     assert text.count("data:image/png;base64,") == 1 and "http" not in text
     check_page(text, f"A small one {EVIL}", f"{EVIL} question")
@@ -123,20 +129,17 @@ BAD = [
     ("from = 10, to = 50", "from = 50, to = 50", "parameter inclination: the range is empty"),
     ("from = 0.2, to = 1.4", "from = -0.2, to = 1.4", "friction must be from 0 to 5, not -0.2"),
     ("from = 10, to = 50", "from = 10, to = 60", "inclination must be from 0 to 50 deg, not 60"),
-    (
-        "[18, 25]",
-        "[]",
-        "foot_height must be a number or a list of at least 1 entries, each a number or a table",
-    ),
-    ("[18, 25]", '[18, "x"]', "foot_height[1] must be a number, not 'x'"),
-    ("to = 40", "to = 40, count = 3", "mass needs from, to and count; in a study with samples, from and to"),
-    (", deviation = 3", "", "mass needs from, to and count; in a study with samples, from and to"),
-    ("mean = 35", "mean = 45", "mass: the mean must be in the range"),
-    ("contact_time = 15", "", "give both restitution and contact_time"),
+    ("values = [18, 25]", "values = []", "values must be a list of at least 1 entries"),
+    ("values = [18, 25]", 'values = [18, "x"]', "values[1] must be a number, not 'x'"),
+    ("to = 40, ", "to = 40, count = 3, ", "mass needs one of value, values, from and to, or mean"),
+    ("values = [18, 25]", "values = [18, 25], from = 3", "foot_height needs one of value, values, from"),
+    ('unit = "g"', 'unit = "lb"', "mass needs a unit, kg or g, not 'lb'"),
+    ('contact_time = { value = 15, unit = "ms" }', "", "give both restitution and contact_time"),
     ("seed = 5", "sede = 5", "unknown entry 'sede' in the file"),
-    ("samples = 24", "", "inclination needs from, to and count"),
+    ('"latin-hypercube"', '"factorial"', "a Latin hypercube needs samples"),
     ('["inclination", "friction"]', '["inclination", "thrust"]', "needs two parameters that vary"),
-    ("[parameters]", "policy = 'none.zip'\n[parameters]", "inclination cannot be set in a study"),
+    ("duration = 0.4", "timestep = 0.003", "timestep must divide the control period"),
+    ("[parameters]", "[start]\npolicy = 'none.zip'\n[parameters]", "inclination cannot be set in a study"),
     ("[parameters]", "parameters", "is not TOML"),
 ]
 
@@ -157,7 +160,9 @@ def refused(capsys, folder, sentence, left):
     assert sorted(p.name for p in folder.rglob("*")) == left
 
 
-POLICY = 'policy = "none.zip"\n[parameters]\nfriction = [1, 2]'
+POLICY = (
+    'sampling = "factorial"\n[start]\npolicy = "none.zip"\n[parameters]\nfriction = {values=[1, 2], unit="1"}'
+)
 RAY = ["{study}", "--out", "{out}", "--engine", "ray"]
 WRONG = [
     (["none.toml", "--out", "{out}"], "study none.toml does not exist (shipped ones: paper_landing"),

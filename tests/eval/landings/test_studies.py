@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from inclined_landing.eval.landings import design, landing, maps, report
+from inclined_landing.eval.landings import design, landing, maps, report, sensitivity
 from inclined_landing.eval.landings.landing import OUTCOMES, RESULTS, simulate
 from inclined_landing.eval.landings.parameters import known_parameters, touchdown_states
 from inclined_landing.eval.landings.study import read_study, shipped
@@ -16,13 +16,14 @@ from inclined_landing.models.parameters import load_vehicle
 
 V = load_vehicle()
 STUDY = """
+sampling = "latin-hypercube"
 samples = 40
 seed = 3
 [parameters]
-inclination = { from = 10, to = 50 }
-friction = { from = 0.2, to = 1.4 }
-attitude_error = { from = -20, to = 40, mean = 0, deviation = 10 }
-mass = [30, 40]
+inclination = { from = 10, to = 50, unit = "deg" }
+friction = { from = 0.2, to = 1.4, unit = "1" }
+attitude_error = { mean = 0, deviation = 10, from = -20, to = 40, unit = "deg", distribution = "normal" }
+mass = { values = [30, 40], unit = "g" }
 """
 
 
@@ -155,9 +156,10 @@ def test_the_hypercube_is_one_landing_in_each_slice(tmp_path):
 
 def test_a_factorial_has_every_combination(tmp_path):
     text = """
+    sampling = "factorial"
     [parameters]
-    friction = { from = 0.4, to = 1.2, count = 3 }
-    mass = [30, 40]
+    friction = { from = 0.4, to = 1.2, count = 3, unit = "1" }
+    mass = { values = [30, 40], unit = "g" }
     """
     study = read_study(written(tmp_path, text))
     values, _ = design.design(study)
@@ -171,6 +173,39 @@ def test_a_factorial_has_every_combination(tmp_path):
 
 
 # ---- what is made of the results
+
+
+def test_sensitivities_find_what_matters():
+    rng = np.random.default_rng(0)
+    a, b, c = rng.random((3, 8000))
+    y = 2 * a + b  # variances 4 to 1, nothing from c
+    rows = list(sensitivity.rows({"a": a, "b": b, "c": c}, {"y": y}, y > 1.5))
+    index = [row for row in rows if row["measure"] == "index_y"]
+    # Twenty bins leave 1/400 of a linear effect's variance inside them.
+    assert [i["value"] for i in index] == pytest.approx([0.8, 0.2, 0.0], abs=0.02)
+    for i in index[:2]:
+        assert i["low"] < i["value"] + 0.01 and i["high"] > i["value"] - 0.01
+    odds = [row["value"] for row in rows if row["measure"] == "log_odds"]
+    assert odds[0] > odds[1] > 1 and abs(odds[2]) < 0.2
+    assert next(sensitivity.rows({"a": a}, {}, np.ones(8000, bool)))["value"] is None
+
+
+def test_shares_of_correlated_parameters_are_counted_once():
+    """x and z correlated by r, y = x + z + noise: Cov(x, y)/Var y = (1 + r)/(2 + 2 r + 1) for each."""
+    rng, r = np.random.default_rng(1), 0.8
+    x, w, noise = rng.standard_normal((3, 20000))
+    z = r * x + math.sqrt(1.0 - r * r) * w
+    found = sensitivity.variance_shares([x, z, w**2], x + z + noise)
+    # Bins leave 2 % of x and z inside them; standard errors of some 0.005.
+    assert found[:, 0] == pytest.approx([(1 + r) / (3 + 2 * r)] * 2 + [0.0], abs=0.03)
+    assert (found[:, 1] < found[:, 0]).all() and found[:, 0].sum() < 1.0
+    # Exactly the same twice: half each, and all of it together.
+    twice = sensitivity.variance_shares([x, x], x)
+    assert twice[:, 0] == pytest.approx([0.5, 0.5], abs=0.02)
+    # Counteracting: y = 2 x - z has Cov(-z, y) = 1 - 2 r < 0.
+    against = sensitivity.variance_shares([x, z], 2 * x - z)[:, 0]
+    assert against[1] == pytest.approx((1 - 2 * r) / (5 - 4 * r), abs=0.03) and against.sum() <= 1.0
+    assert sensitivity.variance_shares([x[:30], z[:30]], x[:30]) is None
 
 
 def test_map_boundary_and_prediction():

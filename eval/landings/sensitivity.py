@@ -1,0 +1,107 @@
+"""Sensitivity to each varied parameter, computed from the landings of a study without further runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+from threadpoolctl import threadpool_limits
+
+_BINS = 20  # of a parameter, at most; one of no more values has a bin for each
+_LANDINGS = 10  # for each bin, at least
+_BLOCKS = 20  # of landings that the jackknife leaves out in turn
+_RIDGE = 1e-6  # landings; tells parts of collinear parameters apart, evenly
+_PENALTY = 1e-3  # of the logistic fit; keeps coefficients finite where the classes separate
+
+
+def rows(
+    parameters: dict[str, np.ndarray], outputs: dict[str, np.ndarray], rests: np.ndarray
+) -> Iterator[dict[str, Any]]:
+    """Yield rows for each parameter (n,): its log odds of resting, and its share of each output's variance.
+
+    `log_odds`: coefficient of a logistic regression of `rests` (n,) bool on all parameters,
+    standardised: change of the log odds for one standard deviation of the parameter.
+    `index_*`: for `rests` and each output (n,), see `variance_shares`; NaN outputs are omitted.
+    """
+    odds = _logistic(parameters, rests)
+    targets = {"rests": rests.astype(float)} | outputs
+    shares = {target: variance_shares(list(parameters.values()), y) for target, y in targets.items()}
+    for k, name in enumerate(parameters):
+        about = {"parameter": name, "measure": "log_odds", "statistic": "logistic regression"}
+        yield about | {"value": odds[k]}
+        for target, found in shares.items():
+            about = {"parameter": name, "measure": f"index_{target}", "statistic": "share of the variance"}
+            known = {} if found is None else dict(zip(("value", "low", "high"), map(float, found[k])))
+            yield about | {"value": None} | known
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on matrices so small a second thread only waits
+def variance_shares(parameters: Sequence[np.ndarray], y: np.ndarray) -> np.ndarray | None:
+    """Return the share of the variance of y (n,) of every parameter (n,), with its 95 % interval, (P, 3).
+
+    y is fitted by a sum of functions of one parameter each, all together: what one of them shares with
+    another is not counted twice, so that the shares sum to at most 1. The rest is interactions and chance. Of
+    independent parameters these are the first-order Sobol indices; a share is negative where a parameter
+    counteracts another that it is correlated with. Intervals are by a jackknife over blocks of landings.
+    None: too few landings, or y is constant.
+    """
+    known = np.isfinite(y)
+    y = y[known]
+    most = min(_BINS, len(y) // (_LANDINGS * max(1, len(parameters))))
+    if most < 2 or np.ptp(y) == 0.0:
+        return None
+    bins = [_bins(x[known], most) for x in parameters]
+    columns = np.hstack([np.ones((len(y), 1)), *(b[:, None] == np.unique(b) for b in bins), y[:, None]])
+    owner = np.concatenate([[-1], *(np.full(len(np.unique(b)), k) for k, b in enumerate(bins))])
+    block = np.random.default_rng(0).permutation(len(y)) % _BLOCKS
+    grams = np.array([columns[block == k].T @ columns[block == k] for k in range(_BLOCKS)])
+    every = grams.sum(axis=0)
+    value = _additive_shares(every, owner)
+    without = np.array([_additive_shares(every - gram, owner) for gram in grams])
+    error = np.sqrt((_BLOCKS - 1) * without.var(axis=0))
+    return np.stack([value, value - 1.96 * error, value + 1.96 * error], axis=1)
+
+
+def _bins(x: np.ndarray, most: int) -> np.ndarray:
+    """Return the bin number (n,): the value, or one of `most` bins with the same number of landings."""
+    values, number = np.unique(x, return_inverse=True)
+    if len(values) <= most:
+        return number
+    return np.searchsorted(np.quantile(x, np.linspace(0, 1, most + 1)[1:-1]), x, side="right")
+
+
+def _additive_shares(gram: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return the shares (P,) of the variance by the least-squares fit of additive parts.
+
+    gram: products of [1, bins of all parameters, y] over all landings; owner: each column's parameter.
+    """
+    # y ~ sum_k f_k(x_k),  S_k = Cov(f_k, y)/Var y  (Li et al. 2010): they sum to R^2. By chance a part of p_k
+    # free numbers explains (1 - R^2) p_k/(n - p - 1), p in all.
+    a, b, n = gram[:-1, :-1], gram[:-1, -1], gram[0, 0]
+    mean = b[0] / n
+    weights = np.linalg.solve(a + _RIDGE * np.diag(owner >= 0), b)
+    parts = np.bincount(owner[1:], weights[1:] * (b[1:] - mean * a[0, 1:]))
+    shares, free = parts / (gram[-1, -1] - n * mean**2), np.bincount(owner[1:]) - 1.0
+    return shares - (1.0 - shares.sum()) * free / (n - free.sum() - 1.0)
+
+
+def _logistic(parameters: dict[str, np.ndarray], rests: np.ndarray) -> list[float | None]:
+    """Return the standardised coefficients; null when all or no landings rest."""
+    if not parameters or rests.all() or not rests.any():
+        return [None] * len(parameters)
+    x = np.column_stack(list(parameters.values()))
+    x = np.column_stack([np.ones(len(x)), (x - x.mean(axis=0)) / x.std(axis=0)])
+    sign = np.where(rests, 1.0, -1.0)
+
+    def loss(w):
+        margin = sign * (x @ w)
+        pull = -sign / (1.0 + np.exp(np.clip(margin, -500, 500)))
+        value = np.logaddexp(0.0, -margin).mean() + 0.5 * _PENALTY * (w[1:] ** 2).sum()
+        gradient = x.T @ pull / len(x)
+        gradient[1:] += _PENALTY * w[1:]
+        return value, gradient
+
+    fit = optimize.minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B")
+    return [float(w) for w in fit.x[1:]]
