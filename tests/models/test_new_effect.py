@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from inclined_landing.envs import randomise
-from inclined_landing.eval.cli import main as evaluate
 from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.models.effects import LIBRARY, Effect, Parameter, apply
 from inclined_landing.models.parameters import load_vehicle
@@ -111,7 +110,7 @@ def wear(monkeypatch):
     return effect
 
 
-def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_path, capsys):
+def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_path):
     worn = apply(V, {"wear": {"wear": 0.1}})
     assert worn.contact_friction == 0.9 * V.contact_friction and apply(V, {"wear": {}}) == V
     (tmp_path / "worn.toml").write_text("[effects.wear]\nwear = [0.1, 0.1]\n")
@@ -120,8 +119,6 @@ def test_an_entry_of_the_library_is_enough_for_fields_that_are_there(wear, tmp_p
     (column,) = candidates.columns(["wear"])
     moved, step = candidates.one_sided_difference({}, column)
     assert moved == apply(V, {"wear": {"wear": step}})
-    assert evaluate(["effects", "wear"]) == 0
-    assert "Feet and bearings wear out together." in capsys.readouterr().out
 
 
 @pytest.mark.skipif(
