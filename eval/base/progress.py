@@ -14,6 +14,7 @@ from rich.table import Column
 from inclined_landing.envs.shared.tables import printer
 
 EVERY = 10.0  # s between two lines, at least
+FORESEEN = 0.02  # share of the stages after which the rest is estimated: the first may compile kernels
 _WORDS = Column(no_wrap=True, overflow="ellipsis", ratio=1)
 
 
@@ -40,10 +41,10 @@ def stages(total: float | None = None, what: str = "", done: float = 0) -> Itera
     def line(spent: float, words: str) -> str:
         if not (total and what and count > before):
             return words
-        if count >= total:
-            return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", words)))
         left = spent / (count - before) * (total - count)
         about = f"about {left / 60:.0f} min left" if left > 90 else f"about {left:.0f} s left"
+        if count >= total or count - before < FORESEEN * total:
+            about = ""
         return ", ".join(filter(None, (f"{count:g} of {total:g} {what}", about, words)))
 
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
