@@ -199,7 +199,7 @@ class Plant:
 
     def _apply_choice(self, ids: np.ndarray) -> None:
         """Apply the `choice` of the vehicles `ids`."""
-        # As rows of numbers, because NumPy copies records field by field.
+        # The records are copied as rows of numbers, because NumPy copies records field by field.
         forces.numbers(self._constants)[ids] = forces.numbers(self._records)[self.choice[ids]]
 
     @property

@@ -1,4 +1,4 @@
-"""What flights leave uncertain of an identified vehicle: its posterior, and what they identify."""
+"""The posterior of an identified vehicle, and the parameters that its flights identify."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def identified_reference(
     spread = Spread.of(problem, linear)
     local = LinearGaussian.of(problem, spread, linear)
     known, mean = _errors_of_the_vehicle(problem, spread, local)
-    # What its flights never met, as the ground high up, is missing from the vehicle and no error of its
-    # identification: theta = 0, and flights that meet it name it.
+    # The vehicle lacks effects that its flights never met, such as the ground high up. They are no error of
+    # its identification: theta = 0, and flights that meet them name them.
     prior = local.slab.diagonal() * local.unit**2
     met = (known.diagonal() < thresholds.UNMET**2 * prior) | [isinstance(c, BaseColumn) for c in columns]
     known, mean = np.where(np.outer(met, met), known, 0.0), np.where(met, mean, 0.0)

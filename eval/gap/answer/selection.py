@@ -1,4 +1,4 @@
-"""Which of the probable effects are named: by what they explain, what they predict, and their sizes."""
+"""The selection of the named effects among the probable ones, by what they explain and predict."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ class VehiclePosterior:
 
 
 class _Stamp(Struct, frozen=True):
-    """What a posterior's file begins with."""
+    """The head of a posterior's file: its format's version, and its vehicle."""
 
     version: Literal[5]
     vehicle: str  # its digest

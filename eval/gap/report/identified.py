@@ -1,4 +1,4 @@
-"""What an identification found: sentences, page and terminal table."""
+"""The answer of `identify` in sentences, as a page and as a table in the terminal."""
 
 from __future__ import annotations
 
