@@ -15,11 +15,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 from msgspec import Struct
 
 from inclined_landing.eval.gap.flights.windows import MeasuredFlight
 from inclined_landing.eval.gap.model.fitting import Variation, fitting
-from inclined_landing.eval.logs.smoothing import low_passed
 from inclined_landing.models.attitude import LAG, STATE_SIZE
 from inclined_landing.models.effects import Effect, Parameter
 from inclined_landing.models.effects.effect import OFF
@@ -311,7 +311,8 @@ def _quantity(what: str, flight: MeasuredFlight) -> np.ndarray:
     if what == "load":
         pwm = flight.command[:, 0]
         share = np.exp(-flight.dt / _MOTOR)
-        return (low_passed(pwm, share) / _HOVER - 1.0) / _LOAD
+        lagged = scipy.signal.lfilter([1.0 - share], [1.0, -share], pwm - pwm[0]) + pwm[0]
+        return (lagged / _HOVER - 1.0) / _LOAD
     if what == "speed":
         return np.hypot(flight.velocity[:, 0], flight.velocity[:, 1]) / _SPEED
     if what == "climb":

@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import scipy  # whose submodules are imported when they are used
 from scipy.ndimage import gaussian_filter1d
 
-from inclined_landing.eval.logs.smoothing import low_passed
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.geometry import Shapes, shapes_of
 from inclined_landing.models.scene import compile_scene
@@ -260,7 +260,7 @@ def _doublet(seconds: float, *lags: float) -> np.ndarray:
     steps = gaussian_filter1d(steps, SMOOTHING * RATE, mode="nearest")
     for lag in lags:
         keep = math.exp(-1.0 / (lag * RATE))
-        steps = low_passed(steps, keep)
+        steps = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], steps)
     return steps
 
 
