@@ -29,13 +29,12 @@ from inclined_landing.eval.gap.infer.fit import fit_least_squares
 from inclined_landing.eval.gap.model.problem import Problem
 from inclined_landing.eval.gap.result import Diagnosis
 from inclined_landing.eval.logs import FlightLog, read_log
-from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.effects import LIBRARY
 from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-from .shared import answered, check_folder, table, table_of
+from .shared import check_folder, study, table, table_of
 
 HALVES = ("development", "heldout", "fresh")
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\.\.(\d+)\}")
@@ -60,7 +59,7 @@ def command(
 
     Args:
         data: folder with the clones of the five repositories (docs/evidence/known_causes.md says which).
-        out: folder for table.md and causes.json; rows that are in it are kept.
+        out: folder for table.md and results.json; answers that are in it are kept.
         half: flights that the workflow was looked at with, those that were held out, or those that came last.
         only: names of repositories.
         processes: rows at a time.
@@ -70,13 +69,15 @@ def command(
         known = sorted({r.set for r in known_rows()})
         raise UserError(f"no rows; --only takes {', '.join(known)}, and not all have every half")
     check_folder(data)
-    found = answered(out / "rows", _answer, {row.key: (data, row) for row in rows}, processes)
-    results = list(found.values())
-    counted = {what: share for what, share in summary(results).items() if share["of"]}
-    text = table(["", "share [95 %]"], counted.items()) + "\n" + errors(results) + "\n"
-    storage.write_text(out / "table.md", text + "\n" + table_of(list(map(cells, results))))
-    storage.write_json(out / "causes.json", {"rows": results, "summary": counted})
-    print(text)
+    study(out, _answer, {row.key: (data, row) for row in rows}, processes, scored)
+
+
+def scored(answers: Mapping[str, dict]) -> tuple[str, dict]:
+    """Return the tables of shares and of rows, and what results.json has of them."""
+    rows = list(answers.values())
+    counted = {what: share for what, share in summary(rows).items() if share["of"]}
+    text = table(["", "share [95 %]"], counted.items()) + "\n" + errors(rows) + "\n\n"
+    return text + table_of(list(map(cells, rows))), {"rows": rows, "summary": counted}
 
 
 def _answer(data: Path, row: Row) -> dict:
@@ -162,10 +163,15 @@ def _expanded(pattern: str) -> list[str]:
     return [_RANGE.sub(str(n).zfill(len(first)), pattern) for n in numbers]
 
 
-def read(paths: Sequence[Path], above: float | None) -> tuple[list[FlightLog], list[str]]:
-    """Return the flights that can be used, and why others cannot."""
+def read(
+    folder: Path, patterns: Sequence[str], above: float | None = None
+) -> tuple[list[FlightLog], list[str]]:
+    """Return the flights of a repository that can be used, and why others cannot.
+
+    Raises UserError where there are none, or none can be used.
+    """
     logs, refused = [], []
-    for path in paths:
+    for path in paths_of(folder, patterns):
         try:
             log = read_log(path, name=f"{path.parent.name}/{path.name}")
             if above is not None:
@@ -173,6 +179,8 @@ def read(paths: Sequence[Path], above: float | None) -> tuple[list[FlightLog], l
             logs.append(log)
         except UserError as error:
             refused.append(str(error))
+    if not logs:
+        raise UserError(refused[0])
     return logs, refused
 
 
@@ -187,9 +195,7 @@ def _identified(
     folder: Path, patterns: tuple[str, ...], above: float | None, vehicle: Vehicle
 ) -> tuple[list[FlightLog], list[str], Identification]:
     """Return reference flights, why others cannot be used, and what they identify; rows of a set share it."""
-    logs, refused = read(paths_of(folder, patterns), above)
-    if not logs:
-        raise UserError(refused[0])
+    logs, refused = read(folder, patterns, above)
     return logs, refused, identify(logs, vehicle)
 
 
@@ -201,9 +207,7 @@ def answer(data: Path, row: Row) -> dict:
     began = time.perf_counter()
     above = row.reference_above or row.above
     reference, refused, known = _identified(data / row.set, row.reference, above, base_vehicle(row))
-    flights, more = read(paths_of(data / row.set, row.flights), row.above)
-    if not flights:
-        raise UserError(more[0])
+    flights, more = read(data / row.set, row.flights, row.above)
     d = diagnose(flights, known.vehicle, reference=known.reference)
     mean_pwm = float(np.mean([np.median(f.command[:, 0]) for f in flights]))
     gap = d.gap.get("analytic")
@@ -232,9 +236,7 @@ def answer(data: Path, row: Row) -> dict:
 
 def dose_answer(data: Path, row: Row) -> dict:
     """Return what is identified of one parameter, against what was told; raises UserError as `answer`."""
-    flights, refused = read(paths_of(data / row.set, row.flights), row.above)
-    if not flights:
-        raise UserError(refused[0])
+    flights, refused = read(data / row.set, row.flights, row.above)
     found = identify(flights, base_vehicle(row))
     (p,) = [p for p in found.parameters if p.field == row.parameter]
     return {

@@ -8,24 +8,22 @@ constants.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap.answer.identification import identify
 from inclined_landing.eval.gap.result import InconsistentFlights
-from inclined_landing.models.base import storage
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import simulator
 from tests.validation.gap_blind import cases as blind
 from tests.validation.gap_blind import generate
 from tests.validation.gap_blind.causes import Drawn
-from tests.validation.shared import answered, check_known, table_of
+from tests.validation.shared import check_known, study, table_of
 
 FLIGHTS = 10
 CHARGE = {"battery_voltage": (-0.15, 0.15)}  # V, of every flight
@@ -56,7 +54,7 @@ def command(
     """Flights of another vehicle or day among the others: are they found, and only they (minutes).
 
     Args:
-        out: folder for contradictions.json and contradictions.md; an interrupted run goes on in it.
+        out: folder for results.json and table.md; an interrupted run goes on in it.
         family: families of realities to draw from.
         cases: realities; each gives a set of every kind.
         seed: of realities and flights.
@@ -65,12 +63,13 @@ def command(
     check_known("family", [family], ("dev", "fresh"))
     members = blind.SETS[family]
     calls = {f"{family}_{seed}_{k}": (members[k % len(members)], (seed, k)) for k in range(cases)}
-    rows = [
-        row for found in answered(out / "realities", of_reality, calls, processes).values() for row in found
-    ]
-    storage.write_json(out / "contradictions.json", {"sets": rows, "versions": runs.versions()})
-    storage.write_text(out / "contradictions.md", table_of(counted(rows)))
-    print(table_of(counted(rows)), end="")
+    study(out, of_reality, calls, processes, scored, family=family, seed=seed)
+
+
+def scored(answers: Mapping[str, Sequence[dict]]) -> tuple[str, dict]:
+    """Return the table of the answers of all realities, and what results.json has of them."""
+    rows = [row for found in answers.values() for row in found]
+    return table_of(counted(rows)), {"sets": rows}
 
 
 def of_reality(family: str, entropy: tuple[int, ...]) -> list[dict]:

@@ -23,7 +23,7 @@ from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from inclined_landing.models.vehicle import Vehicle
 
-from .causes import paths_of, read
+from .causes import read
 from .shared import check_folder, table_of
 
 DIGITS = 5  # of a value in the file: fewer than any interval allows, and readable
@@ -68,10 +68,7 @@ def command(data: tyro.conf.Positional[Path], /, out: Path, *, only: tuple[str, 
 
 def _flights(data: Path, entry: Mapping, patterns: Sequence[str]) -> list[FlightLog]:
     """Return the flights of some patterns. Raises UserError where none can be used."""
-    logs, refused = read(paths_of(data / entry["repository"].rpartition("/")[2], patterns), None)
-    if not logs:
-        raise UserError(refused[0])
-    return logs
+    return read(data / entry["repository"].rpartition("/")[2], patterns)[0]
 
 
 def _rounded(found: Identification) -> Identification:

@@ -8,7 +8,6 @@ springs, dampers and bristles.
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -27,7 +26,7 @@ from inclined_landing.models.parameters import load_vehicle
 from inclined_landing.models.vehicle import Vehicle
 from tests.validation.gap_blind import causes, generate
 from tests.validation.gap_blind.accepted import EFFECT
-from tests.validation.shared import answered, table_of
+from tests.validation.shared import study, table_of
 
 COUNT = 12  # landings to identify with, and of a case
 IDENTIFY = 99  # in place of the number of a case, in the seed of the landings
@@ -69,18 +68,23 @@ def command(
     """Hidden causes in landings of the independent simulator: what gap names (half an hour a seed).
 
     Args:
-        out: folder for an answer a case; an interrupted run goes on in it.
+        out: folder for results.json and table.md; an interrupted run goes on in it.
         seed: of the sets, eighteen cases each.
         processes: cases judged at a time.
     """
     calls = {f"{s}_{k:02d}": (c, size, (s, k)) for s in seed for k, (c, size) in enumerate(CASES)}
-    answers = answered(Path(out), judged, calls, processes)
-    print(table_of([row(cause, size, calls, answers) for cause, size in dict.fromkeys(CASES)]))
+    study(out, judged, calls, processes, scored, seeds=seed)
 
 
-def row(cause: str, size: str, calls: dict[str, tuple], answers: dict[str, list[dict]]) -> dict:
+def scored(answers: dict[str, list[dict]]) -> tuple[str, dict]:
+    """Return the table of causes and sizes, and what results.json has of them."""
+    rows = [row(cause, size, answers) for cause, size in dict.fromkeys(CASES)]
+    return table_of(rows), {"rows": rows}
+
+
+def row(cause: str, size: str, answers: dict[str, list[dict]]) -> dict:
     """Return of a cause and size: right and alone, right among others or possible, sure and wrong."""
-    own = [answers[name] for name, call in calls.items() if call[:2] == (cause, size)]
+    own = [answer for name, answer in answers.items() if CASES[int(name[-2:])] == (cause, size)]
     right = [[bool(cause) and EFFECT.get(cause, cause) in e["class"] for e in a] for a in own]
     sure = [hit for a, hits in zip(own, right) for e, hit in zip(a, hits) if e["sure"]]
     alone = sum(len(a) == 1 and a[0]["sure"] and hits[0] for a, hits in zip(own, right))

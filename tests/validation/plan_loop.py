@@ -14,7 +14,6 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.options import Folder
 from inclined_landing.eval.base.tracking import thrust_and_angles
 from inclined_landing.eval.gap import diagnose, thresholds
@@ -23,7 +22,6 @@ from inclined_landing.eval.gap.plan import SECONDS, design, pieces
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.plan.setpoints import Setpoints
 from inclined_landing.eval.gap.result import Diagnosis
-from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 from tests.validation import simulator
@@ -33,7 +31,7 @@ from tests.validation.simulator.vehicle import PILOT_RATE
 from .gap_blind import cases, generate, score
 from .gap_blind.accepted import accepted
 from .gap_blind.causes import FREE_FLIGHT, SIZES
-from .shared import answered, table_of
+from .shared import study, table_of
 
 HEALTHY = 6  # flights that identify the vehicle
 FIRST = 8.0  # s, of the first flight with the cause
@@ -56,10 +54,13 @@ def command(
         processes: seeds at a time.
     """
     calls = {f"seed_{seed}": (seed,) for seed in range(first, last + 1)}
-    rows = list(answered(out / "rows", two_rounds, calls, processes).values())
-    storage.write_json(out / "results.json", {"rows": rows, "versions": runs.versions()})
-    storage.write_text(out / "table.md", markdown(rows))
-    print(markdown(rows))
+    study(out, two_rounds, calls, processes, scored)
+
+
+def scored(answers: Mapping[str, dict]) -> tuple[str, dict]:
+    """Return the table of the answers of all seeds, and what results.json has of them."""
+    rows = list(answers.values())
+    return markdown(rows), {"rows": rows}
 
 
 def drawn(seed: int) -> cases.Case:

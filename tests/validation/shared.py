@@ -1,4 +1,4 @@
-"""What the commands share: tables in Markdown, known names, and cases answered in processes."""
+"""What the commands share: tables in Markdown, known names, and studies of cases answered in processes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.base.progress import stages
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
@@ -53,6 +54,27 @@ def cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)
+
+
+def study(
+    out: Path,
+    work: Callable[..., Any],
+    calls: Mapping[str, tuple],
+    processes: int,
+    score: Callable[[dict[str, Any]], tuple[str, dict]],
+    **settings: Any,
+) -> None:
+    """Answer cases (`answered`), score the answers, and write and print the table.
+
+    Args:
+        out: folder for answers/NAME.json, results.json and table.md; an interrupted study goes on in it.
+        score: returns the table, in Markdown, of the answers by name, and what results.json has of them.
+        settings: what results.json begins with, before the versions.
+    """
+    table, scored = score(answered(out / "answers", work, calls, processes))
+    storage.write_json(out / "results.json", settings | {"versions": runs.versions()} | scored)
+    storage.write_text(out / "table.md", table)
+    print(table)
 
 
 def answered(

@@ -8,6 +8,7 @@ import pytest
 
 from inclined_landing.models import effects
 from inclined_landing.models.base.errors import UserError
+from tests.validation import shared
 from tests.validation.gap_blind import cases, causes, command, score
 from tests.validation.gap_blind.accepted import ALIASES, EFFECT, ENTAILED, NOT_COMPARED
 from tests.validation.simulator import FAMILIES
@@ -203,7 +204,7 @@ def test_one_command_draws_scores_and_prints_the_table(tmp_path, monkeypatch, ca
         labels = {name: case.label() for name, (case,) in calls.items()}
         return {name: score.score_case(one, report()) | {"plan": True} for name, one in labels.items()}
 
-    monkeypatch.setattr(command, "answered", answered)
+    monkeypatch.setattr(shared, "answered", answered)
     monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None)
     command.command(tmp_path / "blind", cases=40, seed=3)
     text = (tmp_path / "blind" / "table.md").read_text()

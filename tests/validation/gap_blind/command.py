@@ -9,18 +9,16 @@ from typing import Annotated
 import tyro
 from msgspec import Meta
 
-from inclined_landing.envs.shared import runs
 from inclined_landing.envs.shared.statistics import proportion
 from inclined_landing.eval.base.options import Folder, Seed
 from inclined_landing.eval.gap import diagnose
 from inclined_landing.eval.gap.answer.identification import Identification, identify
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.result import Diagnosis
-from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 from inclined_landing.models.parameters import load_vehicle
 
-from ..shared import answered, check_known, table, table_of
+from ..shared import check_known, study, table, table_of
 from .cases import ROTORPY, SETS, Case, population
 from .score import score_case
 
@@ -49,14 +47,14 @@ def command(
     if missing and ROTORPY in sets:
         raise UserError(f"--sets rotorpy needs {missing[0]}; pip install 'inclined-landing[baselines]'")
     chosen = sets or tuple(name for name in SETS if not (missing and name == ROTORPY))
-    drawn = {case.name: case for case in population(chosen, seed, cases)}
-    found = answered(out / "answers", answer, {name: (case,) for name, case in drawn.items()}, processes)
-    rows = [{"case": name, "set": name.split("_")[0]} | row for name, row in found.items()]
-    text = markdown(rows)
-    settings = {"sets": chosen, "seed": seed, "versions": runs.versions()}
-    storage.write_json(out / "results.json", settings | {"shares": shares(rows), "cases": rows})
-    storage.write_text(out / "table.md", text)
-    print(text)
+    drawn = {case.name: (case,) for case in population(chosen, seed, cases)}
+    study(out, answer, drawn, processes, scored, sets=chosen, seed=seed)
+
+
+def scored(answers: Mapping[str, Mapping]) -> tuple[str, dict]:
+    """Return the table of answers by the name of their case, and what results.json has of them."""
+    rows = [{"case": name, "set": name.split("_")[0]} | row for name, row in answers.items()]
+    return markdown(rows), {"shares": shares(rows), "cases": rows}
 
 
 def answer(case: Case) -> dict:

@@ -5,17 +5,13 @@ Worlds hold arrays (n,) here, one entry for each flight of a batch.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tests.validation.simulator import Build, Constants, World
-from tests.validation.simulator.vehicle import PILOT_RATE
+from tests.validation.simulator.flight import correlated
 
 RATE = 250  # Hz, of the flight controller and of the integration
-_HELD = RATE // PILOT_RATE  # periods for which a command stands
 
 
 def received(command: np.ndarray, w: World):
@@ -45,35 +41,10 @@ def forces(q: np.ndarray, time: float, c: Constants, w: World) -> np.ndarray:
     return push
 
 
-def correlated(rng, shape: tuple[int, int, int], time: float | np.ndarray) -> np.ndarray:
-    """Return Ornstein-Uhlenbeck paths (ticks, n, m) of standard deviation 1; time: one, or (n,) [s]."""
-    start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
-    paths = np.empty(shape)
-    for j, keep in enumerate(np.exp(-1.0 / (np.broadcast_to(time, shape[1]) * RATE))):
-        each = slice(j, j + 1)
-        paths[:, each] = lfilter(
-            [math.sqrt(1 - keep**2)], [1, -keep], white[:, each], axis=0, zi=keep * start[:, each]
-        )[0]
-    return paths
-
-
 def disturbance(rng, shape: tuple[int, int, int], b: Build) -> np.ndarray:
     """Return accelerations [m/s2] and angular accelerations [rad/s2] (ticks, n, 6) of a build's air."""
-    return np.array([*b.disturbance, *b.disturbance_torque]) * correlated(rng, shape, b.disturbance_time)
-
-
-def heard(rng, ticks: int, w: World) -> np.ndarray:
-    """Return the period (ticks, n) whose command is in effect.
-
-    Each command arrives up to `command_jitter` [s] late.
-    """
-    sent, periods = np.arange(0, ticks, _HELD), np.arange(ticks)
-    late_by = rng.uniform(0.0, 1.0, (len(sent), len(w.command_jitter))) * w.command_jitter * RATE
-    arrives = np.maximum.accumulate(sent[:, None] + np.round(late_by), axis=0)
-    last = np.column_stack([np.searchsorted(one, periods, side="right") for one in arrives.T])
-    # As many commands behind as have not arrived yet.
-    behind = periods[:, None] // _HELD - np.maximum(last - 1, 0)
-    return np.maximum(periods[:, None] - behind * _HELD, 0)
+    size = np.array([*b.disturbance, *b.disturbance_torque])
+    return size * correlated(rng, shape, b.disturbance_time, RATE)
 
 
 def late(history: np.ndarray, k, delay: np.ndarray) -> np.ndarray:

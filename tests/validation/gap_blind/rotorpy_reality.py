@@ -29,6 +29,8 @@ from tests.validation.simulator import (
     control,
     ordinary,
 )
+from tests.validation.simulator.family import between
+from tests.validation.simulator.flight import heard
 from tests.validation.simulator.vehicle import PILOT_RATE
 
 from . import interface
@@ -78,21 +80,16 @@ def draw(rng: np.random.Generator) -> Reality:
     c = c._replace(
         **own,
         battery_voltage=rng.uniform(3.85, 4.15),
-        position_noise=_between(rng, 0.0002, 0.003),
-        attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
+        position_noise=between(rng, 0.0002, 0.003),
+        attitude_noise=math.radians(between(rng, 0.05, 0.5)),
     )
     b = Build(
-        disturbance=tuple(_between(rng, 0.02, 0.15) for _ in range(3)),
-        disturbance_time=_between(rng, 0.1, 1.0),
-        disturbance_torque=tuple(_between(rng, 0.1, 1.0) * np.array([1.0, 1.0, 0.3])),
+        disturbance=tuple(between(rng, 0.02, 0.15) for _ in range(3)),
+        disturbance_time=between(rng, 0.1, 1.0),
+        disturbance_torque=tuple(between(rng, 0.1, 1.0) * np.array([1.0, 1.0, 0.3])),
         log_ticks=float(rng.choice([2, 4, 6, 8, 10])),  # of 2 ms: 250 to 50 rows per second
     )
     return Reality(c, b, "rotorpy")
-
-
-def _between(rng, low: float, high: float) -> float:
-    """Return a number that is uniform on a logarithmic scale."""
-    return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
 def flies(reality: Reality, w: World) -> bool:
@@ -157,7 +154,8 @@ class Flights:
         ticks, level = len(rows) * RATE // PILOT_RATE, np.zeros(n)
         self.air, self.gust = interface.disturbance(rng, (ticks, n, 6), b), self.gusts(rng, ticks)
         scale = [c.position_noise] * 3 + [c.attitude_noise] * 3
-        self.noise, self.heard = rng.standard_normal((ticks, n, 6)) * scale, interface.heard(rng, ticks, w)
+        self.noise = rng.standard_normal((ticks, n, 6)) * scale
+        self.heard = heard(rng, ticks, w.command_jitter, RATE)
         self.level = interface.turn(level, w.level_roll, w.level_pitch)
         self.crooked = interface.turn(level, w.mocap_roll, w.mocap_pitch)
         self.z = z = np.zeros((n, 20))

@@ -24,11 +24,8 @@ REF_POSITION, REF_VELOCITY, REF_ACCELERATION, REF_YAW, REF_YAW_RATE = 0, 3, 6, 9
 REF_ROLL, REF_PITCH, REF_PWM, REF_MODE = 11, 12, 13, 14
 # Where the pilot believes the surface to be, and how high above it the motors are cut.
 REF_SURFACE, REF_TILT, REF_CUT_HEIGHT, REF_SIZE = 15, 16, 17, 18
-TRACK, STEP, LAND = (
-    0.0,
-    1.0,
-    2.0,
-)  # modes: follow the path; roll and pitch as given; follow, then cut the motors
+# Modes: follow the path; roll and pitch as given; follow, then cut the motors.
+TRACK, STEP, LAND = 0.0, 1.0, 2.0
 
 
 @numba.njit(cache=True)

@@ -42,7 +42,7 @@ def _about(rng, size: float) -> float:
     return rng.uniform(1 - size, 1 + size)
 
 
-def _between(rng, low: float, high: float) -> float:
+def between(rng, low: float, high: float) -> float:
     """Uniform on a logarithmic scale."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
@@ -68,23 +68,23 @@ def _constants(rng) -> Constants:
         arm=c.arm * _about(rng, 0.02),
         inertia=tuple(x * _about(rng, BASE_ERROR) for x in c.inertia),
         battery_voltage=rng.uniform(3.85, 4.15),
-        position_noise=_between(rng, 0.0002, 0.003),
-        attitude_noise=math.radians(_between(rng, 0.05, 0.5)),
+        position_noise=between(rng, 0.0002, 0.003),
+        attitude_noise=math.radians(between(rng, 0.05, 0.5)),
         yaw_bandwidth=rng.uniform(12.0, 20.0),
-        gyro_noise=_between(rng, 0.0005, 0.002),
+        gyro_noise=between(rng, 0.0005, 0.002),
     )
 
 
 def _common(rng) -> dict:
     """What members of every family differ in: geometry, disturbance of the air, log."""
-    size = _between(rng, 0.02, 0.15)
-    turn = _between(rng, 0.1, 1.0)
+    size = between(rng, 0.02, 0.15)
+    turn = between(rng, 0.1, 1.0)
     ticks = float(rng.choice([1, 2, 4, 5, 10], p=[0.1, 0.15, 0.2, 0.35, 0.2]))
     return {
         # Differences of thrust would be causes to be named: a centre of mass that is off, a turning vehicle.
         "rotor": tuple(_about(rng, 0.05) for _ in range(4)),
-        "disturbance": tuple(size * _between(rng, 0.6, 1.6) for _ in range(3)),
-        "disturbance_time": _between(rng, 0.1, 1.0),
+        "disturbance": tuple(size * between(rng, 0.6, 1.6) for _ in range(3)),
+        "disturbance_time": between(rng, 0.1, 1.0),
         "disturbance_torque": (turn * _about(rng, 0.3), turn * _about(rng, 0.3), 0.3 * turn),
         "log_ticks": ticks,
         "stamp_jitter": 0.1 * ticks / CONTROL_RATE if rng.uniform() < 0.3 else 0.0,
@@ -95,7 +95,7 @@ def _common(rng) -> dict:
 def _cascade(c: Constants, rng) -> tuple[Constants, dict]:
     """As the reference is built: the paper's loop, attitude fused from gyro and motion capture."""
     c = c._replace(
-        rate_bandwidth=c.rate_bandwidth * _about(rng, 0.2), attitude_trust=_between(rng, 0.003, 0.03)
+        rate_bandwidth=c.rate_bandwidth * _about(rng, 0.2), attitude_trust=between(rng, 0.003, 0.03)
     )
     return c, {
         "controller": CASCADE,
@@ -113,13 +113,13 @@ def _firmware(c: Constants, rng) -> tuple[Constants, dict]:
     derivative, damping = rng.uniform(1.6, 2.6), rng.uniform(0.75, 0.95)
     bandwidth = (1.0 + derivative) ** 2 / (4.0 * damping**2 * c.motor_time)
     drag = (*c.drag_per_speed[:2], c.drag_per_speed[2] * rng.uniform(0.0, 0.3))
-    c = c._replace(rate_bandwidth=bandwidth, drag_per_speed=drag, attitude_trust=_between(rng, 0.003, 0.02))
+    c = c._replace(rate_bandwidth=bandwidth, drag_per_speed=drag, attitude_trust=between(rng, 0.003, 0.02))
     return c, {
         "controller": CASCADE,
         "lead": 0.0,
         "pole_shift": rng.uniform(0.6, 1.0),
         "derivative": derivative,
-        "derivative_filter": _between(rng, 0.003, 0.008),
+        "derivative_filter": between(rng, 0.003, 0.008),
         "integral": bandwidth * rng.uniform(0.1, 0.4),
         "integral_leak": rng.uniform(0.5, 1.5),
         "capture_age": _ticks(rng.uniform(0.01, 0.03)),
@@ -141,7 +141,7 @@ def _feed_forward(c: Constants, rng) -> tuple[Constants, dict]:
         *(x * rng.uniform(0.9, 1.1) for x in c.drag_per_speed[:2]),
         c.drag_per_speed[2] * rng.uniform(0.4, 1.6),
     )
-    c = c._replace(rate_bandwidth=bandwidth, drag_per_speed=drag, attitude_trust=_between(rng, 0.002, 0.02))
+    c = c._replace(rate_bandwidth=bandwidth, drag_per_speed=drag, attitude_trust=between(rng, 0.002, 0.02))
     return c, {
         "controller": CASCADE,
         "lead": lead,
@@ -169,10 +169,10 @@ def _geometric(c: Constants, rng) -> tuple[Constants, dict]:
     return c, {
         "controller": INCREMENTAL,
         "lead": rng.uniform(0.5, 0.75),
-        "derivative_filter": _between(rng, 0.004, 0.008),
+        "derivative_filter": between(rng, 0.004, 0.008),
         "kept_torque": rng.uniform(0.3, 0.6),
         "accelerometer": 1.0,
-        "wander": _between(rng, 0.0005, 0.003),
+        "wander": between(rng, 0.0005, 0.003),
         "motors": FIRST_ORDER_THRUST,
         "spin_down": rng.uniform(0.05, 0.25),
         "dead_time": _ticks(rng.uniform(0.0, 0.006)),
@@ -191,7 +191,7 @@ def _full_state(c: Constants, rng) -> tuple[Constants, dict]:
     linear = rng.uniform(0.75, 0.9)
     c = c._replace(
         drag_per_speed=tuple(x * linear for x in c.drag_per_speed),
-        attitude_trust=_between(rng, 0.001, 0.01),
+        attitude_trust=between(rng, 0.001, 0.01),
     )
     return c, {
         "controller": FULL_STATE,

@@ -291,12 +291,12 @@ def fly(
     scale = np.array([c.position_noise] * 3 + [c.attitude_noise] * 3)
     mocap = scale * rng.standard_normal((ticks, 6))
     volts = c.voltage_noise * rng.standard_normal(samples)
-    level = _wandering(rng, (ticks, 2), b.wander, _LEVEL_TIME)
+    level = b.wander * correlated(rng, (ticks, 2), _LEVEL_TIME)
     log, truth = np.zeros((samples, 12)), np.zeros((samples, 16))
     s = initial_state(rows[0, :3], rows[0, control.REF_YAW], c, world)
     substeps = PHYSICS_RATE // CONTROL_RATE
-    air, heard = _air(rng, ticks, b, world), _heard(rng, ticks, world.command_jitter)
-    _fly(s, rows, air, gyro, mocap, level, heard, warm_up, substeps, *map(record, (c, b, world)), log, truth)
+    air, sent = _air(rng, ticks, b, world), heard(rng, ticks, np.array([world.command_jitter])).ravel()
+    _fly(s, rows, air, gyro, mocap, level, sent, warm_up, substeps, *map(record, (c, b, world)), log, truth)
     log, truth = log[first:], truth[first:]
     t = np.arange(len(log)) * per_log / CONTROL_RATE
     if b.stamp_jitter > 0.0:
@@ -315,31 +315,38 @@ def fly(
     )
 
 
-def _wandering(rng: np.random.Generator, shape: tuple[int, int], deviation, seconds: float) -> np.ndarray:
-    """Ornstein-Uhlenbeck noise (ticks, k) of a standard deviation (one, or (k,)) and correlation time."""
+def correlated(rng, shape: tuple[int, ...], time, rate: int = CONTROL_RATE) -> np.ndarray:
+    """Return Ornstein-Uhlenbeck paths (ticks, n, ...) of standard deviation 1; time: one, or (n,) [s]."""
     from scipy.signal import lfilter
 
-    keep = np.exp(-1.0 / (seconds * CONTROL_RATE))
-    start = rng.standard_normal((1, shape[1]))
-    white = rng.standard_normal(shape)
-    return deviation * lfilter([np.sqrt(1 - keep**2)], [1, -keep], white, axis=0, zi=keep * start)[0]
+    start, white = rng.standard_normal((1, *shape[1:])), rng.standard_normal(shape)
+    paths = np.empty(shape)
+    for j, keep in enumerate(np.exp(-1.0 / (np.broadcast_to(time, shape[1]) * rate))):
+        each, gain = slice(j, j + 1), np.sqrt(1 - keep**2)
+        paths[:, each] = lfilter([gain], [1, -keep], white[:, each], axis=0, zi=keep * start[:, each])[0]
+    return paths
 
 
 def _air(rng: np.random.Generator, ticks: int, b: Build, w: World) -> np.ndarray:
     """Wind, disturbance of acceleration, of angular acceleration (ticks, 8) (see `dynamics.derivative`)."""
-    gust = _wandering(rng, (ticks, 2), w.gust, w.gust_time)
+    gust = w.gust * correlated(rng, (ticks, 2), w.gust_time)
     if w.gust_calm > 0.0:
-        strength = _wandering(rng, (ticks, 1), 1.0, 1.5)
+        strength = correlated(rng, (ticks, 1), 1.5)
         gust *= strength > np.quantile(strength, w.gust_calm)
-    disturbance = _wandering(
-        rng, (ticks, 6), np.array([*b.disturbance, *b.disturbance_torque]), b.disturbance_time
-    )
-    return np.hstack([gust, disturbance])
+    size = np.array([*b.disturbance, *b.disturbance_torque])
+    return np.hstack([gust, size * correlated(rng, (ticks, 6), b.disturbance_time)])
 
 
-def _heard(rng: np.random.Generator, ticks: int, latest: float) -> np.ndarray:
-    """The control period (ticks,) whose command is in effect, when each arrives up to `latest` [s] late."""
-    per_pilot = CONTROL_RATE // PILOT_RATE
-    sent = np.arange(0, ticks, per_pilot)
-    arrives = np.maximum.accumulate(sent + np.round(rng.uniform(0.0, latest, len(sent)) * CONTROL_RATE))
-    return sent[np.maximum(np.searchsorted(arrives, np.arange(ticks), side="right") - 1, 0)]
+def heard(rng, ticks: int, latest: np.ndarray, rate: int = CONTROL_RATE) -> np.ndarray:
+    """Return the period (ticks, n) whose command is in effect.
+
+    Each command arrives up to `latest` (n,) [s] late.
+    """
+    held = rate // PILOT_RATE
+    sent, periods = np.arange(0, ticks, held), np.arange(ticks)
+    late_by = rng.uniform(0.0, 1.0, (len(sent), len(latest))) * latest * rate
+    arrives = np.maximum.accumulate(sent[:, None] + np.round(late_by), axis=0)
+    last = np.column_stack([np.searchsorted(one, periods, side="right") for one in arrives.T])
+    # As many commands behind as have not arrived yet.
+    behind = periods[:, None] // held - np.maximum(last - 1, 0)
+    return np.maximum(periods[:, None] - behind * held, 0)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import tomllib
+from collections import namedtuple
 from importlib import resources
 from typing import NamedTuple
 
@@ -20,50 +20,15 @@ FIRST_ORDER_THRUST, FIRST_ORDER_SPEED = 0.0, 1.0  # motors
 CHEESEMAN, EXPONENTIAL, FADING = 0.0, 1.0, 2.0  # ground effect
 
 
-class Constants(NamedTuple):
-    """The entries of `constants.toml`, SI units."""
+def _entries() -> dict[str, float | tuple[float, ...]]:
+    text = resources.files(__package__).joinpath("constants.toml").read_text("utf-8")
+    values = {name: entry["value"] for name, entry in tomllib.loads(text).items()}
+    return {k: tuple(v) if isinstance(v, list) else float(v) for k, v in values.items()}
 
-    mass: float
-    inertia: tuple[float, float, float]
-    gravity: float
-    thrust_per_pwm: float
-    thrust_per_speed: float
-    motor_time: float
-    torque_ratio: float
-    arm: float
-    disc_height: float
-    rotor_radius: float
-    pwm_limit: float
-    drag_per_speed: tuple[float, float, float]
-    hover_current: float
-    battery_voltage: float
-    battery_fall: float
-    attitude_gain: float
-    attitude_time: float
-    rate_bandwidth: float
-    setpoint_filter: float
-    yaw_bandwidth: float
-    yaw_filter: float
-    tilt_authority: float
-    yaw_authority: float
-    gyro_noise: float
-    attitude_trust: float
-    position_filter: tuple[float, float]
-    position_gains: tuple[float, float, float]
-    height_gains: tuple[float, float, float]
-    yaw_gain: float
-    pwm_range: tuple[float, float]
-    angle_limit: float
-    yaw_rate_limit: float
-    position_noise: float
-    attitude_noise: float
-    voltage_noise: float
-    platform_height: float
-    platform_tilt: float
-    foot_height: float
-    foot_stiffness: float
-    foot_damping: float
-    foot_tangent: tuple[float, float]
+
+_CONSTANTS = _entries()
+# What stands in `constants.toml`, SI units, in its order.
+Constants = namedtuple("Constants", _CONSTANTS)
 
 
 class Build(NamedTuple):
@@ -77,9 +42,7 @@ class Build(NamedTuple):
     # the torque on a geometric attitude error; or a gain on angle, rate and motor torque.
     controller: float = CASCADE
     lead: float = 1.0  # share of the motors' lag that roll and pitch make up for
-    pole_shift: float = (
-        1.0  # 1: the cascade asks for the rates whose slow pole is exactly that of the attitude loop
-    )
+    pole_shift: float = 1.0  # 1: the cascade's slow pole is exactly that of the attitude loop
     feed_forward: float = 0.0  # share of the setpoint's rate that is asked for at once
     derivative: float = 0.0  # torque against angular acceleration, in inertias
     derivative_filter: float = 0.005  # s, low-pass of the gyro for it
@@ -193,12 +156,9 @@ class World(NamedTuple):
     command_jitter: float = 0.0  # s, up to which commands come later than their delay
 
 
-@functools.lru_cache(maxsize=1)
 def constants() -> Constants:
-    """Read `constants.toml`."""
-    text = resources.files(__package__).joinpath("constants.toml").read_text("utf-8")
-    values = {name: entry["value"] for name, entry in tomllib.loads(text).items()}
-    return Constants(**{k: tuple(v) if isinstance(v, list) else float(v) for k, v in values.items()})
+    """Return the constants of `constants.toml`."""
+    return Constants(**_CONSTANTS)
 
 
 def record(values: Constants | Build | World) -> np.void:
