@@ -1,37 +1,27 @@
-"""The documents: code blocks run, commands have their options."""
+"""The documents: code blocks run, commands have their options, links lead somewhere, the site builds."""
 
+import gzip
+import logging
 import re
+import shutil
 
-import numpy as np
 import pytest
 
-from inclined_landing.eval.logs import write_log
 from inclined_landing.models.parameters import load_vehicle, write_vehicle
 from tests import ROOT, documents
-from tests.log_files import a_log
+from tests.campaign.inputs import flight
 
 # Documents whose Python blocks take minutes.
 LONG = {"eval/gap/README.md"}
 
 
-def _flights(folder):
-    """Logs with the names that documents use, of a vehicle that circles."""
-    t = np.arange(0, 4, 0.01)
-    position = np.stack([np.cos(t), np.sin(t), np.full_like(t, 1.2)], axis=1)
-    tilt = -position[:, :2] / 9.81
-    command = np.c_[
-        np.full_like(t, 36_000.0) + 2_000 * np.sin(3 * t), -tilt[:, 1], tilt[:, 0], np.zeros_like(t)
-    ]
-    log = a_log(len(t), t=t, position=position, attitude=0.9 * command[:, 1:], command=command)
-    for name in ("flight1.csv", "flight2.csv.gz", "flights/fit/fit_01.csv"):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_log(folder / name, log)
-
-
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
     """A folder with the files that documents take for granted."""
-    _flights(tmp_path)
+    (tmp_path / "flights" / "fit").mkdir(parents=True)
+    for name in ("flight1.csv", "flights/fit/fit_01.csv"):
+        (tmp_path / name).write_text(flight())
+    (tmp_path / "flight2.csv.gz").write_bytes(gzip.compress(flight().encode()))
     write_vehicle(tmp_path / "vehicle.toml", load_vehicle())
     (tmp_path / "other.xml").write_text("<mujoco/>", "utf-8")
     (tmp_path / "models").symlink_to(ROOT / "models")
@@ -109,3 +99,22 @@ def test_a_wrong_line_is_found(line):
     with pytest.raises((AssertionError, ValueError)):
         for words in documents.lines(line):
             documents.check(words)
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path, monkeypatch):
+    """Strictly: pages and anchors that links lead to, pages that the navigation lacks, names to document."""
+    pytest.importorskip("mkdocs", reason="mkdocs is not installed (extra `docs`)")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    monkeypatch.setenv("NO_MKDOCS_2_WARNING", "1")
+    before = logging.getLogger("mkdocs").level
+    build(load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(tmp_path)))
+    logging.getLogger("mkdocs").setLevel(before)
+    commands = (tmp_path / "reference/commands.html").read_text("utf-8")
+    assert 'id="success"' in commands and "--thrust-scale" in commands
+    page = (tmp_path / "index.html").read_text("utf-8")
+    assert "landing.gif" in page and (tmp_path / "landing.gif").is_file()
+    assert "https://arxiv.org/abs/2103.09043\n" in (tmp_path / "external_links.txt").read_text("utf-8")
+    shutil.rmtree(tmp_path)  # some megabytes

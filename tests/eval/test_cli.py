@@ -169,22 +169,6 @@ def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
     assert len((out / "flights.csv").read_text().splitlines()) == 1 + sum(flights.values())
 
 
-def test_interruption_and_missing_plugins_end_cleanly(monkeypatch, capsys):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    def broken():
-        raise ImportError("the native plugins of inclined_landing are not built")
-
-    monkeypatch.setattr(cli, "find", {"video": interrupted, "doctor": broken}.get)
-    assert cli.main(["video"]) == 130
-    assert cli.main(["doctor"]) == 2
-    assert capsys.readouterr().err.splitlines() == [
-        "landing-eval: interrupted",
-        "landing-eval: the native plugins of inclined_landing are not built",
-    ]
-
-
 # ---- doctor
 
 

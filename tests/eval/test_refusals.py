@@ -1,10 +1,9 @@
 """Wrong input of commands: one sentence, exit code 2, and nothing is written."""
 
-import numpy as np
 import pytest
 
 from inclined_landing.eval import cli
-from inclined_landing.eval.logs import FlightLog, write_log
+from tests.campaign.inputs import flight
 from tests.policy_files import hovering
 
 # Command lines in a folder with a policy hover.zip, a log log.csv, a file and a full folder; part of what is
@@ -90,9 +89,7 @@ def place(tmp_path_factory):
     (folder / "file").touch()
     (folder / "full").mkdir()
     (folder / "full" / "x").touch()
-    t, none = np.linspace(0, 2, 201), np.zeros((201, 3))
-    command = np.tile([42000.0, 0, 0, 0], (201, 1))
-    write_log(folder / "log.csv", FlightLog("log", t, none + np.sin(t)[:, None], none, command))
+    (folder / "log.csv").write_text(flight())
     return folder
 
 

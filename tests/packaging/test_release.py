@@ -1,17 +1,33 @@
-"""What a release needs: workflows that run what the README says, versions that agree, checks that fail."""
+"""What a release needs: workflows, agreeing versions, notices of what is not ours, exact constraints."""
 
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path, PurePosixPath
 
+import pytest
 import yaml
 
 from tests import ROOT
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text("utf-8")
+# What is written, drawn, trained or measured here. Anything else in the tree must be named in the notices.
+OURS = set(
+    ".py .cc .c .h .j2 .css .toml .xml .md .yml .cff .txt .json .csv .ipynb .png .gif .svg .zip".split()
+)
+OUR_SCRIPTS = "eval/replay/player/"  # JavaScript elsewhere is taken for somebody else's
+OUR_NAMES = {"LICENSE", "Makefile", "run", ".gitignore"}
+FOREIGN = re.compile(
+    rb"@license|SPDX-License-Identifier|Copyright \(c\)|Permission is hereby granted", re.IGNORECASE
+)
+OLDEST, NEWEST = "3.11.0", "3.14"
+# What people install; `mocap` has no wheel for the newest Python.
+EXTRAS = ("test-all", "wheel")
+SOURCES_ONLY = "moviepy"  # the last version that goes with today's pillow has no wheel
 
 
 def workflow(name: str) -> dict:
@@ -64,3 +80,75 @@ def test_the_version_is_cited_and_its_tag_needs_a_section_of_the_changelog(tmp_p
     (tmp_path / "CITATION.cff").write_text("version: 0.0.9\n", "utf-8")
     code, said = outcome()
     assert code == 1 and f"pyproject.toml has version {version}, CITATION.cff 0.0.9." in said
+
+
+# --- what is not ours
+
+
+def tree() -> list[str]:
+    """Files of the repository, as git has them."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode:
+        pytest.skip("no git repository here, whose files could be listed")
+    return [name for name in listed.stdout.decode("utf-8").split("\0") if name]
+
+
+def named(path: str) -> bool:
+    """Is a file, or a folder that it is in, named in the notices."""
+    return any(
+        f"`{place}`" in NOTICES for place in (path, *(f"{parent}/" for parent in PurePosixPath(path).parents))
+    )
+
+
+def test_third_party_files_are_named():
+    missing = []
+    about = {"THIRD_PARTY_NOTICES.md", "tests/packaging/test_release.py", "LICENSE"}
+    for path in tree():
+        file = ROOT / path
+        if path in about or not file.is_file():
+            continue
+        ours = file.suffix in OURS or file.name in OUR_NAMES or path.startswith(OUR_SCRIPTS)
+        if not (ours and not FOREIGN.search(file.read_bytes())) and not named(path):
+            missing.append(path)
+    assert not missing, f"name them in THIRD_PARTY_NOTICES.md: {', '.join(missing)}"
+
+
+def test_sources_are_named():
+    marks = re.findall(r"^#   (\[\w\])  ", (ROOT / "models/crazyflie.toml").read_text("utf-8"), re.MULTILINE)
+    assert len(marks) >= 3 and all(mark in NOTICES for mark in marks if mark != "[E]")  # [E]: ours
+
+
+# --- constraints.txt
+
+
+def uv(*words, cwd=ROOT) -> subprocess.CompletedProcess:
+    """`uv pip compile WORDS`, from the package index."""
+    program = shutil.which("uv", path=str(Path(sys.executable).parent))
+    done = subprocess.run(
+        [program, "pip", "compile", "--no-config", *words], capture_output=True, text=True, cwd=cwd
+    )
+    if "Failed to fetch" in done.stderr:
+        pytest.skip("the package index is not reached from here")
+    return done
+
+
+def resolve(python: str, constraints: Path) -> subprocess.CompletedProcess:
+    """All of EXTRAS on Linux with that Python, from wheels alone."""
+    extras = (word for extra in EXTRAS for word in ("--extra", extra))
+    wheels = ("--only-binary", ":all:", "--no-binary", SOURCES_ONLY, "--no-header", "--no-annotate")
+    where = ("--python-version", python, "--python-platform", "x86_64-manylinux_2_28")
+    return uv("pyproject.toml", *extras, *where, *wheels, "-c", str(constraints))
+
+
+@pytest.mark.slow  # what does not go together for this Python is not installed by `make` either
+@pytest.mark.parametrize("python", [OLDEST, NEWEST])
+def test_it_goes_together(python):
+    done = resolve(python, ROOT / "constraints.txt")
+    assert done.returncode == 0, done.stderr  # names the package
+    pinned = {line.split(";")[0].strip() for line in (ROOT / "constraints.txt").read_text().splitlines()}
+    assert set(done.stdout.splitlines()) <= pinned, "something is not pinned: run `make lock`"
+
+
+def test_the_oldest_python_is_that_of_the_package():
+    assert f"OLDEST := {OLDEST}\n" in (ROOT / "Makefile").read_text()
+    assert f'requires-python = ">={OLDEST.removesuffix(".0")}"' in (ROOT / "pyproject.toml").read_text()

@@ -131,6 +131,7 @@ def mistakes(log: FlightLog) -> dict[str, tuple[FlightLog, str]]:
         "z down": ({"z": -z}, "z must point up"),
         "upside down": ({"roll": roll + np.pi}, "upside down in most of the rows"),
         "command roll sign": ({"cmd_roll": -cmd_roll}, "cmd_roll has the wrong sign"),
+        "thrust and roll swapped": ({"cmd_thrust_pwm": cmd_roll, "cmd_roll": pwm}, "cmd_thrust_pwm holds -"),
         "commands swapped": ({"cmd_roll": cmd_pitch, "cmd_pitch": cmd_roll}, "cmd_roll and cmd_pitch mirror"),
         "command degrees": ({"cmd_roll": np.degrees(cmd_roll), "cmd_pitch": np.degrees(cmd_pitch)},
                             "column cmd_roll reaches .* degrees"),

@@ -6,7 +6,6 @@ ATTRIBUTES = [
     *(("attitude", name, text, "") for text in ("0", "-1")
       for name in ("gain", "time_constant", "bandwidth", "yaw_gain", "yaw_bandwidth")),
     ("rotors", "lag_rate", "0", "greater than 0"),
-    ("rotors", "lag_rate", "inf", "1 finite number, it is 'inf'"),
     ("rotors", "state_gain", "-1", "at least 0"),
     ("rotors", "direct_gain", "-1", "at least 0"),
     ("rotors", "drag", "-1 -1 1", "at most 0"),
