@@ -169,6 +169,14 @@ def test_success_prints_json_alone(landing_policy, capsys, tmp_path):
     assert len((out / "flights.csv").read_text().splitlines()) == 1 + sum(flights.values())
 
 
+def test_plugins_that_are_not_built_are_one_sentence(capsys):
+    def broken():
+        raise ImportError("the native plugins are not built")
+
+    assert command_line.exit_code("landing-eval", broken) == 2
+    assert capsys.readouterr().err == "landing-eval: the native plugins are not built\n"
+
+
 # ---- doctor
 
 
