@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from inclined_landing.eval.base.options import Flat, FlightSource, RunFolder
-
-if TYPE_CHECKING:
-    pass
 
 
 def command(
@@ -32,12 +29,11 @@ def command(
     """
     from inclined_landing.envs.shared import runs
     from inclined_landing.eval.base.progress import stages
-    from inclined_landing.eval.base.style import save_figure
     from inclined_landing.eval.gap import diagnose
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
     from inclined_landing.eval.gap.model.reference import read_reference
-    from inclined_landing.eval.gap.report import figures, files, identified, page, words
+    from inclined_landing.eval.gap.report import files, identified, page, words
     from inclined_landing.eval.gap.result import REFERENCE
     from inclined_landing.models.parameters import load_vehicle
 
@@ -66,14 +62,13 @@ def command(
             plants=("analytic", "mujoco"),
         )
         tick("drawing figures")
-        versions, track = runs.versions(), figures.shown_flight(d, nominal, flights)
-        html = page.page(d, track, versions=versions, notes=notes)
+        versions, track = runs.versions(), page.shown_flight(d, nominal, flights)
+        images = page.figures(d, track)
+        html = page.page(d, track, images, versions=versions, notes=notes)
         tick("writing files")
     written: Path | None = None
     try:  # a full disk costs the files, not the answer
         with runs.staged_run(out) as folder:
-            if d.growth:
-                save_figure(figures.overview(d, track), folder / "gap.png")
             kept = folder / REFERENCE
             if found or source.vehicle:
                 kept.parent.mkdir()
@@ -83,7 +78,7 @@ def command(
                 files.keep_vehicle(source.vehicle, kept)
             files.write(d, nominal, folder, base=kept if found else source.vehicle)
             answer = d.to_json() | {"summary": words.how_much(d)}
-            files.write_report(folder, "gap", html, answer, source, began, versions)
+            page.write_report(folder, "gap", html, answer, source, began, versions, images)
         written = out
     finally:
         page.show(d, notes, written)

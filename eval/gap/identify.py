@@ -21,7 +21,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     from inclined_landing.eval.base.progress import stages
     from inclined_landing.eval.gap.answer.identification import identify
     from inclined_landing.eval.gap.flights.usable import read_flights
-    from inclined_landing.eval.gap.report import files, identified
+    from inclined_landing.eval.gap.report import files, identified, page
     from inclined_landing.models.parameters import load_vehicle
 
     nominal = load_vehicle(source.vehicle)
@@ -38,7 +38,7 @@ def command(source: Flat[FlightSource], out: RunFolder) -> None:
     try:
         with runs.staged_run(out) as folder:
             files.write_identified(found, folder, base=source.vehicle)
-            files.write_report(folder, "identify", html, found.to_json(), source, began, versions)
+            page.write_report(folder, "identify", html, found.to_json(), source, began, versions)
         written = out / files.VEHICLE
     finally:
         identified.show(found, flights.notes, written)

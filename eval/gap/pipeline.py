@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer.named import (
-    Evaluation,
     corrected,
     disturbances,
     named_effects,
@@ -81,8 +80,7 @@ def diagnose(
     correction = corrected(found, values)
 
     # How wrong are predictions before and after, and does anything else repeat?
-    evaluation = Evaluation.of(found, correction, use.judged)
-    ahead = open_loop_errors(found, correction, evaluation, values, plants)
+    ahead = open_loop_errors(found, correction, use.judged, values, plants)
     residual = analyse_residual(found, correction.vehicle, ahead.error)
     known = reference.errors if reference else None
     least = least_cost(residual, ahead.gap.get("analytic"), known)
@@ -98,7 +96,7 @@ def diagnose(
         estimated={} if correction.half_widths is None else correction.values,
         half_widths=correction.half_widths or {},
         corrected=contact.vehicle,
-        where=(*regime_errors(evaluation), *contact.where),
+        where=(*regime_errors(correction, use.judged), *contact.where),
         sets=contact.sets(scored_sets(found)),
         unidentifiable_sets=unidentifiable_sets(found),
         touchdowns=contact.touchdowns,
@@ -107,7 +105,7 @@ def diagnose(
         gap=ahead.gap or contact.gap(vehicle, plants),
         platform=use.platform,
         flights=tuple(f.name for f in use.fitted),
-        heldout=tuple(f.name for f in evaluation.problem.flights),
+        heldout=tuple(f.name for f in use.judged or use.fitted),
         notes=(*map(summary_line, inconsistent), *notes, *contact.notes, *ahead.notes),
         reference=known,
         displacements=ahead.displacements,

@@ -65,26 +65,12 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
     return min(named, whole, key=Refit.error_ahead)
 
 
-@dataclasses.dataclass(frozen=True)
-class Evaluation:
-    """Flights that errors are measured on, each with a corrected vehicle that was not fitted to it."""
-
-    problem: Problem
-    vehicles: list[Vehicle]
-
-    @staticmethod
-    def of(found: SetPosterior, correction: Refit, heldout: Sequence[MeasuredFlight]) -> Evaluation:
-        """Return the evaluation on held-out flights; without any, on those fitted."""
-        problem, (_, vehicles) = found.problem, correction.judged(heldout)
-        if heldout:
-            test = Problem.of(heldout, problem.vehicle, {})
-            problem = test.whitened(problem.noise_model, correction.vehicle)
-        return Evaluation(problem, vehicles)
-
-
-def regime_errors(evaluation: Evaluation) -> tuple[RegimeError, ...]:
-    """Return the root mean square errors by regime and channel, before and after."""
-    problem, after = evaluation.problem, evaluation.vehicles
+def regime_errors(correction: Refit, heldout: Sequence[MeasuredFlight]) -> tuple[RegimeError, ...]:
+    """Return the root mean square errors by regime and channel, before and after, on flights not fitted."""
+    problem, (_, after) = correction.problem, correction.judged(heldout)
+    if heldout:
+        test = Problem.of(heldout, problem.vehicle, {})
+        problem = test.whitened(problem.noise_model, correction.vehicle)
     before = problem.white_errors([problem.vehicle] * len(after))
     first, variance = residual.equivalent_sizes(problem, before)
     second, _ = residual.equivalent_sizes(problem, problem.white_errors(after))
@@ -124,14 +110,14 @@ class OpenLoopErrors:
 def open_loop_errors(
     found: SetPosterior,
     correction: Refit,
-    evaluation: Evaluation,
+    heldout: Sequence[MeasuredFlight],
     values: Values,
     plants: Sequence[str],
 ) -> OpenLoopErrors:
-    """Return the open-loop predictions of the flights evaluated, each with its vehicle; values: named."""
-    problem, after = found.problem, evaluation.vehicles
+    """Return the open-loop predictions of flights that were not fitted; values: of the named effects."""
+    problem, (flights, after) = found.problem, correction.judged(heldout)
     try:
-        starts = rollout.RolloutWindows.of(evaluation.problem.flights)
+        starts = rollout.RolloutWindows.of(flights)
     except UserError as why:
         unknown = dict.fromkeys(values, Displacement())
         return OpenLoopErrors(named=unknown, notes=(f"the gap after one second was not measured: {why}",))
@@ -139,7 +125,7 @@ def open_loop_errors(
     error = float(rollout.errors_by_flight(starts, after)[-1])
     pieces = loop_pieces(problem, values)
     named = {n: _displacement(problem, starts, values, pieces if n in pieces else (n,)) for n in values}
-    vehicles = after if evaluation.problem is problem else correction.vehicle
+    vehicles = correction.vehicle if heldout else after
     gap, notes = {}, []
     for plant in dict.fromkeys(("analytic", *plants)):
         try:

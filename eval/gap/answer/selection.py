@@ -233,7 +233,7 @@ def refitted(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, F
     if names and problem.identified:
         columns = problem.all_columns() + problem.form_columns(values)
         local = LinearGaussian.of(problem, found.spread, problem.linearise(values, columns))
-        there = dataclasses.replace(found, local=local)
+        there = dataclasses.replace(found, best=dataclasses.replace(found.best, local=local))
         new = fitted_values(there, names)
         if problem.squares(new) <= problem.squares(values):
             found, values = there, new

@@ -75,13 +75,17 @@ class SetPosterior:
     linear: Linearisation  # at the fit of all effects together
     spread: Spread  # of the flights, by that
     best: FittedSet  # the most probable set, all that scales the thrust counted as one
-    local: LinearGaussian  # the model linearised where sizes are read off
     sets: tuple[ScoredSet, ...]  # most probable first
 
     @property
     def names(self) -> EffectSet:
         """Return the most probable set."""
         return self.best.names
+
+    @property
+    def local(self) -> LinearGaussian:
+        """Return the model linearised where sizes are read off."""
+        return self.best.local
 
     def probability(self, *names: str) -> float:
         """Return the marginal probability that at least one of some effects is missing."""
@@ -98,7 +102,7 @@ def search(problem: Problem, joint: FittedValues) -> SetPosterior:
     scored, nodes = _bagged_posterior(problem, spread, nodes, best)
     names = _most_probable(problem, scored)
     chosen = nodes.get(names) or _fit_set(problem, spread, names, _linear_estimate(problem, best, names))
-    return SetPosterior(problem, linear, spread, chosen, chosen.local, scored)
+    return SetPosterior(problem, linear, spread, chosen, scored)
 
 
 def _most_probable(problem: Problem, scored: Sequence[ScoredSet]) -> EffectSet:

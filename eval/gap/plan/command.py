@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from msgspec import Meta
 
 from inclined_landing.eval.base.options import RunFolder
 from inclined_landing.eval.gap.plan import SECONDS
-
-if TYPE_CHECKING:
-    from inclined_landing.eval.gap.plan.design import Plan
-    from inclined_landing.eval.gap.plan.doubt import InDoubt
-    from inclined_landing.eval.gap.plan.reading import PlanInput
 
 
 def command(
@@ -61,51 +54,13 @@ def command(
         return
     lines = [*doubt.in_doubt(found), *doubt.outcome(found), *beyond, *doubt.why_near(plan)]
     with runs.staged_run(out) as folder:
-        storage.write_text(folder / "flight.csv", plan.points.reference.csv())
-        storage.write_json(folder / "plan.json", to_json(plan, plan_input, found, report) | {"text": lines})
+        storage.write_text(folder / "flight.csv", plan.points.csv())
+        storage.write_json(
+            folder / "plan.json", doubt.to_json(plan, plan_input, found, report) | {"text": lines}
+        )
     flight = out / "flight.csv"
     say(*doubt.flight(plan), *lines)
     command = doubt.fly_command(flight, plan_input.platform, arena)
     print(f"To simulate it: {command} --simulated")
     print(f"To fly it: {command} --uri URI --mocap TYPE:HOST:BODY")
     say(f"The most informative flight is {flight}.", style="bold")
-
-
-def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path) -> dict:
-    """Return the contents of plan.json; probabilities before the flight are those of the report."""
-    import numpy as np
-
-    from inclined_landing.envs.shared import runs
-
-    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
-    reported = {h.effects: h.probability for h in plan_input.hypotheses}
-    sets = [
-        {
-            "effects": h.effects,
-            "probability": reported[h.effects],
-            "expected": float(plan.expected[k, k]),
-            "values": h.values,
-        }
-        for k, h in enumerate(plan.discrimination.hypotheses)
-    ]
-    return {
-        "report": str(report),
-        "platform": plan_input.platform,
-        "seconds": plan.path.seconds,
-        "in_doubt": [dataclasses.asdict(one) for one in found],
-        "sets": sets,
-        "expected": plan.expected_accuracy,
-        "gain": plan.gain,
-        "pieces": [
-            {"kind": s.piece.kind, "start": s.start, "stop": s.stop, "text": s.piece.text}
-            | {"parameters": s.piece.parameters}
-            for s in plan.path.spans
-        ],
-        "simulated": {
-            "flights": sum(len(s) for s in plan.trajectories),
-            "speed": float(np.linalg.norm(states[:, 3:6], axis=1).max()),
-            "tilt": float(np.abs(states[:, 6:8]).max()),
-            "lowest": float(states[:, 2].min()),
-        },
-        "versions": runs.versions(),
-    }

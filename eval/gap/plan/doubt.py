@@ -1,4 +1,4 @@
-"""Sentences on a plan: effects in doubt, manoeuvres, expected probabilities."""
+"""What a plan says, in sentences and as plan.json: effects in doubt, manoeuvres, expected probabilities."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inclined_landing.envs.shared import runs
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan.design import Plan
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
@@ -127,3 +128,39 @@ def fly_command(flight: Path, platform: bool, arena: Path | None) -> str:
     """Return the command that flies a plan; arena: vehicle file of a room that is not the shipped one."""
     options = ["" if platform else " --no-platform", f" --arena {arena}" if arena else ""]
     return f"landing-eval fly --plan {flight}{''.join(options)}"
+
+
+def to_json(plan: Plan, plan_input: PlanInput, found: Sequence[InDoubt], report: Path) -> dict:
+    """Return the contents of plan.json; probabilities before the flight are those of the report."""
+    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in plan.trajectories])
+    reported = {h.effects: h.probability for h in plan_input.hypotheses}
+    sets = [
+        {
+            "effects": h.effects,
+            "probability": reported[h.effects],
+            "expected": float(plan.expected[k, k]),
+            "values": h.values,
+        }
+        for k, h in enumerate(plan.discrimination.hypotheses)
+    ]
+    return {
+        "report": str(report),
+        "platform": plan_input.platform,
+        "seconds": plan.path.seconds,
+        "in_doubt": [dataclasses.asdict(one) for one in found],
+        "sets": sets,
+        "expected": plan.expected_accuracy,
+        "gain": plan.gain,
+        "pieces": [
+            {"kind": s.piece.kind, "start": s.start, "stop": s.stop, "text": s.piece.text}
+            | {"parameters": s.piece.parameters}
+            for s in plan.path.spans
+        ],
+        "simulated": {
+            "flights": sum(len(s) for s in plan.trajectories),
+            "speed": float(np.linalg.norm(states[:, 3:6], axis=1).max()),
+            "tilt": float(np.abs(states[:, 6:8]).max()),
+            "lowest": float(states[:, 2].min()),
+        },
+        "versions": runs.versions(),
+    }

@@ -131,10 +131,10 @@ def fly(points: Setpoints, vehicle: Vehicle, space: Space, noise_levels: NoiseLe
     start = np.zeros((COPIES, STATE_SIZE))
     off = rng.normal(size=(COPIES, 3))
     off *= TOLERANCE * other[:, None] / np.linalg.norm(off, axis=1, keepdims=True)
-    start[:, X : Z + 1], start[:, YAW] = points.path.position[0] + off, points.path.yaw[0]
+    start[:, X : Z + 1], start[:, YAW] = points.position[0] + off, points.path.yaw[0]
     start[:, LAG] = space.vehicle.hover_lag
     plant.reset(np.arange(COPIES), start)
-    period, tracker = plant.control_period, Tracker(points.reference, space.vehicle, COPIES)
+    period, tracker = plant.control_period, Tracker(points, space.vehicle, COPIES)
     steps = math.ceil(points.path.seconds / period)
     states, commands = np.full((steps, COPIES, STATE_SIZE), np.nan), np.zeros((steps, COPIES, 4))
     for k in range(steps):
@@ -164,7 +164,7 @@ def _simulation_violation(states: np.ndarray, points: Setpoints, space: Space) -
         tilt = np.abs(states[..., [ROLL, PITCH]]).max(axis=(0, 2))
         surface = clearance(position, states[..., ROLL : YAW + 1], space).min(axis=0)
         fence = beyond_fence(position, states[..., VX : VX + 3], v).any(axis=0)
-        planned = points.path.position[::stride][: states.shape[1]]
+        planned = points.position[::stride][: states.shape[1]]
         astray = np.linalg.norm(position - planned, axis=2).max(axis=0)
     return _first(
         ("touches something", lost),

@@ -13,28 +13,18 @@ from inclined_landing.models.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
-class Setpoints:
-    """A reference trajectory and the feed-forward commands that track it with the nominal vehicle."""
+class Setpoints(Trajectory):
+    """The trajectory of a path, with the feed-forward commands that track it with the nominal vehicle."""
 
     path: Path
-    velocity: np.ndarray  # (m, 3) m/s
-    acceleration: np.ndarray  # (m, 3) m/s2
-    attitude: np.ndarray  # (m, 3) rad: roll, pitch, yaw
-    command: np.ndarray  # (m, 4) PWM, roll, pitch [rad], yaw rate [rad/s]
-
-    @property
-    def reference(self) -> Trajectory:
-        """Return what the pilot tracks."""
-        p = self.path
-        return Trajectory(p.t, p.position, self.attitude, self.command, self.velocity, self.acceleration)
 
     def log(self, name: str, noise: np.ndarray) -> FlightLog:
         """Return the flight as tracked perfectly and measured with noise (6,) [m, rad], seed 0."""
         rng = np.random.default_rng(0)
-        measured = np.hstack([self.path.position, self.attitude])
+        measured = np.hstack([self.position, self.attitude])
         measured = measured + noise * rng.standard_normal(measured.shape)
         untouched = np.zeros(len(measured), bool)
-        return FlightLog(name, self.path.t, measured[:, :3], measured[:, 3:], self.command, contact=untouched)
+        return FlightLog(name, self.t, measured[:, :3], measured[:, 3:], self.command, contact=untouched)
 
 
 def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
@@ -64,7 +54,7 @@ def setpoints(path: Path, vehicle: Vehicle) -> Setpoints:
         ]
     )
     attitude = np.column_stack([angles, path.yaw])
-    return Setpoints(path, velocity, acceleration, attitude, command)
+    return Setpoints(path.t, path.position, attitude, command, velocity, acceleration, path)
 
 
 def _ahead(values: np.ndarray, delay: float) -> np.ndarray:

@@ -1,17 +1,15 @@
-"""The files of a report's folder: page, answer and record of the run; vehicle file, posterior and MJCF."""
+"""The model files of a report's folder: vehicle file, posterior and MJCF."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from inclined_landing.eval.base.options import FlightSource
 from inclined_landing.eval.gap.answer.identification import Identification, Identified
 from inclined_landing.eval.gap.model.reference import VehiclePosterior, posterior_path
 from inclined_landing.eval.gap.report.words import interval
@@ -23,16 +21,6 @@ from inclined_landing.models.vehicle import Vehicle
 
 VEHICLE, MJCF = "vehicle.toml", "landing.xml"
 Uncertainty = float | tuple[float, ...] | str  # half-width of a 95 % interval, of each number, or "not known"
-
-
-def write_report(
-    folder: Path, command: str, page: str, answer: dict, source: FlightSource, began: float, versions: dict
-) -> None:
-    """Write report.html, report.json and run.json: the command, its options, its time, the versions."""
-    storage.write_text(folder / "report.html", page)
-    storage.write_json(folder / "report.json", answer)
-    statistics = {"seconds": round(time.monotonic() - began, 1), "versions": versions}
-    storage.write_json(folder / "run.json", {"command": command, **dataclasses.asdict(source), **statistics})
 
 
 def write(d: Diagnosis, vehicle: Vehicle, folder: Path, *, base: Path | None = None) -> None:

@@ -114,7 +114,7 @@ def test_a_flight_lands_and_leaves_a_log_that_is_read_the_same_evening(policies,
 def reference(seconds=3.0, reach=0.3):
     """A hover of a second and a run of so many metres along y, turning to the left."""
     path = pieces.Path(*ways(seconds, reach), ())
-    return setpoints(path, load_vehicle()).reference
+    return setpoints(path, load_vehicle())
 
 
 def ways(seconds, reach):

@@ -236,7 +236,7 @@ def test_the_command_writes_the_same_flight_and_it_reads_as_a_log(plan, tmp_path
     said = capsys.readouterr().out
     assert "rotor drag (50 %) and body drag (50 %)" in said and "Expected probabilities" in said
     assert {p.name for p in out.iterdir()} == {"flight.csv", "plan.json"}
-    assert (out / "flight.csv").read_text() == plan.points.reference.csv()
+    assert (out / "flight.csv").read_text() == plan.points.csv()
     log = read_log(out / "flight.csv")
     # Set-points that stand still are read as values that are held, and left out.
     assert log.missing == () and 700 < len(log) < 1000

@@ -21,8 +21,7 @@ from inclined_landing.eval.gap.model.columns import Candidates
 from inclined_landing.eval.gap.model.reference import VehiclePosterior
 from inclined_landing.eval.gap.plan.reading import PlanInput
 from inclined_landing.eval.gap.report import files, words
-from inclined_landing.eval.gap.report.figures import Track
-from inclined_landing.eval.gap.report.page import page, probability_rows, show
+from inclined_landing.eval.gap.report.page import Track, figures, page, probability_rows, show
 from inclined_landing.eval.gap.result import (
     Dependence,
     Diagnosis,
@@ -439,7 +438,7 @@ def test_headlines_say_what_is_known_and_what_is_not():
 @pytest.mark.parametrize("verdict", ["effects", "unknown", "nothing"])
 def test_the_page_stands_alone(verdict, track):
     d = example(verdict)
-    text = page(d, track, versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
+    text = page(d, track, figures(d, track), versions={"mujoco": "4.0"}, notes=("a note on <all> logs",))
     assert words.headline(d) in text and "a note on &lt;all&gt; logs." in text
     assert not re.search(r"(src|href)=\"(?!data:)", text) and "nan" not in text.lower().split("base64")[0]
     assert text.count("data:image/png") == 1
