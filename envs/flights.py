@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from inclined_landing.envs.batch import BatchEnv, as_floats, is_whole
+from inclined_landing.envs.policy import Policy
 from inclined_landing.envs.tasks import Start, Task
 from inclined_landing.models import geometry
 from inclined_landing.models.attitude import PITCH, YAW, Z
@@ -85,7 +86,13 @@ class Actor(Protocol):
 
 
 def record_flights(
-    policy: Actor, plant, states: np.ndarray | Start, *, steps: int | None = None, informed: bool = True
+    policy: Actor,
+    plant,
+    states: np.ndarray | Start,
+    *,
+    steps: int | None = None,
+    informed: bool = True,
+    contact_limit: int | None = None,
 ) -> list[Flight]:
     """Fly the deterministic policy from each of `states` (n, 13) or n starts at once, and return the flights.
 
@@ -99,6 +106,8 @@ def record_flights(
         states: states (n, 13) or n starts.
         steps: fly at most this many control steps (default: the task's limit).
         informed: see `BatchEnv`.
+        contact_limit: end a flight, without success, after this many control steps in contact with a
+            surface (default: never).
 
     Raises:
         UserError: when the number of states is not the plant's.
@@ -130,13 +139,18 @@ def record_flights(
     state[0], platform[0] = plant.state, plant.platform
     ended = np.zeros(n, int)  # index of the last row; 0 while flying
     success, touched = np.zeros(n, bool), np.zeros(n, bool)
+    in_contact = np.zeros(n, int)  # steps up to now
     last = 0
     while last < limit and not ended.all():
-        actions[last] = policy.predict(observation)
+        flying = ended == 0
+        if isinstance(policy, Policy):  # which has no memory, so it need not see those that have ended
+            actions[last], actions[last, flying] = 0.0, policy.predict(observation[flying])
+        else:
+            actions[last] = policy.predict(observation)
         env.act(actions[last])
         lost = np.zeros(n, bool)
         try:
-            plant.step(env.commands, ended == 0)
+            plant.step(env.commands, flying)
         except FloatingPointError:
             if not plant.pool:
                 raise
@@ -148,7 +162,10 @@ def record_flights(
         last += 1
         state[last], reward[last], platform[last] = plant.state, step.reward, plant.platform
         state[last, lost] = state[last - 1, lost]
-        now = (ended == 0) & (step.terminated | step.truncated | lost | (last == limit))
+        if contact_limit is not None:
+            in_contact += plant.contacts.platform | plant.contacts.floor
+            lost |= (in_contact >= contact_limit) & ~step.terminated
+        now = flying & (step.terminated | step.truncated | lost | (last == limit))
         ended[now] = last
         success[now], touched[now] = step.success[now], env.touched[now]
     actions[last], commands[last] = actions[last - 1], commands[last - 1]

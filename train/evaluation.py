@@ -52,7 +52,10 @@ class PeriodicEvaluation:
 
     def score(self, policy: Policy, number: int) -> dict:
         """Return the task's score of flights from the starts of one of the run's evaluations."""
-        flights = record_flights(policy, self.plant, self.starts(number), steps=self.task.judged_steps)
+        task, starts = self.task, self.starts(number)
+        flights = record_flights(
+            policy, self.plant, starts, steps=task.judged_steps, contact_limit=task.contact_limit
+        )
         score = self.task.score(flights)
         if self.plant.pool:
             kinds = {"nominal": flights[::3], "varied": [f for k, f in enumerate(flights) if k % 3]}

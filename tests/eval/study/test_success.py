@@ -113,6 +113,18 @@ def test_a_flight_that_touches_first_is_not_strict(landing, plant):
     assert show._equal(SUCCESS, STRICT, {(): row | {"success": row["strict"]}})
 
 
+def test_a_flight_may_end_after_some_steps_on_a_surface(landing):
+    """One that sinks onto the slab ends there; those in the air and in the goal box are unchanged."""
+    states = np.concatenate([pose(1.4, 0.0), pose(3.0, 0.0), pose(landing.goal_position[1])])
+    policy = Constant(landing, -0.3, 0.0)
+    whole = record_flights(policy, "mujoco", states, steps=60)
+    flights = record_flights(policy, "mujoco", states, steps=60, contact_limit=2)
+    first = np.flatnonzero(whole[0].reward == -7.0)[1]  # the reward of a step in contact
+    assert [len(f.t) - 1 for f in flights] == [first, 60, len(whole[2].t) - 1]
+    assert [f.touched for f in flights] == [True, False, False] and flights[2].success
+    np.testing.assert_array_equal(flights[0].state, whole[0].state[: first + 1])
+
+
 def test_wrong_arguments_of_record_flights_are_one_sentence(landing):
     policy = Constant(landing, 0, 0)
     for arguments, options, sentence in (
