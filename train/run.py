@@ -152,7 +152,8 @@ class Run:
             self.curriculum.restore(state.curriculum)
             self.curriculum.log()
             self.averages = checkpoint.averages(self.model, saved)
-            if self.config.most_steps() < state.steps:
+            # The last iteration is a whole one, which may end after the steps that were requested.
+            if self.config.most_steps() <= state.steps - self.config.per_iteration:
                 raise UserError(
                     f"has {state.steps} steps, more than the {self.config.most_steps()} requested"
                 )

@@ -31,6 +31,20 @@ def dilated(mask: np.ndarray) -> np.ndarray:
     return tall
 
 
+def covered(shape: tuple[int, int], centres: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return a mask (h, w) of the pixels in any of the circles; centres (n, 2) are columns and rows."""
+    mask = np.zeros(shape, bool)
+    for (x, y), r in zip(centres, radius):
+        if not np.isfinite(r):
+            return ~np.zeros(shape, bool)
+        box = clip_box((*np.floor([x - r, y - r]), *np.ceil([x + r, y + r])), shape[1], shape[0])
+        if box is not None:
+            c0, r0, c1, r1 = box
+            across, down = np.arange(c0, c1) + 0.5 - x, np.arange(r0, r1) + 0.5 - y
+            mask[r0:r1, c0:c1] |= across**2 + (down**2)[:, None] < r * r
+    return mask
+
+
 def box_blur(image: np.ndarray, radius: int) -> np.ndarray:
     """Return the image blurred twice by a square of 2 radius + 1 pixels."""
     for _ in range(2):

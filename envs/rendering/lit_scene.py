@@ -6,6 +6,8 @@ Rays of one cast share their origin, so parallel rays (sunlight, orthographic ca
 
 from __future__ import annotations
 
+import copy
+
 import mujoco
 import numpy as np
 
@@ -60,6 +62,12 @@ class LitScene:
         self.casters = np.flatnonzero((group == SCENE) & (m.geom_rbound > 0))  # planes have none
         self.place(np.array([0.0, 0.0, -100.0, 1.0, 0.0, 0.0, 0.0]))
         self.shadow_box = self._shadow_box()
+
+    def twin(self) -> LitScene:
+        """Return the same scene for another thread: the model is shared, the data are not."""
+        twin = copy.copy(self)
+        twin.data = copy.copy(self.data)
+        return twin
 
     def _blade_angle(self, disc: int) -> tuple[float, float]:
         """Return the angle of a blade on its disc [rad] and the sense of rotation, 1 or -1."""

@@ -8,13 +8,23 @@ can cover.
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from inclined_landing.envs.rendering import overlay
 from inclined_landing.envs.rendering.camera import View, dot
-from inclined_landing.envs.rendering.images import bilinear, bounding_box, box_blur, clip_box, dilated, edges
+from inclined_landing.envs.rendering.images import (
+    bilinear,
+    bounding_box,
+    box_blur,
+    clip_box,
+    covered,
+    dilated,
+    edges,
+)
 from inclined_landing.envs.rendering.lit_scene import (
     FRAME,
     SCENE,
@@ -26,9 +36,13 @@ from inclined_landing.envs.rendering.lit_scene import (
 )
 from inclined_landing.envs.rendering.pose import Ghost, Pose
 from inclined_landing.envs.rendering.renderer import Drawing, SceneRenderer
+from inclined_landing.models import threads
 
 _SKY_LOW, _SKY_HIGH = np.array([0.90, 0.93, 0.97]), np.array([0.82, 0.87, 0.94])
 _CACHED_GHOSTS = 32
+_AT_ONCE = 8192  # pixels; their numbers fit into a processor's cache
+_RIM = 1.1  # radii of a rotor's disc within which it is drawn, with its soft edge
+_AROUND = 3.0  # pixels around what may be hit: edges are found in the neighbours of pixels
 _EDGE = np.array([(i, j) for j in (0.25, 0.75) for i in (0.25, 0.75)])  # sub-pixel positions
 _FINE = np.array([(i / 8, j / 8) for j in (1, 3, 5, 7) for i in (1, 3, 5, 7)])
 
@@ -99,9 +113,10 @@ class RayRenderer(SceneRenderer):
 
     def _draw_background(self, view: View, fine: bool) -> _Background:
         scene, h, w = self._scene, self.height, self.width
+        scenes = scene, scene.twin()
         column, row = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
         column, row = column.ravel(), row.ravel()
-        lit, dark, depth, points, label = self._scene_samples(view, column, row, (0.0, 0.0))
+        lit, dark, depth, points, label = self._in_parts(scenes, view, column, row, (0.0, 0.0))
         label = label.reshape(h, w)
         mask = edges(label >> 1)
         shadow = edges(label & 1, reach=max(1, h // 60) if fine else 1) & (label >= 0)
@@ -112,7 +127,8 @@ class RayRenderer(SceneRenderer):
             # every sub-sample sees its own point of the sun's disc: soft shadows
             turn, radius = 2.399963 * k, SUN_RADIUS * np.sqrt((k + 0.5) / len(offsets)) * fine
             sun = (radius * np.cos(turn), radius * np.sin(turn))
-            sample = self._scene_samples(view, column[index] - 0.5 + dx, row[index] - 0.5 + dy, sun)
+            at = column[index] - 0.5 + dx, row[index] - 0.5 + dy
+            sample = self._in_parts(scenes, view, *at, sun)
             sums[0] += sample[0]
             sums[1] += sample[1]
         lit[index], dark[index] = sums[0] / len(offsets), sums[1] / len(offsets)
@@ -120,9 +136,20 @@ class RayRenderer(SceneRenderer):
         lit, dark = lit.reshape(h, w, 3), dark.reshape(h, w, 3)
         return _Background(lit, dark, depth.reshape(h, w), light.reshape(h, w, 3), _as_uint8(lit))
 
-    def _scene_samples(self, view: View, column, row, sun):
+    def _in_parts(self, scenes: Sequence[LitScene], view: View, column, row, sun) -> list[np.ndarray]:
+        """Return what `_scene_samples` does, computed in small parts and by a thread for each scene."""
+        parts = threads.shares(len(column), -(-len(column) // _AT_ONCE))
+
+        def samples(share: tuple[LitScene, tuple[int, int]]):
+            scene, (first, end) = share
+            inside = [slice(*part) for part in parts[first:end]]
+            return [self._scene_samples(scene, view, column[part], row[part], sun) for part in inside]
+
+        done = threads.in_threads(samples, list(zip(scenes, threads.shares(len(parts), len(scenes)))))
+        return [np.concatenate(arrays) for arrays in zip(*itertools.chain(*done))]
+
+    def _scene_samples(self, scene: LitScene, view: View, column, row, sun):
         """Return colours with and without sun (n, 3), depth (n,), points (n, 3) and labels (n,) of pixels."""
-        scene = self._scene
         rays = view.rays(column, row)
         geom, distance, normal = scene.cast(view.eye, rays, SCENE, FRAME)
         hit = np.flatnonzero(geom >= 0)
@@ -261,9 +288,11 @@ class RayRenderer(SceneRenderer):
         points = a[:, None] * scene.sun[0] + b[:, None] * scene.sun[1] + depth * scene.sun[2]
         ray = points - scene.sun_eye
         ray /= dot(ray, scene.sun[2])[:, None]
-        geom, _, _ = scene.cast(scene.sun_eye, ray, VEHICLE, normals=False)
-        opaque = (geom >= 0).astype(np.float32)
-        light = np.zeros_like(opaque)
+        place = (scene.data.geom_xpos[scene.parts] @ scene.sun[:2].T - low[:2]) / texel + 0.5
+        reach = scene.model.geom_rbound[scene.parts] / texel + 1.0
+        met = np.flatnonzero(covered((size[1], size[0]), place, reach))
+        opaque, light = np.zeros((2, len(points)), np.float32)
+        opaque[met] = scene.cast(scene.sun_eye, ray[met], VEHICLE, normals=False)[0] >= 0
         for k in scene.discs:
             normal = scene.data.geom_xmat[k].reshape(3, 3)[:, 2]
             centre = scene.data.geom_xpos[k]
@@ -305,11 +334,16 @@ class RayRenderer(SceneRenderer):
         scene = self._scene
         c0, r0, c1, r1 = box
         h, w = r1 - r0, c1 - c0
-        column, row = np.meshgrid(np.arange(c0, c1) + 0.5, np.arange(r0, r1) + 0.5)
-        column, row = column.ravel(), row.ravel()
+        solid = self._reached(view, box, scene.parts, 1.0)
+        reached = np.flatnonzero(solid | self._reached(view, box, scene.discs, _RIM))
+        column, row = c0 + reached % w + 0.5, r0 + reached // w + 0.5
         rays = view.rays(column, row)
-        geom, distance, normal = scene.cast(view.eye, rays, VEHICLE)
-        edge = dilated(edges(geom.reshape(h, w))).ravel()
+        met = solid.ravel()[reached]
+        geom, distance, normal = np.full(len(rays), -1), np.full(len(rays), -1.0), np.zeros((len(rays), 3))
+        geom[met], distance[met], normal[met] = scene.cast(view.eye, rays[met], VEHICLE)
+        seen = np.full((h, w), -1)
+        seen.reshape(-1)[reached] = geom
+        edge = dilated(edges(seen)).ravel()[reached]
         plain, edge = np.flatnonzero(~edge), np.flatnonzero(edge)
         sub_column = (column[edge][:, None] - 0.5 + _EDGE[:, 0]).ravel()
         sub_row = (row[edge][:, None] - 0.5 + _EDGE[:, 1]).ravel()
@@ -317,6 +351,7 @@ class RayRenderer(SceneRenderer):
         sub_geom, sub_distance, sub_normal = scene.cast(view.eye, sub_rays, VEHICLE)
         rgb, alpha, depth = self._vehicle_samples(
             view,
+            np.stack([np.append(column[plain], sub_column), np.append(row[plain], sub_row)], axis=1),
             np.concatenate([rays[plain], sub_rays]),
             np.concatenate([geom[plain], sub_geom]),
             np.concatenate([distance[plain], sub_distance]),
@@ -324,18 +359,28 @@ class RayRenderer(SceneRenderer):
             ghost,
         )
         k = len(plain)
-        n, parts = h * w, len(_EDGE)
+        n, parts = len(reached), len(_EDGE)
         colour, cover, near = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
         colour[plain], cover[plain], near[plain] = rgb[:k], alpha[:k], depth[:k]
         colour[edge] = rgb[k:].reshape(-1, parts, 3).mean(axis=1)
         cover[edge] = alpha[k:].reshape(-1, parts).mean(axis=1)
         near[edge] = depth[k:].reshape(-1, parts).min(axis=1)
         kept = np.flatnonzero(cover > 0)
-        pixels = (r0 + kept // w, c0 + kept % w)
+        pixels = (r0 + reached[kept] // w, c0 + reached[kept] % w)
         return pixels, colour[kept], cover[kept], near[kept]
 
-    def _vehicle_samples(self, view: View, rays, geom, distance, normal, ghost: Ghost | None):
-        """Return colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays."""
+    def _reached(self, view: View, box, geoms: np.ndarray, factor: float) -> np.ndarray:
+        """Return a mask (h, w) of the pixels of a box that rays to the geoms, so much enlarged, may pass."""
+        centres, radius = self._scene.data.geom_xpos[geoms], factor * self._scene.model.geom_rbound[geoms]
+        pixel, size = view.circles(centres, radius)
+        c0, r0, c1, r1 = box
+        return covered((r1 - r0, c1 - c0), pixel - [c0, r0], size + _AROUND)
+
+    def _vehicle_samples(self, view: View, pixel, rays, geom, distance, normal, ghost: Ghost | None):
+        """Return colour weighted by coverage (n, 3), coverage (n,) and depth (n,) along rays.
+
+        pixel: columns and rows (n, 2) of the rays.
+        """
         scene = self._scene
         n = len(rays)
         rgb, alpha, depth = np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf)
@@ -343,11 +388,11 @@ class RayRenderer(SceneRenderer):
         if len(hit):
             ray, t = rays[hit], distance[hit]
             points = view.eye + t[:, None] * ray
-            visible = scene.sunlit(points, SCENE, VEHICLE)
-            shaded, direct = scene.shade(
+            colour, direct = scene.shade(
                 geom[hit], points, normal[hit], unit_vectors(ray), view.pixel_size(t)
             )
-            colour = shaded + visible[:, None] * direct
+            facing = np.flatnonzero(direct.any(axis=1))
+            colour[facing] += scene.sunlit(points[facing], SCENE, VEHICLE)[:, None] * direct[facing]
             if ghost is not None:
                 grey = colour.mean(axis=1, keepdims=True)
                 tinted = np.asarray(ghost.colour) * (0.45 + 0.75 * grey)
@@ -357,19 +402,22 @@ class RayRenderer(SceneRenderer):
             frame = scene.data.geom_xmat[k].reshape(3, 3)
             centre, radius = scene.data.geom_xpos[k], scene.model.geom_size[k][0]
             # Ray e + t d meets the disc's plane (x - c).n = 0 at t = (c - e).n / (d.n).
-            slope = dot(rays, frame[:, 2])
+            middle, size = view.circles(centre[None], np.array([_RIM * radius]))
+            away = pixel - middle
+            near = np.flatnonzero(away[:, 0] ** 2 + away[:, 1] ** 2 < (size + 1.0) ** 2)
+            slope = dot(rays[near], frame[:, 2])
             t = ((centre - view.eye) @ frame[:, 2]) / np.where(np.abs(slope) < 1e-9, 1e-9, slope)
             with np.errstate(over="ignore", invalid="ignore"):
-                offset = view.eye + t[:, None] * rays - centre
+                offset = view.eye + t[:, None] * rays[near] - centre
                 reach = np.sqrt(dot(offset, offset))
-            near = np.flatnonzero((reach < 1.1 * radius) & (t > 0))
-            if not len(near):
+            inside = np.flatnonzero((reach < _RIM * radius) & (t > 0))
+            if not len(inside):
                 continue
-            r, t = reach[near], t[near]
-            tilt = np.maximum(np.abs(slope[near]), 0.03)
+            near, slope, t, offset, r = (x[inside] for x in (near, slope, t, offset, reach))
+            tilt = np.maximum(np.abs(slope), 0.03)
             soft = view.pixel_size(t) / tilt
             cover = np.clip((radius - r) / soft + 0.5, 0.0, 1.0)
-            x, y = dot(offset[near], frame[:, 0]), dot(offset[near], frame[:, 1])
+            x, y = dot(offset, frame[:, 0]), dot(offset, frame[:, 1])
             behind = np.mod(sense * (phase - np.arctan2(y, x)), np.pi)
             blur = 0.5 * np.exp(-behind / 0.30) * np.clip(r / radius * 3.0, 0, 1)
             rim = 0.12 * (r / radius) ** 8
