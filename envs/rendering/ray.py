@@ -7,6 +7,7 @@ can cover.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -71,6 +72,13 @@ class RayRenderer(SceneRenderer):
 
     def _move_platform(self, pose: Pose) -> None:
         self._scene.move_platform(pose.platform_pos, pose.platform_quat)
+
+    def several(self, count: int) -> list[RayRenderer]:
+        """Return `count` renderers, which share the background and the ghosts that have been drawn."""
+        renderers = [self, *(copy.copy(self) for _ in range(count - 1))]
+        for renderer in renderers[1:]:
+            renderer._scene = self._scene.twin()
+        return renderers
 
     def close(self) -> None:
         """Discard the cached background."""
@@ -308,15 +316,16 @@ class RayRenderer(SceneRenderer):
     def _draw_vehicle(self, canvas: overlay.Canvas, view: View, qpos, box, ghost) -> None:
         """Draw the vehicle, or a ghost of it, onto the canvas where it is nearer."""
         if ghost is None:
-            pixels, colour, cover, near = self._vehicle_layer(view, qpos, box, None)
+            layer = self._vehicle_layer(view, qpos, box, None)
         else:  # ghosts often stay where they are
             kept = self._cached_background[1].ghosts
             key = (qpos.tobytes(), tuple(ghost.colour), ghost.tint)
-            if key not in kept:
+            layer = kept.get(key)
+            if layer is None:
                 if len(kept) >= _CACHED_GHOSTS:
                     kept.clear()
-                kept[key] = self._vehicle_layer(view, qpos, box, ghost)
-            pixels, colour, cover, near = kept[key]
+                layer = kept[key] = self._vehicle_layer(view, qpos, box, ghost)
+        pixels, colour, cover, near = layer
         index = (pixels[0] - canvas.row) * canvas.depth.shape[1] + pixels[1] - canvas.column
         kept = np.flatnonzero(near < canvas.depth.ravel()[index] + SHADOW_BIAS)
         index, colour, cover, near = index[kept], colour[kept], cover[kept], near[kept]

@@ -66,13 +66,21 @@ class SceneRenderer(abc.ABC):
         """
         pose = self._pose(scene, inclination)
         if trail is not None and np.shape(trail)[1:] == (13,):
-            trail = scenery.scaled_centres(self.model, trail, self.scale)
+            trail = self.centres(trail)
         ghosts = [g if isinstance(g, Ghost) else Ghost(np.asarray(g, float)) for g in ghosts]
         trail = None if trail is None or len(trail) < 2 else np.asarray(trail, float)
         frame = self._draw(pose, Drawing(trail, trail_colour, ghosts, show_vehicle))
         if caption:
             overlay.draw_caption(frame, caption, scenery.scale_note(self.scale))
         return frame
+
+    def centres(self, states) -> np.ndarray:
+        """Return the centres (k, 3) [m] of the drawn vehicle at states (k, 13)."""
+        return scenery.scaled_centres(self.model, states, self.scale)
+
+    def several(self, count: int) -> Sequence[SceneRenderer]:
+        """Return at most `count` renderers of this scene that draw in threads of their own; itself first."""
+        return [self]
 
     def view(self, scene, inclination: float | None = None) -> View:
         """Return the view that `render` uses for this scene: projects points to pixels."""

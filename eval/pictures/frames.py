@@ -36,6 +36,7 @@ from inclined_landing.eval.pictures.labels import (
 )
 from inclined_landing.eval.pictures.path import path_share, select_copies
 from inclined_landing.eval.pictures.to_rest import LandedFlight
+from inclined_landing.models import threads
 from inclined_landing.models.base import storage
 from inclined_landing.models.base.errors import UserError
 
@@ -144,16 +145,24 @@ def render_flight(
     colours = leg_colours(flight) if isinstance(flight, Mission) else None
     look = {"width": width, "height": height, "camera": camera, "backend": backend}
     with renderer_for(flight, look, renderer) as drawing:
-        for k in frames:
-            frame = drawing.render(
+        trail = None if close else drawing.centres(flight.state)
+
+        def draw(part):
+            renderer, k = part
+            frame = renderer.render(
                 pose_at(flight, k),
-                trail=None if close else flight.state[: k + 1],
+                trail=None if trail is None else trail[: k + 1],
                 trail_colour=None if colours is None else colours[: k + 1],
                 ghosts=[] if close else ghosts[k],
                 caption=caption(flight, k),
             )
             draw_labels(frame, speed_label(slow) + labels_of(flight, k))
-            yield frame
+            return frame
+
+        yield draw((drawing, frames[0]))  # alone: its background serves the others
+        renderers = drawing.several(2)
+        for first in range(1, len(frames), len(renderers)):
+            yield from threads.in_threads(draw, list(zip(renderers, frames[first:])))
 
 
 def renderer_for(flight: Track, look: Mapping[str, Any], renderer: Any = None):

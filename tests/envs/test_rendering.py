@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer
+from inclined_landing.envs.rendering import Ghost, Pose, look_at, make_renderer, ray
 from inclined_landing.envs.rendering import gl as gl_backend
 from inclined_landing.envs.rendering.overlay import caption_height
 from inclined_landing.envs.rendering.pose import qpos_of_state
@@ -51,6 +51,29 @@ def test_kept_background_equals_a_fresh_picture_bit_for_bit(hero):
             trail[k], trail=trail[: k + 1], ghosts=[goal], caption="x"
         )
         np.testing.assert_array_equal(kept, fresh)
+
+
+@pytest.mark.parametrize("camera", ["hero", "side", "onboard"])
+def test_no_ray_is_left_out_that_meets_the_vehicle(camera, monkeypatch):
+    """Pictures equal those for which every ray of the vehicle's box is cast, with both projections."""
+    states = [hovering(), hovering(2.9, 2.9, -0.6), hovering(-0.4, 1.0, 1.5)]
+    goal = Ghost(qpos_of_state(hovering(0.0, 1.2, -0.4)), shadow=True)
+    few, all_of_them = [], []
+    with make_renderer(W, H, camera) as renderer:
+        for pictures in (few, all_of_them):
+            pictures += [renderer.render(state, ghosts=[goal]) for state in states]
+            monkeypatch.setattr(ray, "covered", lambda shape, *_: np.ones(shape, bool))
+            renderer._cached_background = (None, None)
+    np.testing.assert_array_equal(few, all_of_them)
+
+
+def test_several_renderers_draw_what_one_does(hero):
+    """The second one shares the background, but neither the vehicle nor the platform."""
+    one, other = hero.several(2)
+    tilted = one.render(hovering(), inclination=-0.8)
+    for _ in range(2):
+        np.testing.assert_array_equal(other.render(hovering()), hero.several(1)[0].render(hovering()))
+        np.testing.assert_array_equal(one.render(hovering(), inclination=-0.8), tilted)
 
 
 def test_side_camera_shows_metres_exactly():

@@ -157,6 +157,7 @@ def test_a_finished_run_is_trained_for_more(length, tmp_path, monkeypatch):
     assert first["finished"] and first["steps"] == 256
     with pytest.raises(UserError, match="has 256 steps, more than the 128 requested"):
         Run(TrainConfig(out=folder, resume=True, steps=128))
+    assert train(TrainConfig(out=folder, resume=True, steps=200))[1]["steps"] == 256  # whole iterations
     _, stopped = train(TrainConfig(out=folder, resume=True, steps=512, max_seconds=1e-6))
     assert not stopped["finished"] and json.loads((folder / "run.json").read_text())["config"]["steps"] == 512
     _, last = train(TrainConfig(out=folder, resume=True))
