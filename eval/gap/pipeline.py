@@ -132,7 +132,8 @@ def in_strong_wind(found: SetPosterior) -> bool:
 def steady_force(candidates: Candidates, values: Values) -> float:
     """Return the largest steady sideways force of `values` on a hovering vehicle, over its weight.
 
-    The drag of a wind, or what a tilt of the measured attitude, which may stand for it, amounts to.
+    It is the drag of a wind, or the force that a tilt of the measured attitude, which may stand for a wind,
+    amounts to.
     """
     tilts = [np.hypot(*values[n].values()) for n in ("mocap_tilt", "level_calibration") if n in values]
     tilt = float(max(tilts, default=0.0))

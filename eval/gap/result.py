@@ -44,9 +44,9 @@ def _finite(kind: type, values: object) -> np.ndarray:
 class RegimeError:
     """Short-window prediction error of one channel in one regime, before and after.
 
-    Translation: root mean square of the constant acceleration (m/s2) that each window's error looks like,
-    one axis; attitude and yaw: of the angle error (rad) at the end of a window; touchdown: of the
-    position error (m). Numbers are on flights the model was not fitted to.
+    Translation has the root mean square of the constant acceleration (m/s2) along one axis that each window's
+    error looks like, attitude and yaw that of the angle error (rad) at the end of a window, touchdown that of
+    the position error (m). The flights are those that the model was not fitted to.
     """
 
     regime: str  # hover, climb, lateral, attitude_step, near_surface, low_battery, touchdown, or all
@@ -93,19 +93,20 @@ class NamedEffect:
     gain: float  # share of the closable squared error that is lost without it, 0..1
     remedy: str
     cost: float = math.nan  # m, position error one second ahead that it alone makes
-    # m/s2, acceleration that it makes in hover, and its 95 % interval, the vehicle's other constants as they
-    # are: the product with these that the flights see. None where its size does not need them.
+    # Acceleration [m/s2] that it makes in hover together with the vehicle's other constants, and its 95 %
+    # interval: the flights determine this product. None where they determine its size.
     product: tuple[float, tuple[float, float]] | None = None
     doubt: str = ""  # a sentence: why it is not sure, whatever its probability
-    # Effect -> parameter -> value, of which only the sum is seen, and its parameter is a size of that sum.
+    # Effect -> parameter -> value of the effects of which the flights show only the sum; then the parameter
+    # above is a size of that sum.
     parts: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     @property
     def sure(self) -> bool:
         """Return whether the probability is at least SURE: few such names were wrong on other families.
 
-        One of its sizes must differ from neutral by its interval, and not end at a bound: the flights ask
-        for more of it than there can be. No doubted name is sure.
+        One of its sizes must differ from neutral by its interval, and not end at a bound, where the flights
+        would need more of it than there can be. No doubted name is sure.
         """
         firm = any(p.firm for p in self.sizes)
         return self.probability >= thresholds.SURE and firm and not self.doubt
@@ -150,7 +151,7 @@ class ResidualAnalysis:
     def material(self, one: Dependence) -> bool:
         """Return whether a function surely moves the vehicle, by a share MATERIAL of the squared error.
 
-        Yaw never does.
+        A function of the heading never does.
         """
         if one.channel == "yaw" or not math.isfinite(self.error):
             return one.channel != "yaw"
@@ -207,7 +208,7 @@ class ReferenceErrors:
     def disturbed(self, disturbance: Mapping[str, Disturbance]) -> dict[str, float]:
         """Return the axes along which the disturbance is larger, by intervals too, and how many times so.
 
-        That of the angles goes with how much a flight steers: no loop is quite of its form.
+        That of the angles grows with how much a flight steers, as no loop is quite of the modelled form.
         """
         return {
             channel: one.size / max(own.size, 1e-9)
@@ -300,10 +301,10 @@ class ErrorGrowth:
 def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: ReferenceErrors | None) -> float:
     """Return the position error [m] up to which an effect must account for more not to be in doubt.
 
-    Infinite: all are, because what the named effects leave is much larger than the error of the reference
-    flights, or because most of it repeats from flight to flight. With no larger an error than the reference
-    flights', what repeats may be the identified vehicle's own. If that is small compared with the error
-    before, it casts doubt only on effects of its size.
+    It is infinite, so that all effects are in doubt, where the error that the named effects leave is much
+    larger than that of the reference flights, or mostly repeats from flight to flight. Where it is no larger
+    than that of the reference flights, what repeats may be the identified vehicle's own error. If that is
+    small compared with the error before, it casts doubt only on effects of its size.
     """
     if gap is None:
         return math.inf if residual.unexplained else 0.0
@@ -321,7 +322,7 @@ class Diagnosis:
     """The answer of `diagnose`; `apply` adds what the flights show to a vehicle."""
 
     effects: tuple[NamedEffect, ...]
-    # The vehicle diagnosed, with the named effects; an identified one may have all others estimated again.
+    # The vehicle diagnosed with the named effects; of an identified one all constants may be estimated again.
     corrected: Vehicle
     where: tuple[RegimeError, ...]
     sets: tuple[ScoredSet, ...]  # most probable first; with effects of contact where there are landings
@@ -342,9 +343,9 @@ class Diagnosis:
     # Fields of the vehicle that these change, with half-widths of their 95 % intervals.
     half_widths: Mapping[str, float | tuple[float, ...]] = dataclasses.field(default_factory=dict)
     reference: ReferenceErrors | None = None  # of the identified vehicle's own flights
-    # Of effects that were not named: m within a second, by their size in the most probable set with each.
+    # Effect that was not named -> displacement [m] within a second, by its size in the best set with it.
     displacements: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    # Where names change it: thrust over weight at the usual command, over the modelled one, and its interval.
+    # Thrust over weight at the usual command, over the modelled one, and its interval; None: as modelled.
     thrust_over_weight: tuple[float, tuple[float, float]] | None = None
     growth: ErrorGrowth | None = None  # None: no flight has a usable second
 
@@ -374,8 +375,8 @@ class Diagnosis:
     def repeats(self) -> bool:
         """Return whether the flights repeat more than the named effects explain.
 
-        Where their error does not exceed that of the reference's flights, it must be most of it: what
-        repeats there may be the reference's.
+        Where their error does not exceed that of the reference's flights, most of it must repeat: less may
+        be the reference's own error.
         """
         g = self.gap.get("analytic")
         if self.reference is not None and g is not None and g.after <= self.reference.error:
@@ -388,8 +389,9 @@ class Diagnosis:
     def undecided(self) -> dict[str, float]:
         """Return the possible effects among which it is undecided, with their probabilities.
 
-        All of them, where they are probable; where the error exceeds that of the reference, those that move
-        the vehicle by half of what its square does so by.
+        They are all possible effects, where these are probable. Where the error exceeds that of the
+        reference, they are those whose squared displacement is at least MAKES_UP of the squared error beyond
+        it.
         """
         if self.reference is None or not self.larger_error:
             return self.possible if self.probability(*self.possible) >= thresholds.UNDECIDED else {}
@@ -446,7 +448,8 @@ class Diagnosis:
     def exceeds_reference(self) -> bool:
         """Return whether the error left exceeds that of the reference's flights.
 
-        Or disturbances do, unless the error left is smaller by USEFUL: these do not show in the position.
+        Larger disturbances count as well, unless the error left is smaller by USEFUL: then they do not show
+        in the position.
         """
         own = self.reference.error if self.reference else math.inf
         shows = not self.residual.error < (1.0 - thresholds.USEFUL) * own

@@ -26,7 +26,7 @@ from inclined_landing.eval.gap.answer.posterior import (
     problem_about,
     with_library,
 )
-from inclined_landing.eval.gap.answer.selection import Refit
+from inclined_landing.eval.gap.answer.selection import Refit, half_width
 from inclined_landing.eval.gap.flights.usable import UsableFlights, fingerprint, usable_flights
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer.fit import (
@@ -35,7 +35,7 @@ from inclined_landing.eval.gap.infer.fit import (
     fit_least_squares,
     fit_vehicle,
 )
-from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, ParameterEstimate, Spread
+from inclined_landing.eval.gap.infer.gaussian import LinearGaussian, Spread
 from inclined_landing.eval.gap.infer.heterogeneity import inconsistent_flights, summary_line
 from inclined_landing.eval.gap.infer.landing_reference import landing_reference
 from inclined_landing.eval.gap.infer.sets import leave_one_out
@@ -130,7 +130,10 @@ def identify(
         if others[2].ahead.get("after", math.inf) < fitted.ahead.get("after", math.inf):
             (problem, joint, fitted), kept = others, large
     inconsistent = inconsistent_flights(problem, problem.linearise(joint, problem.all_columns()))
-    while more := fitted.acting_on_worse() - kept:  # does it help to leave these as they were?
+    # This is not the rule of `useful_values`: there a name must be earned, and the effect that errors one
+    # second ahead need least is dropped, one at a time; here a constant stays fitted unless an axis is then
+    # predicted worse than by the vehicle before, and all that act on such an axis are left as they were.
+    while more := fitted.acting_on_worse() - kept:
         rest = {n: e for n, e in library.items() if n not in kept | more}
         fewer = _Fit.of(with_library(problem, rest), joint, use.judged)
         if not fewer.is_better_than(fitted):
@@ -200,7 +203,7 @@ class _Fit:
         values = _idle_references(problem, fit_vehicle(problem, spread, start, names)[0])
         local = LinearGaussian.of(problem, spread, problem.linearise(values, columns))
         every = (values, *leave_one_out(problem, local, names, values))
-        own, *left_out = ({n: v for n, v in one.items() if not LIBRARY[n].of_the_place} for one in every)
+        own, *left_out = map(_without_place, every)
         refit, before = Refit(problem, own, left_out), problem.vehicle
         judged, vehicles = refit.judged(heldout)
         fit, ahead, worse = _fits(judged, before, vehicles), {}, {}
@@ -220,7 +223,8 @@ class _Fit:
     def large_beyond_slopes(self) -> frozenset[str]:
         """Return the effects of more than a plausible size that are not linear in all of their numbers.
 
-        Requests of the motors show a moment whatever the loops do with it: there, it is.
+        Where the requests of the motors were logged there are none: these show a moment whatever the loops
+        do with it.
         """
         effects = () if self.problem.requested else self.problem.library.values()
         bent = [e for e in effects if not all(p.linear for p in e.parameters)]
@@ -243,6 +247,11 @@ class _Fit:
             if int(np.argmax(change)) in channels and change.any():
                 result.append(name)
         return frozenset(result)
+
+
+def _without_place(values: Values) -> FittedValues:
+    """Return the values of the effects that are the vehicle's, not of the place where it flew."""
+    return {n: dict(v) for n, v in values.items() if not LIBRARY[n].of_the_place}
 
 
 def worse_axes(
@@ -308,11 +317,6 @@ def _errors_ahead(
     return errors | {"floor": float(rollout.noise_floor(starts, after[0])[-1])}
 
 
-def _without_place(problem: Problem, values: Values) -> Vehicle:
-    """Return the vehicle with effects at `values`, but those of the place."""
-    return problem.corrected({n: v for n, v in values.items() if not LIBRARY[n].of_the_place})
-
-
 def nrmse_fit(measured: np.ndarray, predicted: np.ndarray) -> float:
     """Return the NRMSE fit in percent: 100 (1 - |y - p| / |y - mean y|)."""
     spread = np.linalg.norm(measured - measured.mean())
@@ -345,15 +349,10 @@ def _fits(
     return fits
 
 
-def _half_width(problem: Problem, known: ParameterEstimate) -> float:
-    """Return the half-width of a 95 % interval."""
-    return float(stdtrit(max(1, problem.groups - 1), 0.975)) * known.error
-
-
 def _is_there(problem: Problem, name: str, values: Values, sized) -> bool:
     """Return whether the interval of one of an effect's sizes excludes its neutral value."""
     return any(
-        abs(values[name][p.name] - p.neutral) > _half_width(problem, sized[name, p.name])
+        abs(values[name][p.name] - p.neutral) > half_width(problem, sized[name, p.name].error)
         for p in problem.library[name].parameters
         if not p.is_reference and (name, p.name) in sized
     )
@@ -368,7 +367,7 @@ def _parameters(problem: Problem, values: Values, sized, before: Vehicle) -> tup
             continue
         label = effect if effect.endswith(p.name) else f"{effect} {p.name}"
         c = p.constant or FittedConstant(label.replace("_", " "), field="", unit=p.unit, share=True)
-        ends = (float(np.clip(value + s * _half_width(problem, known), *p.bounds)) for s in (-1, 1))
+        ends = (float(np.clip(value + s * half_width(problem, known.error), *p.bounds)) for s in (-1, 1))
         low, high = sorted(c.number(before, x) for x in ends)
         note = "at its bound" if thresholds.at_bound(value, p.bounds) else ""
         if LIBRARY[effect].is_lag and not all(f.shows_lags for f in problem.flights):
@@ -392,6 +391,6 @@ def _vehicles_a_half_width_away(problem: Problem, values: Values, sized) -> Iter
     """Yield the vehicle at `values` with each parameter moved by the half-width of its interval."""
     for (effect, parameter), known in sized.items():
         p = problem.library[effect].parameter(parameter)
-        end = float(np.clip(values[effect][parameter] + _half_width(problem, known), *p.bounds))
+        end = float(np.clip(values[effect][parameter] + half_width(problem, known.error), *p.bounds))
         one = {**values, effect: {**values[effect], parameter: end}}
-        yield _without_place(problem, one)
+        yield problem.corrected(_without_place(one))

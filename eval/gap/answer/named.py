@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.answer import rollout
@@ -16,6 +16,7 @@ from inclined_landing.eval.gap.answer.selection import (
     Refit,
     estimates,
     fitted_to_others,
+    half_width,
     jointly,
     judged_by,
     loop_pieces,
@@ -23,7 +24,6 @@ from inclined_landing.eval.gap.answer.selection import (
     response,
     size_columns,
     squared_error_shares,
-    windows_ahead,
 )
 from inclined_landing.eval.gap.flights.windows import REGIMES, MeasuredFlight
 from inclined_landing.eval.gap.infer import residual
@@ -33,7 +33,7 @@ from inclined_landing.eval.gap.infer.fit import (
     leave_one_out_modes,
     vehicles_a_half_width_away,
 )
-from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class, leave_one_out
+from inclined_landing.eval.gap.infer.sets import SetPosterior, equivalence_class
 from inclined_landing.eval.gap.model.columns import Candidates, FittedValues, ParameterColumn, Values
 from inclined_landing.eval.gap.model.prediction import UNITS_OF, channels_of
 from inclined_landing.eval.gap.model.problem import Problem
@@ -53,9 +53,7 @@ def corrected(found: SetPosterior, values: FittedValues) -> Refit:
 
     All effects of an identified vehicle are estimated again where that predicts flights left out better.
     """
-    problem, names = found.problem, frozenset(values)
-    local = found.local.with_wide_slabs(names)
-    named = Refit(problem, values, leave_one_out(problem, local, names, values))
+    problem, names, named = found.problem, frozenset(values), Refit.of(found, values)
     if not (problem.identified and values):
         return named
     again, local = fit_vehicle(problem, found.spread, values, names)
@@ -182,7 +180,7 @@ def named_effects(
 ) -> tuple[NamedEffect, ...]:
     """Return the named effects with estimates, in the order of `values`.
 
-    ahead: what each does. least: see `least_cost`.
+    ahead: what each does to the error one second ahead. least: the answer of `least_cost`.
     """
     problem, pieces = found.problem, loop_pieces(found.problem, values)
     doubtful = {name for name in values if least > 0.0 and not ahead[name].cost > least}
@@ -217,26 +215,24 @@ def named_effects(
 
 
 def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
-    """Return what predicts flights left out as well as an effect that is more than its size.
+    """Return the effects that predict flights left out as well in the place of a nonlinear one.
 
-    A load on a string is a mass, too, where no swing shows.
+    A load on a string is a mass where no swing shows.
     """
-    effect, starts = found.problem.library[name], windows_ahead(found.problem)
+    effect = found.problem.library[name]
     by = judged_by(effect, values[name])
-    if starts is None or not by or all(p.linear for p in effect.parameters):
+    if not by or all(p.linear for p in effect.parameters):
         return []
     others = [n for n in effect.confused_with if n in found.problem.library and n not in values]
     sets = [frozenset(values) - {name} | {n} for n in (name, *others)]
-    here, *errors = (
-        rollout.pose_errors(starts, fitted_to_others(found, names).vehicles)[by] for names in sets
-    )
+    here, *errors = (fitted_to_others(found, names).pose_errors[by] for names in sets)
     return [n for n, error in zip(others, errors) if (error <= here).all()]
 
 
 def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bool, cancelled: bool) -> str:
     """Return a sentence on why an effect is not sure, whatever its probability; empty where it may be.
 
-    doubtful: the named effects leave too much. cancelled: together, it and others may be none.
+    doubtful: the named effects leave too much. cancelled: it and others may cancel each other.
     """
     slow = [f.name for f in problem.flights if not f.shows_lags]
     if slow and problem.library[name].is_lag:
@@ -268,7 +264,7 @@ def _doubt(problem: Problem, name: str, along: Mapping[str, float], doubtful: bo
 def _doubt_next_to(library: Mapping[str, Effect], name: str, larger: Sequence[str]) -> str:
     """Return a sentence on why a change of the loops is not sure next to larger names; empty where it may be.
 
-    Where no loop is quite of the modelled form, what is confused with a change makes up for its errors.
+    No loop is quite of the modelled form: what is confused with a change makes up for the errors of its form.
     """
     loops = {n for n in (name, *larger) if LOOPS.issuperset(library[n].channels)}
     for other in larger:
@@ -339,7 +335,7 @@ def _reference_half_width(problem: Problem) -> float:
     moved = [problem.one_sided_difference({}, c) for c in columns]
     slope = np.array([(_thrust_ratio(problem, {}, vehicle) - 1.0) / step for vehicle, step in moved])
     variance = slope @ problem.vehicle_prior(columns)[1] @ slope
-    return float(stdtrit(max(1, problem.groups - 1), 0.975) * np.sqrt(variance))
+    return half_width(problem, np.sqrt(variance))
 
 
 def disturbances(problem: Problem) -> dict[str, Disturbance]:

@@ -133,6 +133,7 @@ def smoothed_states(flight: MeasuredFlight, vehicle: Vehicle) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)  # the same for every vehicle
 def _smoothed_states(flight: MeasuredFlight) -> np.ndarray:
+    """Return `smoothed_states` before the vehicle's delay is taken off."""
     dt = flight.dt
     wide, narrow = _filter_lengths(dt)
     state = np.zeros((flight.samples, STATE_SIZE))
@@ -206,6 +207,7 @@ def simulate(
 
 
 def _analytic(starts, vehicle, state, integral, commands, ambient) -> np.ndarray:
+    """Return the poses simulated by the equations."""
     n = len(starts)
     pose = np.empty((n, starts.rows + 1, 6))
     pose[:, 0] = state[:, _POSE]
@@ -273,7 +275,8 @@ def position_error(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
 def noise_floor(starts: RolloutWindows, vehicle: Vehicle) -> np.ndarray:
     """Return the error (rows,) [m] of a perfect model: noise of the start state and of the measurement.
 
-    By simulation of `vehicle` from start states with and without the noise that smoothing leaves.
+    It is the difference of two simulations of `vehicle`, from start states with and without the noise that
+    smoothing leaves, and the noise of the measurement at the end.
     """
     rng = np.random.default_rng(0)
     scale = np.stack([start_state_noise(f) for f in starts.flights])[starts.flight_of]

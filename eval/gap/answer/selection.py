@@ -53,6 +53,13 @@ class Refit:
     # Where the constants of an identified vehicle were estimated again: half-widths of their 95 % intervals.
     half_widths: Mapping[str, float | tuple[float, ...]] | None = None
 
+    @staticmethod
+    def of(found: SetPosterior, values: FittedValues) -> Refit:
+        """Return values of a set of effects, and those fitted without each flight (linearised)."""
+        names = frozenset(values)
+        local = found.local.with_wide_slabs(names)
+        return Refit(found.problem, values, leave_one_out(found.problem, local, names, values))
+
     @cached_property
     def vehicle(self) -> Vehicle:
         """Return the vehicle with the effects."""
@@ -74,15 +81,29 @@ class Refit:
 
     def error_ahead(self) -> float:
         """Return the position error [m] one second ahead on flights left out; infinite if none is so long."""
-        starts = windows_ahead(self.problem)
+        starts = self._windows_ahead()
         return float(errors_by_flight(starts, self.vehicles)[-1]) if starts else math.inf
+
+    @cached_property
+    def pose_errors(self) -> np.ndarray:
+        """Return the errors (3,) of position [m], tilt and heading [rad] ahead, as above; NaN if none is."""
+        starts = self._windows_ahead()
+        return pose_errors(starts, self.vehicles) if starts else np.full(3, math.nan)
+
+    def _windows_ahead(self) -> RolloutWindows | None:
+        """Return the windows of a second in which errors are measured; None where no stretch is so long."""
+        try:
+            return RolloutWindows.of(self.problem.flights)
+        except UserError:
+            return None
 
 
 def relevant_values(found: SetPosterior) -> FittedValues:
-    """Return the values of the probable effects that matter: RELEVANT of the squared error in a channel.
+    """Return the values of the probable effects that are large enough to matter.
 
-    Or USEFUL of the error one second ahead, as few windows may show one. With many flights a change too small
-    to matter is certain.
+    Each explains a share RELEVANT of the squared error in a channel, or the error one second ahead grows by
+    USEFUL without it, as few windows may show it. With many flights even a change too small to matter is
+    certain.
     """
     # Effects of the best set of probability >= NAMED, those confounded with them added.
     names = frozenset(
@@ -106,42 +127,37 @@ def relevant_values(found: SetPosterior) -> FittedValues:
 def useful_values(found: SetPosterior, values: FittedValues) -> FittedValues:
     """Return the values of the effects without which flights left out are predicted worse.
 
-    Backward elimination by the open-loop errors one second ahead: of the position, and of tilt and heading
-    where an effect acts on the attitude or on yaw. It is dropped if, without it, the first of these does not
-    grow (other effects fixed) and none grows by USEFUL (other effects refitted). All of `values` are returned
-    if no stretch is long enough.
+    This is a backward elimination by the open-loop errors one second ahead: of the position, and of tilt and
+    heading where an effect acts on the attitude or on yaw. An effect is dropped if, without it, the first of
+    these does not grow (other effects fixed) and none grows by USEFUL (other effects refitted). None is
+    dropped if no stretch is long enough.
     """
     # No set of effects is exactly true: one may be certain from its windows and mislead all the same.
-    starts = windows_ahead(found.problem)
-    if starts is None:
-        return values
     by = {name: judged_by(found.problem.library[name], values[name]) for name in values}
     fit = fitted_to_others(found, frozenset(values))
-    here = pose_errors(starts, fit.vehicles)
     while fit.values:
         fewer = []
         for name in (n for n in sorted(fit.values) if by[n]):
-            rest = frozenset(fit.values) - {name}
+            rest, own = frozenset(fit.values) - {name}, by[name]
             fixed = dataclasses.replace(fit, left_out=[{n: v[n] for n in rest} for v in fit.left_out])
-            if pose_errors(starts, fixed.vehicles)[by[name][0]] <= here[by[name][0]]:
+            if fixed.pose_errors[own[0]] <= fit.pose_errors[own[0]]:
                 without = fitted_to_others(found, rest)
-                errors = pose_errors(starts, without.vehicles)
-                growth = errors[by[name]] / np.maximum(here[by[name]], 1e-12)
+                growth = without.pose_errors[own] / np.maximum(fit.pose_errors[own], 1e-12)
                 if growth.max() <= 1.0 + thresholds.USEFUL:
-                    fewer.append((growth[0], errors, without))
+                    fewer.append((growth[0], without))
         if not fewer:
             break
-        _, here, fit = min(fewer, key=lambda one: one[0])
+        _, fit = min(fewer, key=lambda one: one[0])
     return fit.values
 
 
 def distinct_values(found: SetPosterior, values: FittedValues) -> tuple[SetPosterior, FittedValues]:
     """Return the values of the effects whose sizes differ from neutral, or that predict better by USEFUL.
 
-    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. No loop
-    is quite of the modelled form, and the vehicle's constants are estimated again: next to a larger effect, a
-    change of the loops alone must be firm and predict better. Without the motors' requests a moment must be
-    firm. The posterior is linearised where the effects are named.
+    An effect each of whose sizes may be neutral, or ends at a bound, is not named: others explain it. A
+    change of the loops alone, next to a larger effect, must be firm and predict better too, because no loop
+    is quite of the modelled form and the vehicle's constants are estimated again. Without the motors'
+    requests a moment must be firm. The posterior is linearised where the effects are named.
     """
     found, values = refitted(found, values)
     distinct = values
@@ -178,10 +194,10 @@ def firm_names(found: SetPosterior, values: Values) -> set[str]:
 
 
 def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
-    """Return which of position, tilt and heading (0, 1, 2) an effect acts on; motor requests are none.
+    """Return which of position, tilt and heading (0, 1, 2) an effect acts on, the first being the main one.
 
-    Nor is there one for a moment that the loops take over within the second ahead: it takes from the range of
-    control, and from the motion little.
+    There is none for an effect that acts on the motors' requests alone, and for a moment that the loops take
+    over within the second ahead: it takes up some of the range of control, and changes the motion little.
     """
     hold = [values.get(p.name, 0.0) for p in effect.parameters if p.adds_to == "effects_attitude_hold"]
     if hold and hold[0] * HORIZON > 1.0:
@@ -192,28 +208,17 @@ def judged_by(effect: Effect, values: Mapping[str, float]) -> list[int]:
 
 def _shows_ahead(found: SetPosterior, values: FittedValues, name: str) -> bool:
     """Return whether an error one second ahead grows by USEFUL without an effect, others fitted again."""
-    starts = windows_ahead(found.problem)
     by = judged_by(found.problem.library[name], values[name])
-    if starts is None or not by:
+    if not by:
         return False
     sets = (frozenset(values), frozenset(values) - {name})
-    here, without = (pose_errors(starts, fitted_to_others(found, names).vehicles)[by] for names in sets)
+    here, without = (fitted_to_others(found, names).pose_errors[by] for names in sets)
     return bool((without > (1.0 + thresholds.USEFUL) * here).any())
 
 
 def fitted_to_others(found: SetPosterior, names: EffectSet) -> Refit:
     """Return a set of effects fitted again, and without each flight."""
-    values = fitted_values(found, names)
-    local = found.local.with_wide_slabs(names)
-    return Refit(found.problem, values, leave_one_out(found.problem, local, names, values))
-
-
-def windows_ahead(problem: Problem) -> RolloutWindows | None:
-    """Return the windows of a second in which errors ahead are measured; None where no stretch is so long."""
-    try:
-        return RolloutWindows.of(problem.flights)
-    except UserError:
-        return None
+    return Refit.of(found, fitted_values(found, names))
 
 
 def fitted_values(found: SetPosterior, names: EffectSet) -> FittedValues:
@@ -264,7 +269,6 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
     """Return effect -> parameter -> its estimate, the other effects marginalised."""
     problem = found.problem
     sized = found.local.with_wide_slabs(frozenset(values)).estimates(values)
-    quantile = stdtrit(max(1, problem.groups - 1), 0.975)
     result: dict[str, dict[str, Estimate]] = {name: {} for name in values}
     for name in values:
         for p in problem.library[name].parameters:
@@ -276,7 +280,7 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
                     value, p.unit, p.possible, p.neutral, p.bounds, False, nan, 0.0
                 )
                 continue
-            half = float(quantile * known.error)
+            half = half_width(problem, known.error)
             below, above = _extrapolated(value - p.neutral, half, fitting(name).extrapolated)
             result[name][p.name] = Estimate(
                 value=value,
@@ -291,10 +295,15 @@ def estimates(found: SetPosterior, values: Values) -> dict[str, dict[str, Estima
     return result
 
 
-def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]:
-    """Return the interval of a size with a half-width, where what it acts by is uncertain by a share.
+def half_width(problem: Problem, error: float) -> float:
+    """Return the half-width of the 95 % interval of a quantity with this standard error (Student t)."""
+    return float(stdtrit(max(1, problem.groups - 1), 0.975) * error)
 
-    This factor is above zero, so that an interval that excludes zero still does.
+
+def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]:
+    """Return the interval of a size with a half-width, where the constant it acts by is uncertain by a share.
+
+    That constant is above zero, so that an interval that excludes zero still does.
     """
     ends = size - half, size + half
     if not (share and size):
@@ -313,8 +322,8 @@ def _extrapolated(size: float, half: float, share: float) -> tuple[float, float]
 def loop_pieces(problem: Problem, values: Values) -> tuple[str, ...]:
     """Return the named lags of the attitude loops if there are several, first the largest in plausible sizes.
 
-    They are pieces of one change: the flights show how quickly the loops answer, and no single piece, as no
-    loop is quite of the formula of any.
+    They are pieces of one change: no loop quite follows the formula of one of them, so that the flights show
+    how quickly the loops answer, but not which piece makes them do so.
     """
 
     def size(name: str) -> float:
@@ -394,5 +403,5 @@ def propagated(
 
     here = of(values)
     slope = np.array([(moved(at + one) - here) / x for one, x in zip(np.diag(step), step)])
-    half = float(stdtrit(max(1, problem.groups - 1), 0.975) * np.sqrt(slope @ covariance @ slope))
+    half = half_width(problem, np.sqrt(slope @ covariance @ slope))
     return here, (here - half, here + half)

@@ -220,7 +220,8 @@ def _fit_channel(flights, windows, channel: int):
 def _simultaneous_modes(flight, windows: np.ndarray, channel: int):
     """Return, for every correlation time, (variances (q,) by unit disturbance, mean squares (q,), windows w).
 
-    In the generalised eigenvectors that diagonalise the covariances of noise and disturbance together.
+    They are along the generalised eigenvectors, which diagonalise the covariances of noise and disturbance
+    together.
     """
     # D v = lambda N v,  v'N v = 1:  a mode has the variance  noise + size^2 lambda
     error_responses = flight.error_responses

@@ -55,9 +55,8 @@ def command(
     lines = [*doubt.in_doubt(found), *doubt.outcome(found), *beyond, *doubt.why_near(plan)]
     with runs.staged_run(out) as folder:
         storage.write_text(folder / "flight.csv", plan.points.csv())
-        storage.write_json(
-            folder / "plan.json", doubt.to_json(plan, plan_input, found, report) | {"text": lines}
-        )
+        content = doubt.to_json(plan, plan_input, found, report) | {"text": lines}
+        storage.write_json(folder / "plan.json", content)
     flight = out / "flight.csv"
     say(*doubt.flight(plan), *lines)
     command = doubt.fly_command(flight, plan_input.platform, arena)

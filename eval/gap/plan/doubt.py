@@ -13,7 +13,7 @@ from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.plan.design import Plan
 from inclined_landing.eval.gap.plan.information import ModelDiscrimination
 from inclined_landing.eval.gap.plan.reading import PlanInput
-from inclined_landing.eval.gap.report.words import label, listed, probability
+from inclined_landing.eval.gap.report.words import label, labels, probability, with_probabilities
 from inclined_landing.eval.gap.result import ScoredSet
 from inclined_landing.models.effects import LIBRARY
 
@@ -64,13 +64,13 @@ def is_worth_flying(found: Sequence[InDoubt], gain: float) -> bool:
 
 def set_label(one: ScoredSet) -> str:
     """Return the effects of a set as part of a sentence."""
-    return listed([label(name) for name in one.effects]) or "nothing"
+    return labels(one.effects) or "nothing"
 
 
 def in_doubt(found: Sequence[InDoubt]) -> list[str]:
     """Return a sentence on the effects in doubt."""
-    names = [f"{label(one.name)} ({probability(one.probability)})" for one in found]
-    return [f"In doubt: {listed(names)}."] if names else []
+    names = with_probabilities({one.name: one.probability for one in found}, "and")
+    return [f"In doubt: {names}."] if names else []
 
 
 def outcome(found: Sequence[InDoubt]) -> list[str]:
@@ -90,7 +90,7 @@ def measured_otherwise(found: Sequence[InDoubt]) -> list[str]:
     remedies = dict.fromkeys(t for n in beyond if (t := LIBRARY[n].told_by))
     if not remedies:
         return []
-    names = listed([label(n) for n in beyond])
+    names = labels(beyond)
     limit = f"distinguish {names}" if len(beyond) > 1 else f"show whether the model lacks {names}"
     return [" ".join([f"No flight can {limit}.", *remedies])]
 

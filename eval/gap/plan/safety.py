@@ -106,9 +106,9 @@ class Flown:
 def simulate_plan(
     points: Setpoints, vehicles: Sequence[Vehicle], space: Space, noise_levels: NoiseLevels
 ) -> tuple[Violation | None, list[Flown]]:
-    """Return the first violation when each of `vehicles`, with its uncertainty, flies the plan.
+    """Return the first violation when each of `vehicles`, with its uncertainty, flies the plan; the flights.
 
-    Also the flights of every one. noise_levels: measurement noise of the pilot's feedback, and disturbance.
+    noise_levels: measurement noise of the pilot's feedback, and disturbance.
     """
     flown = two_at_a_time(
         lambda k: fly(points, vehicles[k], space, noise_levels, (0, k)), range(len(vehicles))

@@ -50,7 +50,7 @@ def sentences(found: Identification) -> list[str]:
             f"Position error one second ahead on these: {after} (nominal {before}, noise alone {floor})."
         )
     if found.kept:
-        kept = words.listed([words.label(name) for name in found.kept])
+        kept = words.labels(found.kept)
         lines.append(f"Left unchanged, because fitting them made predictions of other flights worse: {kept}.")
     helpful = missing_flights(found)
     if found.worse and not helpful:
@@ -78,7 +78,7 @@ def missing_flights(found: Identification) -> list[str]:
         if names and found.regimes[regime] < thresholds.FLOWN:
             if len(names) > 1:  # what is confounded with them is told from them as well
                 names |= {n for n in rough if not names.isdisjoint(LIBRARY[n].confused_with)}
-            better = words.listed([words.label(n) for n in LIBRARY if n in names])
+            better = words.labels(n for n in LIBRARY if n in names)
             lines.append(f"{text} to identify {better} better; these flights contain little of it.")
     return lines
 
@@ -92,12 +92,10 @@ def identifiable_rows(found: Identification) -> list[tuple[str, str, str, str]]:
     """Return one row of text for each effect: standard error, confounded effects, exciting regimes."""
     rows = []
     for one in found.identifiable:
-        confounded = [words.label(name) for name in one.confounded[: words.NAMES]]
-        regimes = [words.REGIMES[r] for r in one.regimes]
+        confounded = words.labels(one.confounded[: words.NAMES], "or")
+        regimes = words.listed([words.REGIMES[r] for r in one.regimes], "or")
         share = f"{min(one.share, 1.0):.0%}".replace("%", " %")
-        rows.append(
-            (words.label(one.effect), share, words.listed(confounded, "or"), words.listed(regimes, "or"))
-        )
+        rows.append((words.label(one.effect), share, confounded, regimes))
     return rows
 
 

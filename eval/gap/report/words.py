@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from inclined_landing.eval.gap import thresholds
 from inclined_landing.eval.gap.result import (
@@ -40,6 +40,16 @@ def label(name: str) -> str:
 def listed(names: Sequence[str], last: str = "and") -> str:
     """Return names as a list in a sentence: `a, b and c`."""
     return ", ".join(names[:-1]) + f" {last} {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def labels(names: Iterable[str], last: str = "and") -> str:
+    """Return effects as a list in a sentence."""
+    return listed([label(name) for name in names], last)
+
+
+def with_probabilities(parts: Mapping[str, float], last: str = "or") -> str:
+    """Return effects with their probabilities as a list in a sentence: `wind (40 %) or mass (30 %)`."""
+    return listed([f"{label(name)} ({probability(part)})" for name, part in parts.items()], last)
 
 
 def value(p: Estimate) -> str:
@@ -191,7 +201,7 @@ _UNEXPLAINED = "the flights show an error that no effect of the library explains
 
 def _nameless(d: Diagnosis) -> str:
     """Return the headline of a diagnosis without a named effect."""
-    names = listed([f"{label(name)} ({probability(part)})" for name, part in d.undecided.items()], "or")
+    names = with_probabilities(d.undecided)
     before = centimetres(d.reference.error) if d.reference else ""
     larger = "the error is larger than in the reference flights, "
     larger += f"{centimetres(d.residual.error)} for {before} one second ahead"
@@ -309,8 +319,8 @@ def _undecided(d: Diagnosis, name: str) -> Answer:
 def possible_sentence(d: Diagnosis) -> str:
     """Return a sentence on the effects that are possible, and not said elsewhere; empty for none."""
     said = d.undecided if d.verdict == "undecided" else {}
-    names = [f"{label(name)} ({probability(p)})" for name, p in d.possible.items() if name not in said]
-    return f"Not named, but possible: {listed(names, 'or')}." if names else ""
+    others = {name: part for name, part in d.possible.items() if name not in said}
+    return f"Not named, but possible: {with_probabilities(others)}." if others else ""
 
 
 def inconsistency(c: InconsistentFlights) -> list[str]:
@@ -344,8 +354,8 @@ def _difference_sentence(one: Difference, there: str, model: str) -> str:
     ]
     lines = f"Compared with {model}, in {there} {said(one.effect, texts)}"
     lines += f" (95 % interval{'s' * (len(ends) > 1)}: {', '.join(ends)})."
-    others = [label(name) for name in one.confounded_with]
-    return f"{lines} The difference could equally be {listed(others, 'or')}." if others else lines
+    others = labels(one.confounded_with, "or")
+    return f"{lines} The difference could equally be {others}." if others else lines
 
 
 def axis(d: Dependence) -> str:

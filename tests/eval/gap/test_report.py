@@ -281,9 +281,10 @@ def test_a_load_may_be_a_mass_where_no_swing_shows(monkeypatch):
     """Where a mass in its place predicts flights left out as well; of a thrust that does not: no."""
     errors = {"slung_load": 0.1, "mass": 0.1, "thrust_bias": 0.11}
 
-    monkeypatch.setattr(naming, "windows_ahead", lambda problem: "starts")
-    monkeypatch.setattr(naming, "fitted_to_others", lambda found, names: SimpleNamespace(vehicles=names))
-    monkeypatch.setattr(rollout, "pose_errors", lambda starts, names: np.array([errors[n] for n in names]))
+    def refit(found, names):
+        return SimpleNamespace(pose_errors=np.array([errors[n] for n in names]))
+
+    monkeypatch.setattr(naming, "fitted_to_others", refit)
     library = {n: LIBRARY[n] for n in errors}
     found, values = SimpleNamespace(problem=SimpleNamespace(library=library)), {"mass": 0.004, "length": 0.5}
     assert naming._predicting_as_well(found, {"slung_load": values}, "slung_load") == ["mass"]
