@@ -302,8 +302,8 @@ def least_cost(residual: ResidualAnalysis, gap: PlantGap | None, reference: Refe
     """Return the position error [m] up to which an effect must account for more not to be in doubt.
 
     It is infinite, so that all effects are in doubt, where the error that the named effects leave is much
-    larger than that of the reference flights, or mostly repeats from flight to flight. Where it is no larger
-    than that of the reference flights, what repeats may be the identified vehicle's own error. If that is
+    larger than that of the reference flights, or mostly repeats from flight to flight. Where it does not
+    exceed that of the reference flights, what repeats may be the identified vehicle's own error. If that is
     small compared with the error before, it casts doubt only on effects of its size.
     """
     if gap is None:

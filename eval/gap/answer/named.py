@@ -215,7 +215,7 @@ def named_effects(
 
 
 def _predicting_as_well(found: SetPosterior, values: Values, name: str) -> list[str]:
-    """Return the effects that predict flights left out as well in the place of a nonlinear one.
+    """Return the effects that predict flights left out as well as a nonlinear one does.
 
     A load on a string is a mass where no swing shows.
     """
